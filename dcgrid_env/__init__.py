@@ -1,0 +1,64 @@
+"""dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
+
+import gymnasium as _gymnasium
+import pettingzoo as _pettingzoo
+
+from dcgrid_env.actions import ActionError
+from dcgrid_env.devices import LinearDvfs
+from dcgrid_env.env import DcgridEnv
+from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
+from dcgrid_env.presets import PRESETS, make_scenario
+from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
+from dcgrid_env.vector_env import DcgridVectorEnv
+from dcgrid_env.parallel_env import DcgridParallelEnv, env, parallel_env  # isort: skip  (last: its names are modules too)
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "FEEDERS",
+    "IDS",
+    "PRESETS",
+    "ActionError",
+    "CostWeights",
+    "DcgridEnv",
+    "DcgridParallelEnv",
+    "DcgridVectorEnv",
+    "Feeder",
+    "FeederError",
+    "LinearDvfs",
+    "PowerFlowError",
+    "Scenario",
+    "ScenarioError",
+    "Solution",
+    "distflow",
+    "env",
+    "lindistflow",
+    "load_feeder",
+    "make_scenario",
+    "parallel_env",
+]
+
+IDS = {"dcgrid/Toy6-v0": "toy6", "dcgrid/IEEE123-v0": "ieee123", "dcgrid/IEEE33Weak-v0": "ieee33-weak"}
+"""Registered ids, for Gymnasium and, where its release has a registry, for PettingZoo, and their scenarios."""
+
+
+def _register() -> None:
+    for name, scenario in IDS.items():
+        if name not in _gymnasium.registry:
+            _gymnasium.register(
+                name,
+                entry_point="dcgrid_env.env:DcgridEnv",
+                vector_entry_point="dcgrid_env.vector_env:DcgridVectorEnv",
+                # The environment checks its own actions, with better messages; the generic checker costs a third of
+                # the step. gymnasium.utils.env_checker.check_env passes and is among the tests.
+                disable_env_checker=True,
+                kwargs={"scenario": scenario},
+            )
+        if hasattr(_pettingzoo, "register"):
+            for kind, entry in (("parallel", "parallel_env"), ("aec", "env")):
+                if name not in getattr(_pettingzoo, f"{kind}_registry"):
+                    _pettingzoo.register(kind, name, f"dcgrid_env:{entry}", kwargs={"scenario": scenario})
+
+
+_register()

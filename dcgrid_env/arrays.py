@@ -1,0 +1,52 @@
+"""The few array operations that NumPy and torch spell differently, without importing torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+Array = Any
+"""A NumPy array or a torch tensor: code that takes either returns the same kind."""
+
+
+def namespace(array: Array) -> Any:
+    """The array-API namespace of a NumPy array or a torch tensor."""
+    return np if isinstance(array, np.ndarray) else array_namespace(array)
+
+
+def as_like(values: Array, like: Array) -> Array:
+    """``values`` as an array of the kind, precision and device of ``like``."""
+    if isinstance(like, np.ndarray):
+        return np.asarray(values, dtype=like.dtype)
+    xp = array_namespace(like)
+    if not hasattr(values, "device") or isinstance(values, np.ndarray):
+        values = xp.asarray(np.array(values))  # a copy: tensors cannot share read-only memory
+    return xp.asarray(values, dtype=like.dtype, device=like.device)
+
+
+def positive_part(array: Array) -> Array:
+    """max(array, 0), elementwise."""
+    if isinstance(array, np.ndarray):
+        return np.maximum(array, 0.0)
+    return array_namespace(array).clip(array, 0.0, None)
+
+
+def add_at(base: Array, flat_index: Array, values: Array) -> Array:
+    """A copy of ``base`` with ``values`` added at the flat positions ``flat_index``, which are all different."""
+    if isinstance(base, np.ndarray):
+        out = base.copy()
+        out.reshape(-1)[flat_index] += values
+        return out
+    return base.reshape(-1).index_add(0, flat_index.reshape(-1), values.reshape(-1)).reshape(base.shape)
+
+
+def take_at(base: Array, flat_index: Array) -> Array:
+    """Elements of ``base`` at the flat positions ``flat_index``, in its shape."""
+    return base.reshape(-1)[flat_index]
+
+
+def requires_grad(*arrays: Array) -> bool:
+    """Whether a derivative is being recorded for any of the arrays."""
+    return any(getattr(a, "requires_grad", False) for a in arrays)

@@ -1,0 +1,15 @@
+"""The grid-side converter of a data centre or an inverter: reactive power within what active power leaves of it.
+
+    |q| <= min(q_max, sqrt(s_rated^2 - p^2))
+"""
+
+from __future__ import annotations
+
+from dcgrid_env.arrays import Array, namespace, positive_part
+
+
+def dispatch(s_rated_kva: Array, q_max_kvar: Array, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:
+    """Reactive injection and its limit, kvar, for an active power of ``p_kw``; all arrays (..., n_device)."""
+    xp = namespace(p_kw)
+    limit = xp.minimum(xp.sqrt(positive_part(s_rated_kva * s_rated_kva - p_kw * p_kw)), q_max_kvar)
+    return xp.minimum(xp.maximum(q_setpoint_kvar, -limit), limit), limit

@@ -1,0 +1,43 @@
+"""How a GPU clock turns queued work into speed and power (dynamic voltage and frequency scaling)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from dcgrid_env.arrays import Array, namespace
+from dcgrid_env.devices.params import DataCenterParams
+
+
+class Dvfs(Protocol):
+    """A clock law: what a site does with the work at hand at a given clock."""
+
+    def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
+        """Work served and dynamic power drawn over an interval.
+
+        Parameters
+        ----------
+        params
+            Ratings of the sites, arrays that broadcast against the others.
+        f_mhz
+            Clock, MHz, shape (..., n_dc).
+        work_kw
+            Work at hand (arriving and queued), as the dynamic power that would serve all of it within the interval, kW.
+
+        Returns
+        -------
+        work_rate_kw, power_kw
+            Work served, at most ``work_kw``, and dynamic power above idle, kW, both (..., n_dc).
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LinearDvfs:
+    """Speed and dynamic power both proportional to the clock (arXiv 2507.06416, eq. 4)."""
+
+    def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
+        """See :class:`Dvfs`: what is served is what is drawn."""
+        ceiling = (params.p_rated_kw - params.p_idle_kw) * (f_mhz / params.f_max_mhz)
+        served = namespace(f_mhz).minimum(ceiling, work_kw)
+        return served, served

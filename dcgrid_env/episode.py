@@ -1,0 +1,139 @@
+"""An episode as drawn: placement, trace windows and noise, all functions of one key per lane."""
+
+from __future__ import annotations
+
+import zlib
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env import counter, observation
+from dcgrid_env.dynamics import Exogenous
+from dcgrid_env.powerflow.threads import over_lanes
+from dcgrid_env.scenario import Scenario
+from dcgrid_env.traces import from_recordings, library, require_window
+
+ROW_DURATION_S = 3600.0
+"""Length of a generated trace; an episode takes a window of it."""
+
+
+class Episode(NamedTuple):
+    """What a reset draws, for a batch of lanes."""
+
+    key: np.ndarray
+    """(lane,) uint64."""
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    nodes: np.ndarray
+    """Flat positions for the physics, (lane, n_agent, 1): see ``Exogenous.nodes``."""
+    placed: observation.Placement
+    row: np.ndarray
+    """Trace of each data centre, (lane, n_dc)."""
+    start: np.ndarray
+    """Where in it the episode begins, in steps, (lane, n_dc)."""
+
+
+def window_steps(scenario: Scenario) -> int:
+    """Steps of trace that an episode needs: t = 0, one an action, and the preview at the end."""
+    return scenario.horizon + 2
+
+
+@lru_cache(maxsize=64)
+def trace_pool(scenario: Scenario) -> np.ndarray:
+    """Rows of power as a share of the rating that the scenario's split draws from, (n_row, n_step)."""
+    trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
+    needed_s = steps * dt_s
+    if isinstance(trace, str):
+        # Rounding may cost a step of dt at the end, so one more is asked for.
+        duration = needed_s + dt_s if scenario.trace_window == "start" else max(ROW_DURATION_S, needed_s + dt_s)
+        rows, name = library(trace, split, dt_s, duration), trace
+    else:
+        rows, name = from_recordings(trace, split, dt_s, needed_s), ", ".join(t.name for t in trace)
+    require_window(rows, steps, dt_s, name)
+    return rows
+
+
+@lru_cache(maxsize=64)
+def _load(scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    feeder = scenario.feeder
+    fixed = -feeder.capacitor_kvar if scenario.capacitors else np.zeros(feeder.n_bus)
+    return feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed
+
+
+@lru_cache(maxsize=64)
+def _schedule(scenario: Scenario) -> np.ndarray:
+    """Active injection of the inverters over an episode, kW, (n_step, n_inv); held at the end of its trace."""
+    steps = window_steps(scenario)
+    assert scenario.inverter_trace is not None
+    known = np.minimum(scenario.inverter_trace.resample(scenario.dt_s), 1.0)
+    share = known[np.minimum(np.arange(steps), len(known) - 1)]
+    return share[:, None] * scenario.inverter.s_rated_kva
+
+
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
+    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
+
+    The split enters the key, so that no two splits share an episode whatever their seeds.
+    """
+    salt = np.uint64(zlib.crc32(scenario.split.encode()))
+    key = counter.keys(salt, seeds, numbers)
+    lanes, n_dc = len(key), scenario.n_datacenters
+    fixed = [scenario.feeder.index(b) for b in scenario.inverter_buses]
+    if scenario.datacenter_buses is None:
+        order = np.argsort(counter.bits(key, counter.PLACEMENT, len(scenario.candidates)), axis=1, kind="stable")
+        at = scenario.candidates[order[:, :n_dc]]
+    else:
+        at = np.tile([scenario.feeder.index(b) for b in scenario.datacenter_buses], (lanes, 1)).astype(np.int64)
+    buses = np.concatenate((at, np.tile(np.array(fixed, dtype=np.int64), (lanes, 1))), axis=1)
+    rows = trace_pool(scenario)
+    # Sites take different rows as long as there are enough.
+    row = np.argsort(counter.bits(key, counter.TRACE_ROW, len(rows)), axis=1, kind="stable")
+    row = row[:, np.arange(n_dc) % len(rows)]
+    room = rows.shape[1] - window_steps(scenario) + 1 if scenario.trace_window == "random" else 1
+    start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
+    return assemble(scenario, key, buses, row, start)
+
+
+def assemble(
+    scenario: Scenario, key: np.ndarray, buses: np.ndarray, row: np.ndarray, start: np.ndarray
+) -> Episode:
+    """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
+    nodes = (buses + np.arange(len(key))[:, None] * scenario.feeder.n_bus)[..., None]
+    return Episode(key, buses, nodes, observation.placement(scenario, buses), row, start)
+
+
+def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
+    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
+    return trace_pool(scenario)[episode.row, episode.start + step[:, None]] * scenario.datacenter.p_rated_kw
+
+
+def exogenous(
+    scenario: Scenario, episode: Episode, step: np.ndarray, noise: np.ndarray
+) -> tuple[Exogenous, np.ndarray]:
+    """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
+
+    Parameters
+    ----------
+    scenario, episode
+        As drawn.
+    step
+        (lane,) int64; at 0 the noise starts afresh.
+    noise
+        The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
+    """
+    p_base, q_base, q_fixed = _load(scenario)
+    rho, sigma = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma)
+    z, p, q = np.empty_like(noise), np.empty_like(noise), np.empty_like(noise)
+
+    def part(a: int, b: int) -> int:
+        return counter.load_step(
+            episode.key[a:b], step[a:b], noise[a:b], rho, sigma, p_base, q_base, q_fixed, z[a:b], p[a:b], q[a:b]
+        )
+
+    over_lanes(part, len(step))
+    if scenario.inverter_trace is None:
+        injection = np.zeros((len(step), scenario.n_inverters))
+    else:
+        injection = _schedule(scenario)[step]
+    return Exogenous(p, q, p_ref_kw(scenario, episode, step), injection, episode.nodes), z

@@ -1,0 +1,115 @@
+"""What the three interfaces share: a simulation, its spaces, saving and restoring, rendering."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+
+from dcgrid_env import actions, observation
+from dcgrid_env.presets import make_scenario
+from dcgrid_env.scenario import Scenario, ScenarioError
+
+if TYPE_CHECKING:
+    from dcgrid_env.simulation import Simulation, Snapshot, Transition
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
+    """Spaces of the joint observation and action."""
+    low, high = observation.joint_bounds(scenario)
+    n = len(actions.action_names(scenario))
+    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (n,), np.float32)
+
+
+def check_running(face: Face) -> None:
+    """RuntimeError unless the (first lane's) episode goes on."""
+    if face._simulation.now.over[0]:
+        raise RuntimeError("the episode is over; call reset()")
+
+
+class Face:
+    """Mixed into the environment classes; holds one simulation and nothing else of substance."""
+
+    scenario: Scenario
+    render_mode: str | None
+
+    def _setup(
+        self, scenario: str | Scenario, lanes: int, render_mode: str | None, overrides: dict[str, Any], *, joint: bool
+    ) -> None:
+        from dcgrid_env.simulation import Simulation  # brings the compiler with it, so not on import
+
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
+        self.scenario = make_scenario(scenario, **overrides)
+        if joint and self.scenario.reward == "local":
+            raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
+        self.render_mode = render_mode
+        self._simulation: Simulation = Simulation(self.scenario, lanes)
+        self._seeded = False
+        self._last: Transition | None = None
+        self._viewer: Any = None
+
+    @property
+    def transition(self) -> Transition:
+        """What the last step or reset led to, before any automatic reset: voltages, draws, costs; arrays over lanes."""
+        return self._simulation.transition if self._last is None else self._last
+
+    def save(self) -> Snapshot:
+        """All that is needed to go on from here; ``restore`` takes it, in this or another environment of the kind."""
+        return self._simulation.now
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from where ``save`` was called; ValueError for a snapshot of another kind of environment."""
+        self._simulation.restore(snapshot)
+        self._seeded = True
+
+    def buses(self) -> np.ndarray:
+        """Name of each agent's bus, (lane, n_agent)."""
+        return np.array(self.scenario.feeder.bus_ids)[self._simulation.now.episode.buses]
+
+    def render(self) -> Any:
+        """Draw the feeder and the running curves: an image (height, width, 3) uint8, or a window for "human"."""
+        if self._viewer is None:
+            raise RuntimeError("render needs a render_mode ('rgb_array' or 'human') and a reset")
+        return self._viewer.draw()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    def _seed_or_draw(self, seed: int | None, rng: np.random.Generator) -> int | None:
+        """The seed given; one drawn if there never was any; None for the next episode of the last one."""
+        if seed is None and not self._seeded:
+            seed = int(rng.integers(2**63))
+        self._seeded = True
+        return seed
+
+    def _reset(self, seeds: list[int | None], mask: np.ndarray | None = None) -> Transition:
+        transition = self._simulation.reset(seeds, mask)
+        self._bus_names = self.buses()
+        keys = [f"bus_{agent}" for agent in self.scenario.agents]
+        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
+        if self.render_mode is not None:
+            from dcgrid_env.render import Viewer
+
+            if self._viewer is None:
+                self._viewer = Viewer(self.scenario, self.render_mode)
+            self._viewer.begin(self._simulation.now)
+            self._show()
+        return transition
+
+    def _step(self, action: np.ndarray) -> Transition:
+        transition = self._simulation.step(action)
+        if self._viewer is not None:
+            self._viewer.record(self._simulation.now)
+            self._show()
+        return transition
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._viewer.draw()

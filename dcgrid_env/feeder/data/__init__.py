@@ -1,0 +1,1 @@
+"""Bus and branch figures of the named feeders, with their sources."""

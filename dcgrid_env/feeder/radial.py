@@ -1,0 +1,108 @@
+"""Turn an undirected list of branches into a tree rooted at the substation, or say why it is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class FeederError(ValueError):
+    """A feeder whose data cannot be used; the message names the buses, branches and fields."""
+
+
+def orient(
+    name: str, substation: Any, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
+) -> tuple[NDArray[np.intp], list[int], NDArray[np.intp]]:
+    """Order buses with the substation first and give every bus its feeding branch.
+
+    Returns
+    -------
+    order
+        Row of each bus in the given table, shape (n_bus,).
+    parent
+        For branch k, which feeds bus k + 1 of that order, the index in that order of the bus that feeds it.
+    branch
+        For branch k, its row in the given table.
+
+    Raises
+    ------
+    FeederError
+        For a duplicate, unknown or isolated bus, a loop, or a part that does not reach the substation.
+    """
+    rows = _index_buses(name, substation, bus_ids, from_bus, to_bus)
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in bus_ids]
+    for k, (i, j) in enumerate(zip(from_bus, to_bus, strict=True)):
+        neighbours[rows[i]].append((rows[j], k))
+        neighbours[rows[j]].append((rows[i], k))
+    root = rows[substation]
+    fed_by: dict[int, tuple[int, int]] = {root: (-1, -1)}
+    queue = [root]
+    for i in queue:
+        for j, k in neighbours[i]:
+            if k == fed_by[i][1]:
+                continue
+            if j in fed_by:
+                loop = _loop(i, j, fed_by)
+                raise FeederError(
+                    f"feeder {name!r} is not radial: branch {from_bus[k]}-{to_bus[k]} closes a loop over the buses "
+                    f"{[bus_ids[b] for b in loop]}; open one of its branches"
+                )
+            fed_by[j] = (i, k)
+            queue.append(j)
+    _check_reached(name, substation, bus_ids, neighbours, fed_by)
+    order = [root] + [i for i in range(len(bus_ids)) if i != root]
+    position = {row: i for i, row in enumerate(order)}
+    parent = [position[fed_by[row][0]] for row in order[1:]]
+    return np.array(order, dtype=np.intp), parent, np.array([fed_by[row][1] for row in order[1:]], dtype=np.intp)
+
+
+def _index_buses(
+    name: str, substation: Any, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
+) -> dict[Any, int]:
+    rows = {bus: i for i, bus in enumerate(bus_ids)}
+    if len(rows) < len(bus_ids):
+        twice = sorted({str(b) for b in bus_ids if list(bus_ids).count(b) > 1})
+        raise FeederError(f"feeder {name!r}: duplicate bus {', '.join(twice)}; give each bus one row")
+    if substation not in rows:
+        raise FeederError(f"feeder {name!r}: substation {substation!r} is not among its buses {list(bus_ids)}")
+    for i, j in zip(from_bus, to_bus, strict=True):
+        for bus in (i, j):
+            if bus not in rows:
+                raise FeederError(f"feeder {name!r}: branch {i}-{j} names the unknown bus {bus!r}; add it to the buses")
+        if i == j:
+            raise FeederError(f"feeder {name!r} is not radial: branch {i}-{j} joins a bus with itself")
+    return rows
+
+
+def _loop(i: int, j: int, fed_by: dict[int, tuple[int, int]]) -> list[int]:
+    def upstream(b: int) -> list[int]:
+        path = []
+        while b >= 0:
+            path.append(b)
+            b = fed_by[b][0]
+        return path
+
+    up_i, up_j = upstream(i), upstream(j)
+    meet = next(b for b in up_i if b in up_j)
+    return up_i[: up_i.index(meet) + 1] + up_j[: up_j.index(meet)][::-1]
+
+
+def _check_reached(
+    name: str,
+    substation: Any,
+    bus_ids: Sequence[Any],
+    neighbours: list[list[tuple[int, int]]],
+    fed_by: dict[int, tuple[int, int]],
+) -> None:
+    unreached = [i for i in range(len(bus_ids)) if i not in fed_by]
+    isolated = [bus_ids[i] for i in unreached if not neighbours[i]]
+    if isolated:
+        raise FeederError(f"feeder {name!r}: isolated bus {isolated}: no branch ends there; add one or drop the bus")
+    if unreached:
+        raise FeederError(
+            f"feeder {name!r} has more than one root: the buses {[bus_ids[i] for i in unreached]} are not connected "
+            f"to the substation {substation!r}; add the missing branch"
+        )

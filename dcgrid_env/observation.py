@@ -1,0 +1,164 @@
+"""What an agent observes: local figures only, unless the scenario widens the scope.
+
+Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add theirs at the end:
+
+| field | who | unit | range |
+|---|---|---|---|
+| v_deviation | all | (V - 1) / band, 1 is the band's edge | -1/band .. 1/band |
+| v_change | all | V now less V one step ago, / band | the same |
+| p | all | share of the rating; an inverter's injection is negative | -1 .. 1 |
+| q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
+| q_limit | all | the same share | 0 .. 1 |
+| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. 1/band |
+| p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. 1 |
+| backlog | data centres | s at the rated power | 0 .. horizon dt |
+| neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
+| bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.arrays import Array, namespace
+from dcgrid_env.constants import constants
+from dcgrid_env.dynamics import State
+from dcgrid_env.scenario import Scenario
+
+COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
+DATACENTER = (*COMMON, "p_ref_next", "backlog")
+N_NEIGHBOURS = 3
+
+
+class Placement(NamedTuple):
+    """Where the agents stand, as far as observing goes; fixed for an episode, made by :func:`placement`."""
+
+    distance: Array
+    """R_ii and X_ii in bands per MW and Mvar, (lane, n_agent, 2)."""
+    nearest: Array
+    """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
+
+
+def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Names of the observed fields, in order, for each agent."""
+    wider: tuple[str, ...] = ()
+    if scenario.observe == "neighbours":
+        count = min(N_NEIGHBOURS, scenario.n_agents - 1)
+        wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
+    elif scenario.observe == "feeder":
+        wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[1:])
+    return {a: (*(DATACENTER if a.startswith("dc_") else COMMON), *wider) for a in scenario.agents}
+
+
+def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Lowest and highest value of each field, float32, for each agent."""
+    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    range_of = {
+        "v_deviation": (-edge, edge),
+        "v_change": (-edge, edge),
+        "p": (-1.0, 1.0),
+        "q": (-1.0, 1.0),
+        "q_limit": (0.0, 1.0),
+        "r": (0.0, edge),
+        "x": (0.0, edge),
+        "p_ref_next": (0.0, 1.0),
+        "backlog": (0.0, scenario.horizon * scenario.dt_s),
+    }
+
+    def find(name: str) -> tuple[float, float]:
+        if name.startswith("neighbour"):
+            name = name.partition("_")[2]
+        return range_of["v_deviation" if name.startswith("v_deviation") else name]
+
+    found = {agent: np.array([find(n) for n in names]) for agent, names in field_names(scenario).items()}
+    return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
+
+
+@lru_cache(maxsize=64)
+def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the joint observation, the agents' one after the other, float32, (n_observation,) each."""
+    low, high = zip(*bounds(scenario).values(), strict=True)
+    return np.concatenate(low), np.concatenate(high)
+
+
+@lru_cache(maxsize=64)
+def _electrical(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """(R_ii, X_ii) in bands, (n_bus, 2), and the impedance magnitude of the path between any two buses."""
+    r, x = scenario.feeder.sensitivity()
+    own = np.stack((np.diag(r), np.diag(x)), axis=-1) / (scenario.band_pu or 1.0)
+    between = [np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)]
+    return own, np.hypot(*between)
+
+
+class _Scales(NamedTuple):
+    agent: Array  # v_deviation, v_change, p, q, q_limit, (n_agent, 5)
+    queue: Array  # p_ref_next, backlog, (n_dc, 2)
+
+
+@lru_cache(maxsize=64)
+def _scales(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Scales:
+    known = constants(scenario, np.empty(0))
+    band = np.full(scenario.n_agents, 1.0 / (scenario.band_pu or 1.0))
+    p, q = 1.0 / known.p_scale_kw, 1.0 / known.q_scale_kvar
+    rated = 1.0 / scenario.datacenter.p_rated_kw
+    fields = np.stack((band, band, p, q, q), axis=-1), np.stack((rated * scenario.preview, rated), axis=-1)
+    return _Scales(*(xp.asarray(f, dtype=dtype, device=device) for f in fields))
+
+
+def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
+    """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
+    own, between = _electrical(scenario)
+    lanes, n_agent = buses.shape
+    count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
+    nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
+    if count:
+        apart = between[buses[:, :, None], buses[:, None, :]]
+        apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
+        nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
+        nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
+    return Placement(own[buses], nearest)
+
+
+def observe(
+    scenario: Scenario, state: State, placed: Placement, p_ref_next_kw: Array, v_measured_pu: Array, v_before_pu: Array
+) -> Array:
+    """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
+
+    Parameters
+    ----------
+    scenario, state
+        Scenario and state after the last step.
+    placed
+        The episode's placement.
+    p_ref_next_kw
+        p_ref over the coming interval, kW, (lane, n_dc).
+    v_measured_pu, v_before_pu
+        Voltage at the agents as measured now and one step before, p.u., (lane, n_agent): the state's own unless the
+        scenario has noise or delay.
+    """
+    xp = namespace(state.v_pu)
+    lanes, n_dc = state.v_pu.shape[0], scenario.n_datacenters
+    scales = _scales(scenario, xp, state.v_pu.dtype, state.v_pu.device)
+    raw = (v_measured_pu - 1.0, v_measured_pu - v_before_pu, state.p_kw, state.q_kvar, state.q_limit_kvar)
+    own = xp.concat(tuple(field[..., None] for field in raw), axis=-1) * scales.agent
+    queue = xp.concat((p_ref_next_kw[..., None], state.backlog_kws[..., None]), axis=-1) * scales.queue
+    dc, inv = [own[:, :n_dc], placed.distance[:, :n_dc], queue], [own[:, n_dc:], placed.distance[:, n_dc:]]
+    if scenario.observe == "neighbours":
+        trio = own[..., (0, 2, 3)].reshape(-1, 3)
+        near = trio[placed.nearest].reshape(*own.shape[:2], -1)
+        dc, inv = [*dc, near[:, :n_dc]], [*inv, near[:, n_dc:]]
+    elif scenario.observe == "feeder":
+        buses = ((state.v_pu[:, 1:] - 1.0) / (scenario.band_pu or 1.0))[:, None, :]
+        wide = xp.broadcast_to(buses, (*own.shape[:2], buses.shape[-1]))
+        dc, inv = [*dc, wide[:, :n_dc]], [*inv, wide[:, n_dc:]]
+    of_dc, of_inv = xp.concat(dc, axis=-1), xp.concat(inv, axis=-1)
+    return xp.concat((of_dc.reshape(lanes, -1), of_inv.reshape(lanes, -1)), axis=-1)
+
+
+def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:
+    """The joint observation as float32 and cut to its bounds."""
+    low, high = joint_bounds(scenario)
+    return np.minimum(np.maximum(joint.astype(np.float32), low), high)

@@ -1,0 +1,93 @@
+"""Exact DistFlow, the nonlinear power flow of a balanced radial feeder, with losses.
+
+For branch i -> j with series r + jx, sending-end flow P + jQ, squared current l and squared voltage v:
+
+    P_ij = p_j + sum_k P_jk + r l        l = (P_ij^2 + Q_ij^2) / v_i
+    Q_ij = q_j + sum_k Q_jk + x l        v_j = v_i - 2 (r P_ij + x Q_ij) + (r^2 + x^2) l
+
+M. E. Baran, F. F. Wu, "Network reconfiguration in distribution systems for loss reduction and load balancing",
+IEEE Trans. Power Delivery 4(2), 1989. Solved by backward sums of flow and forward sums of voltage drop; a branch
+without impedance is exact. The residual is the mismatch of the first two equations; the others hold at every sweep.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.arrays import namespace
+from dcgrid_env.feeder.feeder import Feeder
+from dcgrid_env.powerflow.solution import Array, PowerFlowError, Solution, check_loads, raise_not_finite, substation_voltage
+from dcgrid_env.units import S_BASE_KVA
+
+TOLERANCE_KVA = {8: 1e-4, 4: 1e-2}
+"""Default largest power mismatch, kVA, by bytes a figure: 1e-4 keeps voltages within 1e-8 p.u. on the named feeders."""
+MAX_SWEEPS = 1000
+
+
+def distflow(
+    feeder: Feeder,
+    p_kw: Array,
+    q_kvar: Array,
+    v0_pu: Any = None,
+    *,
+    warm: Solution | Array | None = None,
+    tolerance_kva: float | None = None,
+    max_sweeps: int = MAX_SWEEPS,
+) -> Solution:
+    """Solve the nonlinear power flow of one feeder or a batch.
+
+    Parameters
+    ----------
+    feeder
+        The feeder. Its own load and capacitors are not added: ``p_kw`` and ``q_kvar`` are all there is.
+    p_kw, q_kvar
+        Net load at each bus (consumption positive), shape (..., n_bus), in the order of ``feeder.bus_ids``: NumPy
+        arrays (or lists) or torch tensors. float32 is solved in float32, everything else in float64.
+    v0_pu
+        Substation voltage, p.u., a number or shape (...); the feeder's published one by default.
+    warm
+        A solution (or its ``current_sq_pu``) of similar loads and the same shape to start from.
+    tolerance_kva
+        Largest power mismatch of a converged solution; 1e-4 kVA in float64, 1e-2 in float32 by default.
+    max_sweeps
+        Sweeps after which a feeder is given up.
+
+    Returns
+    -------
+    Solution
+        With ``converged`` per feeder; loads without a solution are reported there, not raised.
+
+    Raises
+    ------
+    PowerFlowError
+        For loads of the wrong shape or not finite, a bad v0_pu or warm start.
+    """
+    p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
+    start = warm.current_sq_pu if isinstance(warm, Solution) else warm
+    if start is not None and tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
+        raise PowerFlowError(
+            f"warm start has shape {tuple(start.shape)}; it must be {(*p_kw.shape[:-1], feeder.n_bus - 1)} for these loads"
+        )
+    if tolerance_kva is None:
+        tolerance_kva = TOLERANCE_KVA[p_kw.dtype.itemsize]
+    tolerance = tolerance_kva / S_BASE_KVA
+    v0 = substation_voltage(feeder, p_kw, v0_pu)
+    if not isinstance(p_kw, np.ndarray):
+        from dcgrid_env.powerflow.prefix import distflow_arrays
+
+        solution = distflow_arrays(feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+        if not bool(namespace(p_kw).all(solution.converged)):
+            raise_not_finite(feeder, p_kw, q_kvar)
+        return solution
+    return lanes().solve_lanes("distflow", feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+
+
+@cache
+def lanes() -> Any:
+    """The module of compiled kernels, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.powerflow import lanes
+
+    return lanes

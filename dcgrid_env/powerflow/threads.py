@@ -1,0 +1,40 @@
+"""Lanes of a batch spread over the cores of this process.
+
+A thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel loops:
+those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+LANES_PER_THREAD = 64  # below this many lanes a thread costs more than it saves
+_pool: tuple[int, ThreadPoolExecutor] | None = None
+
+
+def n_threads() -> int:
+    """Threads used for a batch: ``DCGRID_NUM_THREADS`` or the cores that this process may run on."""
+    asked = os.environ.get("DCGRID_NUM_THREADS")
+    if asked:
+        if not asked.isdecimal() or int(asked) < 1:
+            raise ValueError(f"DCGRID_NUM_THREADS is {asked!r}; give a whole number of at least 1")
+        return int(asked)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
+    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread."""
+    parts = min(n_threads(), lanes // LANES_PER_THREAD)
+    if parts <= 1:
+        return work(0, lanes)
+    cuts = [lanes * i // parts for i in range(parts + 1)]
+    return sum(_executor().map(work, cuts[:-1], cuts[1:]))
+
+
+def _executor() -> ThreadPoolExecutor:
+    global _pool
+    if _pool is None or _pool[0] != os.getpid():  # threads do not survive a fork
+        _pool = (os.getpid(), ThreadPoolExecutor(n_threads(), thread_name_prefix="dcgrid"))
+    return _pool[1]

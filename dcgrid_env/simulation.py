@@ -1,0 +1,187 @@
+"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. The environments are faces of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env import counter, dynamics, episode, observation, reward
+from dcgrid_env.dynamics import State
+from dcgrid_env.powerflow import Solution
+from dcgrid_env.scenario import Scenario
+
+
+class Transition(NamedTuple):
+    """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
+
+    observation: np.ndarray
+    """Joint observation, float32, (lane, n_observation)."""
+    reward: np.ndarray
+    """(lane,), or (lane, n_agent) where the scenario's reward is local."""
+    terminated: np.ndarray
+    """The power flow has no solution, bool, (lane,)."""
+    truncated: np.ndarray
+    """The horizon is reached, bool, (lane,)."""
+    costs: reward.Costs
+    """Weighted terms of the team's cost, (lane,) each."""
+    cost_j: np.ndarray
+    """The step's share of J times T, (lane,): minus the team's reward."""
+    state: State
+    loss_kw: np.ndarray
+    """(lane,)"""
+    converged: np.ndarray
+    """Whether the power flow has a solution, bool, (lane,)."""
+
+
+class Snapshot(NamedTuple):
+    """All that a simulation needs to go on from where it was; made by ``save``. Its arrays are never written to."""
+
+    seeds: np.ndarray
+    numbers: np.ndarray
+    episode: episode.Episode
+    step: np.ndarray
+    noise: np.ndarray
+    state: State
+    measured: tuple[np.ndarray, ...]
+    transition: Transition
+
+    @property
+    def over(self) -> np.ndarray:
+        """Whether a lane's episode has ended, bool, (lane,)."""
+        return self.transition.terminated | self.transition.truncated
+
+
+class Simulation:
+    """Lanes of one scenario, each in its own episode.
+
+    Nothing is written in place: every step makes new arrays, so a snapshot is a tuple of references.
+    """
+
+    def __init__(self, scenario: Scenario, lanes: int):
+        self.scenario = scenario
+        self.lanes = lanes
+        self._now: Snapshot | None = None
+
+    @property
+    def now(self) -> Snapshot:
+        """The current snapshot; RuntimeError before the first reset."""
+        if self._now is None:
+            raise RuntimeError("the environment has not been reset; call reset() first")
+        return self._now
+
+    @property
+    def transition(self) -> Transition:
+        """What the last step or reset led to."""
+        return self.now.transition
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from ``snapshot``; ValueError if it is not one of a simulation of this shape."""
+        want = (self.lanes, self.scenario.feeder.n_bus)
+        if not isinstance(snapshot, Snapshot) or snapshot.state.v_pu.shape != want:
+            raise ValueError(f"restore takes what save() of an environment of {want[0]} lanes and {want[1]} buses gave")
+        self._now = snapshot
+
+    def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
+        """Begin a new episode in every lane, or where ``mask`` is True.
+
+        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded.
+        """
+        lanes = np.arange(self.lanes) if mask is None else np.flatnonzero(mask)
+        drawn = self._begin(lanes, seeds)
+        self._now = drawn if len(lanes) == self.lanes else _merge(self.scenario, self.now, drawn, lanes)
+        return self._now.transition
+
+    def step(self, action: np.ndarray) -> Transition:
+        """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
+        now = self.now
+        step = now.step + 1
+        outside, noise = episode.exogenous(self.scenario, now.episode, step, now.noise)
+        state, solution = dynamics.step(self.scenario, now.state, action, outside)
+        measured = (*now.measured[1:], self._measure(now.episode, step, state))
+        transition = self._transition(now.episode, step, state, solution, measured)
+        self._now = Snapshot(now.seeds, now.numbers, now.episode, step, noise, state, measured, transition)
+        return transition
+
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
+        seed = np.zeros(len(lanes), np.uint64)
+        number = np.zeros(len(lanes), np.uint64)
+        for i, lane in enumerate(lanes):
+            given = seeds[lane]
+            if given is not None:
+                seed[i] = int(given) % 2**64
+            else:
+                seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
+        drawn = episode.draw(self.scenario, seed, number)
+        step = np.zeros(len(lanes), np.int64)
+        quiet = np.zeros((len(lanes), self.scenario.feeder.n_bus))
+        outside, noise = episode.exogenous(self.scenario, drawn, step, quiet)
+        state, solution = dynamics.initial_state(self.scenario, outside)
+        measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
+        transition = self._transition(drawn, step, state, solution, measured)
+        return Snapshot(seed, number, drawn, step, noise, state, measured, transition)
+
+    def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
+        sigma = self.scenario.voltage_noise_pu
+        if sigma == 0.0:
+            return state.v_agent_pu
+        return state.v_agent_pu + sigma * counter.standard(
+            drawn.key, counter.MEASUREMENT, step, self.scenario.n_agents
+        )
+
+    def _transition(
+        self,
+        drawn: episode.Episode,
+        step: np.ndarray,
+        state: State,
+        solution: Solution,
+        measured: tuple[np.ndarray, ...],
+    ) -> Transition:
+        s = self.scenario
+        p_ref_next = episode.p_ref_kw(s, drawn, np.minimum(step + 1, s.horizon + 1))
+        joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0])
+        costs = reward.charged(s, reward.team_costs(s, state, solution), step, solution.converged)
+        cost_j = reward.total(costs)
+        if s.reward == "shared":
+            paid = -cost_j
+        else:
+            own = reward.local_costs(s, state, solution)
+            paid = -reward.total(reward.charged(s, own, step, solution.converged))
+        return Transition(
+            observation=observation.within_bounds(s, joint),
+            reward=paid,
+            terminated=~solution.converged & (step > 0),
+            truncated=solution.converged & (step >= s.horizon),
+            costs=costs,
+            cost_j=cost_j,
+            state=state,
+            loss_kw=solution.loss_kw,
+            converged=solution.converged,
+        )
+
+
+def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
+    """``now`` with the lanes of ``drawn`` put in."""
+
+    def put(old: Any, new: Any) -> Any:
+        if isinstance(old, np.ndarray):
+            merged = old.copy()
+            merged[lanes] = new
+            return merged
+        merged = [put(a, b) for a, b in zip(old, new, strict=True)]
+        return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
+
+    old_episode, new_episode = now.episode, drawn.episode
+    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in ("key", "buses", "row", "start"))
+    state = put(now.state, drawn.state)
+    return Snapshot(
+        seeds=put(now.seeds, drawn.seeds),
+        numbers=put(now.numbers, drawn.numbers),
+        episode=episode.assemble(scenario, *drawn_in),
+        step=put(now.step, drawn.step),
+        noise=put(now.noise, drawn.noise),
+        state=state,
+        measured=put(now.measured, drawn.measured),
+        transition=put(now.transition, drawn.transition)._replace(state=state),
+    )

@@ -1,0 +1,174 @@
+"""What a scenario draws from: named sources of rows of power, split into train, validation and test.
+
+A row is one site's power as a share of its rating on a grid of dt. An episode of W steps takes the window
+`rows[i, offset : offset + W]` at any offset in [0, n_steps - W].
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from operator import index
+
+import numpy as np
+from dcgrid_env.traces.grid import GRID_S
+from dcgrid_env.traces.inference import generate_inference
+from dcgrid_env.traces.mixed import generate_mixed
+from dcgrid_env.traces.step import generate_step
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive, steps_in
+from dcgrid_env.traces.training import generate_training
+
+SPLITS = ("train", "validation", "test")
+
+# Seeds of a split begin here; a library has fewer rows than the distance, so splits share no seed.
+_SEEDS_PER_SPLIT = 1_000_000
+
+# Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.
+_SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
+
+
+@dataclass(frozen=True)
+class TraceSource:
+    """A named generator: `generate(duration_s, seed)` gives a trace in share of rating."""
+
+    name: str
+    description: str
+    generate: Callable[[float, int], PowerTrace]
+
+
+TRACE_SOURCES: dict[str, TraceSource] = {
+    source.name: source
+    for source in (
+        TraceSource(
+            "inference",
+            "LLM inference: idle, and bursts of some 25 s near the rating, like the recording of Chen and Zhang",
+            generate_inference,
+        ),
+        TraceSource(
+            "training",
+            "LLM training: near the rating with exchanges near idle at 0.2 to 3 Hz, checkpoints, starts and stops",
+            generate_training,
+        ),
+        TraceSource("mixed", "sites of inference, of training, and of both, one in three each", generate_mixed),
+        TraceSource(
+            "step",
+            "idle until 20 s after the row begins, then full: take windows at offset 0 (Chen and Zhang, Fig. 3)",
+            generate_step,
+        ),
+    )
+}
+
+
+def row_seed(split: str, row: int) -> int:
+    """Return the generator seed of a row of a split; no two splits share one."""
+    return SPLITS.index(_known_split(split)) * _SEEDS_PER_SPLIT + row
+
+
+def library(source: str, split: str, dt_s: float, duration_s: float, count: int = 24) -> FloatArray:
+    """Return generated rows of power; the same arguments always give the same bytes.
+
+    Parameters
+    ----------
+    source : one of TRACE_SOURCES.
+    split : "train", "validation" or "test"; no two share a seed.
+    dt_s : step, s; at least the 0.1 s at which traces are generated.
+    duration_s : length of a row, s.
+    count : number of rows; the first rows do not depend on it.
+
+    Returns
+    -------
+    (count, n_steps) float64 in [0, 1], share of rating, read-only, n_steps = floor(duration_s / dt_s)
+
+    Raises
+    ------
+    TraceError
+        For an unknown source or split, or a number out of range.
+    """
+    if source not in TRACE_SOURCES:
+        raise TraceError(f"trace source {source!r} is unknown; choose one of {', '.join(TRACE_SOURCES)}")
+    dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
+    if dt_s < GRID_S * (1 - 1e-9):
+        raise TraceError(
+            f"dt_s = {dt_s:g} is below the {GRID_S:g} s at which traces are generated; "
+            f"choose dt_s >= {GRID_S:g} or supply recordings (from_recordings)"
+        )
+    duration_s = require_positive(duration_s, "duration_s", "give the length of a row in seconds")
+    if steps_in(duration_s, dt_s) < 1:
+        raise TraceError(f"duration_s = {duration_s:g} is shorter than one step of {dt_s:g} s; give a longer one")
+    if not 1 <= index(count) <= _SEEDS_PER_SPLIT:
+        raise TraceError(f"count = {count!r} is not in 1 to {_SEEDS_PER_SPLIT}")
+    return _generated(source, _known_split(split), dt_s, duration_s, index(count))
+
+
+@lru_cache(maxsize=32)
+def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int) -> FloatArray:
+    n_steps = steps_in(duration_s, dt_s)
+    rows = np.empty((count, n_steps))
+    for row in range(count):
+        trace = TRACE_SOURCES[source].generate(duration_s, row_seed(split, row))
+        rows[row] = trace.resample(dt_s)[:n_steps]
+    rows.setflags(write=False)
+    return rows
+
+
+def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, window_s: float = 0.0) -> FloatArray:
+    """Return rows of power from recordings, each as a share of its own peak.
+
+    Each recording is cut in time: the first 60 % train, the next 20 % validate, the last 20 % test. A row is as long
+    as the shortest recording's part; a longer part gives several rows that together cover it, overlapping if need be.
+
+    Parameters
+    ----------
+    traces : at least one recording.
+    split : "train", "validation" or "test"; no two share a sample.
+    dt_s : step, s.
+    window_s : the longest window that will be taken, s; 0 if not known yet.
+
+    Returns
+    -------
+    (count, n_steps) float64 in [0, 1], share of each recording's peak, read-only
+
+    Raises
+    ------
+    TraceError
+        If there is no recording, or a recording's part of the split is shorter than one step or `window_s`.
+    """
+    low, high = _SPLIT_BOUNDS[_known_split(split)]
+    if not traces:
+        raise TraceError("from_recordings got no trace; give at least one PowerTrace")
+    if not (np.isfinite(window_s) and window_s >= 0):
+        raise TraceError(f"window_s = {window_s!r} is not a finite number of at least 0; give a length in seconds")
+    needed = max(1, -steps_in(-window_s, require_positive(dt_s, "dt_s", "give a step in seconds")))
+    parts = []
+    for trace in traces:
+        share = trace.as_share().resample(dt_s)
+        part = share[round(low * len(share)) : round(high * len(share))]
+        if len(part) < needed:
+            raise TraceError(
+                f"trace {trace.name!r} lasts {trace.duration_s:g} s, of which the {split} split has "
+                f"{len(part) * dt_s:g} s, but {needed * dt_s:g} s are needed; give a recording of at least "
+                f"{needed * dt_s / (high - low):.0f} s or a shorter episode"
+            )
+        parts.append(part)
+    n_steps = min(map(len, parts))
+    rows = []
+    for part in parts:
+        begins = np.linspace(0, len(part) - n_steps, -(-len(part) // n_steps)).astype(int)
+        rows += [part[begin : begin + n_steps] for begin in begins]
+    pool = np.array(rows)
+    pool.setflags(write=False)
+    return pool
+
+
+def require_window(rows: FloatArray, n_steps: int, dt_s: float, name: str) -> None:
+    """Raise TraceError unless a window of `n_steps` fits into (count, n_row_steps) rows of the source `name`."""
+    if rows.shape[-1] < n_steps:
+        raise TraceError(
+            f"trace {name!r} lasts {rows.shape[-1] * dt_s:g} s but the episode needs {n_steps * dt_s:g} s "
+            f"({n_steps} steps of {dt_s:g} s); give a longer trace or a shorter episode"
+        )
+
+
+def _known_split(split: str) -> str:
+    if split not in SPLITS:
+        raise TraceError(f"split {split!r} is unknown; choose one of {', '.join(SPLITS)}")
+    return split

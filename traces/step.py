@@ -1,0 +1,38 @@
+"""The load step of Chen and Zhang's Fig. 3 (arXiv 2507.06416): idle, then full at once and for good."""
+
+import math
+
+import numpy as np
+from dcgrid_env.traces.grid import IDLE_SHARE, stream
+from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
+
+
+def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTrace:
+    """Generate a site that idles until `step_s` and then draws exactly its rating.
+
+    Parameters
+    ----------
+    duration_s : length, s.
+    seed : integer of at least 0; it sets the ripple of the idle draw, uniform in 0.97 to 1 of the floor each second,
+        so that no two traces are the same.
+    step_s : time of the step, s; at least 0 and before the end.
+
+    Returns
+    -------
+    PowerTrace in share of a rating of 1 kW, with a sample at each second before the step and one at the step
+
+    Raises
+    ------
+    TraceError
+        If the duration, the seed or the time of the step is out of range.
+    """
+    duration_s = require_positive(duration_s, "duration_s", "give the length of the trace in seconds")
+    if not 0 <= step_s < duration_s:
+        raise TraceError(
+            f"step_s = {step_s!r} does not lie within the trace of {duration_s:g} s; give a longer duration_s"
+        )
+    rng = stream("step", seed)
+    idle_s = np.arange(math.ceil(step_s), dtype=np.float64)
+    idle = IDLE_SHARE * rng.uniform(0.97, 1.0, len(idle_s))
+    time_s = np.concatenate([idle_s, [step_s, duration_s]])
+    return PowerTrace(time_s, np.concatenate([idle, [1.0, 1.0]]), f"step-{seed}", f"generated: step, seed {seed}")

@@ -1,0 +1,208 @@
+"""A power trace: irregular samples, each held until the next one, and its exact average on a regular grid."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class TraceError(ValueError):
+    """A trace, or a request for one, that cannot be used; the message names the value and the remedy."""
+
+
+def require_positive(value: float, field: str, remedy: str) -> float:
+    """Return `value` as a float; raise TraceError unless it is finite and above zero."""
+    number = float(value)
+    if not (math.isfinite(number) and number > 0):
+        raise TraceError(f"{field} = {value!r} is not a finite number above 0; {remedy}")
+    return number
+
+
+def steps_in(duration_s: float, dt_s: float) -> int:
+    """Whole steps of dt_s in duration_s; a rounding error of 1e-9 of a step does not cost a step."""
+    return math.floor(duration_s / dt_s + 1e-9)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class PowerTrace:
+    """Power over time; a sample holds until the next, so the last one only marks the end.
+
+    Parameters
+    ----------
+    time_s : (n,) float64, strictly increasing, s. Need not begin at zero.
+    power_kw : (n,) float64, finite, not negative, kW (or a share of rating when the rating is 1 kW).
+    name : what error messages call the trace.
+    provenance : where it comes from: a file, or a generator with its seed.
+
+    Both arrays are copied and made read-only.
+
+    Raises
+    ------
+    TraceError
+        With the trace, the field, the value and the index, if any of the above does not hold.
+    """
+
+    time_s: FloatArray
+    power_kw: FloatArray
+    name: str
+    provenance: str
+
+    def __init__(self, time_s: ArrayLike, power_kw: ArrayLike, name: str = "trace", provenance: str = "") -> None:
+        time_s, power_kw = _column(time_s, name, "time_s"), _column(power_kw, name, "power_kw")
+        if len(time_s) != len(power_kw):
+            raise TraceError(
+                f"trace {name!r}: time_s has {len(time_s)} samples, power_kw {len(power_kw)}; "
+                "give one power for each time"
+            )
+        check_samples(time_s, power_kw, lambda i: f"trace {name!r}: index {i}", "time_s", ["power_kw"])
+        object.__setattr__(self, "time_s", time_s)
+        object.__setattr__(self, "power_kw", power_kw)
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "provenance", provenance)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        *,
+        time_column: int | str = 0,
+        power_columns: Sequence[int | str] | None = None,
+        unit: str = "W",
+        header: bool | None = None,
+        delimiter: str = ",",
+        name: str | None = None,
+    ) -> "PowerTrace":
+        """Read a trace from a text file; see `dcgrid_env.traces.csv_file.read_csv`."""
+        # Imported late because csv_file builds on this module's checks.
+        from dcgrid_env.traces.csv_file import read_csv
+
+        time_s, power_kw = read_csv(path, time_column, power_columns, unit, header, delimiter)
+        return cls(time_s, power_kw, name=name or Path(path).stem, provenance=f"file {Path(path).name}")
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last, s."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def energy_kws(self) -> float:
+        """Integral of the held power over the whole duration, kW s."""
+        return float(np.sum(self.power_kw[:-1] * np.diff(self.time_s)))
+
+    def require_duration(self, needed_s: float) -> "PowerTrace":
+        """Return the trace itself; raise TraceError if it is shorter than `needed_s`."""
+        needed_s = require_positive(needed_s, "needed_s", "give a duration in seconds")
+        if steps_in(self.duration_s, needed_s) < 1:
+            raise TraceError(
+                f"trace {self.name!r} lasts {self.duration_s:g} s but {needed_s:g} s are needed; "
+                "give a longer trace or a shorter episode"
+            )
+        return self
+
+    def scaled_to(self, rating_kw: float) -> "PowerTrace":
+        """Return the trace multiplied so that its highest power is exactly `rating_kw`.
+
+        Raises
+        ------
+        TraceError
+            If the rating is not above zero, or the trace is zero throughout.
+        """
+        rating_kw = require_positive(rating_kw, "rating_kw", "give the rating of the site in kW")
+        peak_kw = float(self.power_kw.max())
+        if peak_kw == 0.0:
+            raise TraceError(
+                f"trace {self.name!r}: power_kw is 0 in all {len(self.power_kw)} samples and cannot be scaled to "
+                f"{rating_kw:g} kW; check the power columns"
+            )
+        return replace(self, power_kw=self.power_kw / peak_kw * rating_kw)
+
+    def as_share(self) -> "PowerTrace":
+        """Return the trace as a share of its own highest power: a rating of 1 kW."""
+        return self.scaled_to(1.0)
+
+    def resample(self, dt_s: float) -> FloatArray:
+        """Mean power over each [k dt, (k + 1) dt) from the first sample on.
+
+        The means are differences of the cumulative integral, so their sum times `dt_s` is the energy of the whole
+        steps covered; what is left after the last whole step is dropped.
+
+        Returns
+        -------
+        (n_steps,) float64, kW, n_steps = floor(duration_s / dt_s)
+
+        Raises
+        ------
+        TraceError
+            If `dt_s` is not above zero, or the trace is shorter than one step.
+        """
+        dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
+        self.require_duration(dt_s)
+        time_s = self.time_s - self.time_s[0]
+        edge_s = _snapped(dt_s * np.arange(steps_in(self.duration_s, dt_s) + 1, dtype=np.float64), time_s, 1e-9 * dt_s)
+        energy_kws = np.concatenate([[0.0], np.cumsum(self.power_kw[:-1] * np.diff(time_s))])
+        mean_kw = np.diff(np.interp(edge_s, time_s, energy_kws)) / dt_s
+        # A mean lies between the samples it is made of; cancellation in the difference may put it 1e-12 outside.
+        first = np.searchsorted(time_s, edge_s[:-1], side="right") - 1
+        last = np.searchsorted(time_s, edge_s[1:], side="left").clip(max=len(time_s) - 1)
+        pairs = np.column_stack([first, last]).ravel()
+        lowest_kw = np.minimum.reduceat(self.power_kw, pairs)[::2]
+        highest_kw = np.maximum.reduceat(self.power_kw, pairs)[::2]
+        return np.clip(mean_kw, lowest_kw, highest_kw)
+
+
+def check_samples(time_s: FloatArray, power: FloatArray, where, time_field: str, power_fields: Sequence[str]) -> None:
+    """Raise TraceError at the first sample that is not finite, negative, or out of order.
+
+    Parameters
+    ----------
+    time_s : (n,) float64.
+    power : (n,) or (n, n_column) float64.
+    where : index -> text that begins the message, for example "file.csv, line 7".
+    time_field, power_fields : names of the columns in messages.
+    """
+    table = power.reshape(len(power), -1)
+    for values, field in [(time_s, time_field), *((table[:, j], f) for j, f in enumerate(power_fields))]:
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise TraceError(f"{where(bad[0])}: {field} is {values[bad[0]]}; remove or repair the sample")
+    for j, field in enumerate(power_fields):
+        bad = np.flatnonzero(table[:, j] < 0)
+        if bad.size:
+            raise TraceError(
+                f"{where(bad[0])}: {field} is {table[bad[0], j]:g}; power is consumption and not negative: "
+                "check the sign, the unit and the column"
+            )
+    bad = np.flatnonzero(np.diff(time_s) <= 0)
+    if bad.size:
+        i = int(bad[0]) + 1
+        fault = "repeats" if time_s[i] == time_s[i - 1] else "comes after"
+        raise TraceError(
+            f"{where(i)}: {time_field} {time_s[i]!s} {fault} {time_s[i - 1]!s}; sort the samples by time, one at each"
+        )
+
+
+def _column(values: ArrayLike, name: str, field: str) -> FloatArray:
+    """Copy to a read-only float64 vector of at least two samples."""
+    try:
+        column = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TraceError(f"trace {name!r}: {field} is not a list of numbers ({error})") from error
+    if column.ndim != 1 or len(column) < 2:
+        raise TraceError(
+            f"trace {name!r}: {field} has shape {column.shape}; give at least 2 samples in one dimension "
+            "(a sample holds until the next)"
+        )
+    column.setflags(write=False)
+    return column
+
+
+def _snapped(edge_s: FloatArray, time_s: FloatArray, tolerance_s: float) -> FloatArray:
+    """Move edges that differ from a sample time by rounding alone onto that time, so that no sliver is mixed in."""
+    right = np.searchsorted(time_s, edge_s).clip(1, len(time_s) - 1)
+    nearest = np.where(edge_s - time_s[right - 1] < time_s[right] - edge_s, time_s[right - 1], time_s[right])
+    return np.where(np.abs(edge_s - nearest) <= tolerance_s, nearest, edge_s)
