@@ -1,0 +1,1 @@
+"""Learned policies and their training. Empty so far: training arrives with the first algorithm."""

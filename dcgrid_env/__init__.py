@@ -7,6 +7,8 @@ from dcgrid_env.actions import ActionError
 from dcgrid_env.devices import LinearDvfs
 from dcgrid_env.env import DcgridEnv
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.metrics import Recorder, Series
+from dcgrid_env.observation import field_names
 from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
 from dcgrid_env.presets import PRESETS, make_scenario
 from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
@@ -28,11 +30,14 @@ __all__ = [
     "FeederError",
     "LinearDvfs",
     "PowerFlowError",
+    "Recorder",
     "Scenario",
     "ScenarioError",
+    "Series",
     "Solution",
     "distflow",
     "env",
+    "field_names",
     "lindistflow",
     "load_feeder",
     "make_scenario",

@@ -1,0 +1,101 @@
+"""What a controller is: it is told the scenario, then turns observations into actions, one environment's or a batch's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from dcgrid_env import Scenario, field_names
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """Anything with these two methods drives any of the environments."""
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin new episodes of a scenario (an environment's ``scenario``); raise ValueError if it cannot be driven."""
+        ...
+
+    def act(self, observations: Any) -> Any:
+        """Actions for observations, in the same form.
+
+        Either a mapping of agent to its observation, as from ``parallel_env``, or the agents' joined, (..., n), as from
+        ``gymnasium.make`` and ``gymnasium.make_vec``.
+        """
+        ...
+
+
+class Local(NamedTuple):
+    """Local observations in physical units; leading dimensions are those of the observations."""
+
+    v_pu: np.ndarray
+    """(..., n_agent), data centres first."""
+    p_kw: np.ndarray
+    """Draw, an inverter's injection negative, (..., n_agent)."""
+    q_kvar: np.ndarray
+    """Reactive injection as dispatched, (..., n_agent)."""
+    p_ref_next_kw: np.ndarray
+    """(..., n_dc)"""
+    backlog_kws: np.ndarray
+    """(..., n_dc)"""
+
+
+class LocalController:
+    """Base of controllers that work on physical units: subclasses write ``control``."""
+
+    scenario: Scenario
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin new episodes of a scenario."""
+        self.scenario = env_info
+        names = field_names(env_info)
+        starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1]
+        first = names[env_info.agents[0]]
+        # The fields that all agents have stand at the same place in each; so do those of the data centres, which come
+        # first if there are any.
+        self._at = {
+            name: starts[: None if name in ("v_deviation", "p", "q") else env_info.n_datacenters] + first.index(name)
+            for name in ("v_deviation", "p", "q", "p_ref_next", "backlog")
+            if name in first
+        }
+        dc, inv = env_info.datacenter, env_info.inverter
+        self._p_scale = np.concatenate((dc.p_rated_kw, inv.s_rated_kva))
+        self._q_scale = np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), inv.s_rated_kva))
+
+    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+        """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
+        raise NotImplementedError
+
+    def act(self, observations: Any) -> Any:
+        """See :class:`Controller`."""
+        if isinstance(observations, Mapping):
+            joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
+            actions = self._joint(*self.control(self._local(joint)))
+            widths = [2] * self.scenario.n_datacenters + [1] * self.scenario.n_inverters
+            cuts = np.cumsum(widths)[:-1]
+            return dict(zip(self.scenario.agents, np.split(actions, cuts, axis=-1), strict=True))
+        return self._joint(*self.control(self._local(np.asarray(observations))))
+
+    def _local(self, joint: np.ndarray) -> Local:
+        rated = self.scenario.datacenter.p_rated_kw
+        wide = joint.astype(np.float64)
+        none = np.zeros((*wide.shape[:-1], 0))
+        seen = {name: wide[..., at] for name, at in self._at.items()}
+        return Local(
+            v_pu=1.0 + self.scenario.band_pu * seen["v_deviation"],
+            p_kw=seen["p"] * self._p_scale,
+            q_kvar=seen["q"] * self._q_scale,
+            p_ref_next_kw=seen.get("p_ref_next", none) * rated,
+            backlog_kws=seen.get("backlog", none) * rated,
+        )
+
+    def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:
+        s = self.scenario
+        n_dc, span = s.n_datacenters, s.f_max_mhz - s.f_min_mhz
+        clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
+        q = q_kvar / self._q_scale
+        paired = np.stack((clock, q[..., :n_dc]), axis=-1).reshape(*q.shape[:-1], 2 * n_dc)
+        actions = np.concatenate((paired, q[..., n_dc:]), axis=-1)
+        return np.clip(actions, -1.0, 1.0).astype(np.float32)

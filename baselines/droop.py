@@ -1,0 +1,85 @@
+"""The droop law of arXiv 2507.06416 (Chen and Zhang), on both axes, with signs for loads as consumption.
+
+    P_{t+1} = clip(p_ref_{t+1} + k_p (V_t - 1) + alpha S_t, P_min, p_rated)      the clock whose ceiling is P
+    Q_{t+1} = clip(Q_t - k_q (V_t - 1) dt, limits now)                           Q_t as dispatched, so no wind-up
+
+Equations 7 and 8 of the paper read as an injection law, its text as consumption. S is the backlog: ``cumulative`` is
+all work that waits; ``one_step``, the printed form, is p_ref - P of the last step, which may be negative and forgets.
+Inverters run the second law alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.controller import Local, LocalController
+
+Memory = Literal["cumulative", "one_step"]
+
+
+@dataclass
+class Droop(LocalController):
+    """The paper's droop.
+
+    Parameters
+    ----------
+    k_p_mw_per_pu
+        Active gain of the data centres, MW per p.u. (1, 10 and 20 in the paper's Table I).
+    k_q_mvar_per_pu_s
+        Reactive gain of all agents, Mvar per p.u. and second.
+    alpha_per_s
+        Share of the backlog added to the power asked for, per second.
+    memory
+        "cumulative" or "one_step".
+    datacenters
+        Whether the data centres take part; if not they run at the top clock without reactive power.
+    """
+
+    k_p_mw_per_pu: float = 1.0
+    k_q_mvar_per_pu_s: float = 0.5
+    alpha_per_s: float = 0.3
+    memory: Memory = "cumulative"
+    datacenters: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("k_p_mw_per_pu", "k_q_mvar_per_pu_s", "alpha_per_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"droop: {name} is {value!r}; give a finite number >= 0")
+        if self.memory not in get_args(Memory):
+            raise ValueError(f"droop: memory is {self.memory!r}; choose one of {', '.join(get_args(Memory))}")
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin new episodes; ValueError where the law needs a p_ref that the scenario hides."""
+        if self.datacenters and env_info.n_datacenters and not env_info.preview:
+            raise ValueError("droop needs p_ref of the coming interval; make the scenario with preview=True")
+        super().reset(env_info)
+        self._asked_kw: np.ndarray | None = None
+
+    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`LocalController`."""
+        s, dc = self.scenario, self.scenario.datacenter
+        n_dc = s.n_datacenters
+        q = seen.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * (seen.v_pu - 1.0) * s.dt_s
+        q = np.clip(q, -self._q_scale, self._q_scale)
+        if not self.datacenters:
+            q[..., :n_dc] = 0.0
+            return np.full_like(seen.p_ref_next_kw, s.f_max_mhz), q
+        waiting = seen.backlog_kws if self.memory == "cumulative" else self._last_shortfall(seen)
+        p = seen.p_ref_next_kw + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0) + self.alpha_per_s * waiting
+        dynamic = dc.p_rated_kw - dc.p_idle_kw
+        p_min = dc.p_idle_kw + dynamic * (dc.f_min_mhz / dc.f_max_mhz)
+        p = np.clip(p, p_min, dc.p_rated_kw)
+        return np.clip((p - dc.p_idle_kw) / dynamic * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz), q
+
+    def _last_shortfall(self, seen: Local) -> np.ndarray:
+        """(p_ref - P) dt of the last step, kW s; none before the first."""
+        asked, self._asked_kw = self._asked_kw, seen.p_ref_next_kw
+        if asked is None:
+            return np.zeros_like(seen.p_ref_next_kw)
+        return (asked - seen.p_kw[..., : self.scenario.n_datacenters]) * self.scenario.dt_s

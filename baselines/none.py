@@ -1,0 +1,15 @@
+"""No control: every data centre at its top clock, no reactive power. Work is served as it arrives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcgrid_env.baselines.controller import Local, LocalController
+
+
+class NoControl(LocalController):
+    """Top clock, no reactive power."""
+
+    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`LocalController`."""
+        return np.full_like(seen.p_ref_next_kw, self.scenario.f_max_mhz), np.zeros_like(seen.v_pu)

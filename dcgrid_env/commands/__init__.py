@@ -1,0 +1,1 @@
+"""Commands of the `dcgrid` command line: a configuration dataclass and main(cfg) each."""

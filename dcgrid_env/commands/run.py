@@ -1,0 +1,141 @@
+"""Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dcgrid_env import Scenario, Series
+
+PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What to run."""
+
+    scenario: str = "ieee123"
+    """Name of a scenario (dcgrid list)."""
+    controllers: str = "none,inverters,droop"
+    """Names of controllers, separated by commas."""
+    episodes: int = 8
+    """Episodes for each controller: those of seeds seed, seed + 1, ..."""
+    seed: int = 0
+    split: str = "test"
+    """Which episodes the seeds mean: train, validation or test."""
+    out: Path = Path("results/run")
+    """Folder for results.json and figure.png; made if it is not there."""
+
+
+def main(cfg: Run) -> None:
+    """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from dcgrid_env import make_scenario
+    from dcgrid_env.baselines import make_controller, rollout
+
+    if cfg.episodes < 1 or cfg.seed < 0:
+        raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
+    scenario = make_scenario(cfg.scenario, split=cfg.split)
+    names = list(dict.fromkeys(name.strip() for name in cfg.controllers.split(",") if name.strip()))
+    controllers = {name: make_controller(name) for name in names}
+    if not controllers:
+        raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
+    seeds = range(cfg.seed, cfg.seed + cfg.episodes)
+    console = Console()
+    columns = (TextColumn("{task.description:>16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    recorders = {}
+    with Progress(*columns, console=console) as progress:
+        for name, controller in controllers.items():
+            task = progress.add_task(name, total=scenario.horizon)
+            recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task))
+    records = [
+        {"scenario": scenario.name, "controller": name, "episode": i, "seed": seed, **metrics}
+        for name, recorder in recorders.items()
+        for i, (seed, metrics) in enumerate(zip(seeds, recorder.metrics(), strict=True))
+    ]
+    console.print(table(scenario, records, names, cfg))
+    cfg.out.mkdir(parents=True, exist_ok=True)
+    write_results(cfg.out / "results.json", records, split=cfg.split)
+    draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
+    console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
+
+
+ROWS = (
+    ("J", "", "J", 1.0, 4, "mean"),
+    ("mean |V-1|", "p.u.", "voltage_deviation_mean_pu", 1.0, 4, "mean"),
+    ("standard deviation of |V-1|", "p.u.", "voltage_deviation_std_pu", 1.0, 4, "mean"),
+    ("bus-seconds outside the band", "%", "outside_bus_seconds_pct", 1.0, 2, "mean"),
+    ("buses ever outside the band", "%", "outside_buses_pct", 1.0, 1, "mean"),
+    ("lowest voltage", "p.u.", "voltage_min_pu", 1.0, 3, "min"),
+    ("highest voltage", "p.u.", "voltage_max_pu", 1.0, 3, "max"),
+    ("mean 1-step voltage change", "1e-3 p.u.", "voltage_step_mean_pu", 1e3, 2, "mean"),
+    ("mean delay", "s", "delay_mean_s", 1.0, 2, "mean"),
+    ("95 % of the work within", "s", "delay_p95_s", 1.0, 1, "mean"),
+    ("99 % of the work within", "s", "delay_p99_s", 1.0, 1, "mean"),
+    ("work unserved at the end", "kW s", "unserved_kws", 1.0, 1, "mean"),
+    ("mean loss", "kW", "loss_mean_kw", 1.0, 1, "mean"),
+)
+"""Rows of the table: name, unit, metric, factor, decimals, how episodes are summed up."""
+
+
+def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Any:
+    """The controllers side by side, summed up over the episodes."""
+    from rich.table import Table
+
+    n = len(records) // len(names)
+    title = f"{scenario.name}, {cfg.split} split, {n} episodes of {scenario.horizon * scenario.dt_s:g} s, seeds from {cfg.seed}"
+    made = Table(title=title, title_justify="left", header_style="bold")
+    made.add_column("mean over episodes")
+    made.add_column("unit")
+    for name in names:
+        made.add_column(name, justify="right")
+    for label, unit, key, factor, decimals, how in ROWS:
+        cells = []
+        for name in names:
+            values = [factor * r[key] for r in records if r["controller"] == name]
+            value = sum(values) / n if how == "mean" else min(values) if how == "min" else max(values)
+            cells.append(f"{value:.{decimals}f}")
+        made.add_row(label, unit, *cells)
+    collapsed = sum(1 - r["power_flow_converged"] for r in records)
+    if collapsed:
+        made.caption = f"{collapsed:g} episodes ended in voltage collapse and are charged for it"
+    return made
+
+
+def meta() -> dict[str, Any]:
+    """Versions, command and machine behind a result."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = None
+    return {
+        "command": " ".join(["dcgrid", *sys.argv[1:]]),
+        "versions": {"python": platform.python_version(), **versions},
+        "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+    }
+
+
+def write_results(path: Path, records: list[dict[str, Any]], **more: Any) -> None:
+    """Write results.json whole or not at all: ``meta`` and ``episodes``, a list of flat records."""
+    text = json.dumps({"meta": meta() | more, "episodes": records}, indent=1, allow_nan=False)
+    part = path.with_suffix(".part")
+    part.write_text(text + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
+    """The first episode under each controller."""
+    from dcgrid_env.figure import run_figure
+
+    run_figure(scenario, series, seed).savefig(path, dpi=130)

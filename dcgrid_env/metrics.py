@@ -1,0 +1,116 @@
+"""Figures of an episode: what the tables, the records and the score are made of.
+
+| metric | meaning |
+|---|---|
+| J | the cost of the episode, see ``reward``; also split into its terms, ``cost_*``, which add up to it |
+| voltage_deviation_mean_pu, _std_pu | of abs(V - 1) over buses other than the substation and steps 1 .. T |
+| outside_bus_seconds_pct | share of those bus-steps beyond the band |
+| outside_buses_pct | share of buses ever beyond it |
+| voltage_min_pu, voltage_max_pu | over the same |
+| voltage_step_mean_pu | mean of abs(V_t - V_{t-1}), over one step of dt |
+| delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served, weighted by work |
+| arrived_kws, unserved_kws | work that arrived, and that was still queued at the end |
+| loss_mean_kw, loss_energy_kwh | loss of the feeder |
+| q_effort_pct | mean abs(q) as a share of the apparent-power rating |
+| clock_mean_pct | mean clock as a share of the top clock |
+| steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dcgrid_env.delay import fcfs_delays
+from dcgrid_env.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.simulation import Transition
+
+
+class Series:
+    """One episode as arrays over time: ``v_pu`` and ``backlog_kws`` from the reset on (T + 1 rows), the rest T rows."""
+
+    def __init__(self, scenario: Scenario, transitions: list[Transition], lane: int):
+        self.scenario = scenario
+        states = [t.state for t in transitions]
+        steps = transitions[1:]
+        self.v_pu = np.array([s.v_pu[lane] for s in states])
+        self.backlog_kws = np.array([s.backlog_kws[lane] for s in states])
+        self.f_mhz = np.array([s.f_mhz[lane] for s in states[1:]])
+        self.p_kw = np.array([s.p_kw[lane] for s in states[1:]])
+        self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
+        self.arrived_kw = np.array([s.arrived_kw[lane] for s in states[1:]])
+        self.served_kw = np.array([s.served_kw[lane] for s in states[1:]])
+        self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
+        self.cost_j = np.array([t.cost_j[lane] for t in steps])
+        self.costs = {name: np.array([getattr(t.costs, name)[lane] for t in steps]) for name in steps[0].costs._fields}
+        self.converged = bool(steps[-1].converged[lane])
+
+    def metrics(self) -> dict[str, float]:
+        """The figures of the module's table."""
+        s = self.scenario
+        v = self.v_pu[1:, 1:]
+        deviation = np.abs(v - 1.0)
+        outside = deviation > s.band_pu
+        delays = fcfs_delays(self.arrived_kw, self.served_kw, s.dt_s)
+        ratings = np.concatenate((s.datacenter.s_rated_kva, s.inverter.s_rated_kva))
+        clock = self.f_mhz.mean() / s.f_max_mhz if s.n_datacenters else 1.0
+        found = {
+            "J": self.cost_j.sum() / s.horizon,
+            **{f"cost_{name}": values.sum() / s.horizon for name, values in self.costs.items()},
+            "voltage_deviation_mean_pu": deviation.mean(),
+            "voltage_deviation_std_pu": deviation.std(),
+            "outside_bus_seconds_pct": 100.0 * outside.mean(),
+            "outside_buses_pct": 100.0 * outside.any(axis=0).mean(),
+            "voltage_min_pu": v.min(),
+            "voltage_max_pu": v.max(),
+            "voltage_step_mean_pu": np.abs(np.diff(self.v_pu[:, 1:], axis=0)).mean(),
+            "delay_mean_s": delays.mean_s,
+            "delay_p50_s": delays.p50_s,
+            "delay_p95_s": delays.p95_s,
+            "delay_p99_s": delays.p99_s,
+            "arrived_kws": delays.arrived_kws,
+            "unserved_kws": delays.unserved_kws,
+            "loss_mean_kw": self.loss_kw.mean(),
+            "loss_energy_kwh": self.loss_kw.sum() * s.dt_s / 3600.0,
+            "q_effort_pct": 100.0 * (np.abs(self.q_kvar) / ratings).mean(),
+            "clock_mean_pct": 100.0 * clock,
+            "steps": len(v),
+            "power_flow_converged": self.converged,
+        }
+        return {name: float(value) for name, value in found.items()}
+
+
+class Recorder:
+    """Collects the transitions of one episode in every lane of a batch, from the reset on."""
+
+    def __init__(self, scenario: Scenario, begun: Transition):
+        self.scenario = scenario
+        self._transitions = [begun]
+        lanes = len(begun.terminated)
+        self._length = np.zeros(lanes, dtype=np.int64)
+        self._over = np.zeros(lanes, dtype=bool)
+
+    def add(self, transition: Transition) -> None:
+        """Take a step's transition; a lane whose episode has ended before is not counted further."""
+        self._length += ~self._over
+        self._over |= transition.terminated | transition.truncated
+        self._transitions.append(transition)
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended in every lane."""
+        return bool(self._over.all())
+
+    def lane(self, lane: int) -> Series:
+        """The course of one lane's episode."""
+        taken = self._transitions[: int(self._length[lane]) + 1]
+        return Series(self.scenario, taken, lane)
+
+    def metrics(self) -> list[dict[str, float]]:
+        """The figures of each lane's episode; ValueError before all have ended."""
+        if not self.over:
+            raise ValueError("metrics of an episode that has not ended; step until every lane is over")
+        return [self.lane(i).metrics() for i in range(len(self._over))]
