@@ -33,6 +33,11 @@ def positive_part(array: Array) -> Array:
     return array_namespace(array).clip(array, 0.0, None)
 
 
+def sum_last(array: Array) -> Array:
+    """Sum over the last axis."""
+    return np.add.reduce(array, -1) if isinstance(array, np.ndarray) else array.sum(-1)
+
+
 def add_at(base: Array, flat_index: Array, values: Array) -> Array:
     """A copy of ``base`` with ``values`` added at the flat positions ``flat_index``, which are all different."""
     if isinstance(base, np.ndarray):

@@ -26,7 +26,8 @@ class Constants(NamedTuple):
     s_rated_kva: Array
     """Apparent-power rating, which reactive effort is a share of, kVA, (n_agent,)."""
     one: Array
-    """1 without dimensions: tensors take no plain number in minimum and maximum."""
+    minus_one: Array
+    """1 and -1 without dimensions: tensors take no plain number in minimum and maximum."""
     p_rated_sum_kw: float
     """Sum of the data centres' ratings, kW; 1 where there are none."""
 
@@ -51,5 +52,6 @@ def _constants(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Constant
         q_scale_kvar=array(np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), inv.s_rated_kva))),
         s_rated_kva=array(np.concatenate((dc.s_rated_kva, inv.s_rated_kva))),
         one=array(1.0),
+        minus_one=array(-1.0),
         p_rated_sum_kw=float(dc.p_rated_kw.sum()) or 1.0,
     )

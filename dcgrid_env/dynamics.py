@@ -94,7 +94,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     """
     xp = namespace(action)
     known = constants(scenario, action)
-    action = xp.minimum(xp.maximum(action, -known.one), known.one)
+    action = xp.minimum(xp.maximum(action, known.minus_one), known.one)
     n_dc = scenario.n_datacenters
     paired = action[..., : 2 * n_dc].reshape(*action.shape[:-1], n_dc, 2)
     f_mhz = known.f_middle_mhz + known.f_half_range_mhz * paired[..., 0]

@@ -28,10 +28,8 @@ class Episode(NamedTuple):
     nodes: np.ndarray
     """Flat positions for the physics, (lane, n_agent, 1): see ``Exogenous.nodes``."""
     placed: observation.Placement
-    row: np.ndarray
-    """Trace of each data centre, (lane, n_dc)."""
     start: np.ndarray
-    """Where in it the episode begins, in steps, (lane, n_dc)."""
+    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
 
 
 def window_steps(scenario: Scenario) -> int:
@@ -54,11 +52,26 @@ def trace_pool(scenario: Scenario) -> np.ndarray:
     return rows
 
 
+class _Load(NamedTuple):
+    """What the load noise needs to know of a scenario, as the kernel takes it."""
+
+    rho: float  # over one step
+    sigma: float
+    p_base_kw: np.ndarray
+    q_base_kvar: np.ndarray
+    q_fixed_kvar: np.ndarray
+
+
 @lru_cache(maxsize=64)
-def _load(scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _load(scenario: Scenario) -> _Load:
     feeder = scenario.feeder
-    fixed = -feeder.capacitor_kvar if scenario.capacitors else np.zeros(feeder.n_bus)
-    return feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed
+    return _Load(
+        rho=float(scenario.load_rho**scenario.dt_s),
+        sigma=float(scenario.load_sigma),
+        p_base_kw=feeder.p_load_kw.copy(),
+        q_base_kvar=feeder.q_load_kvar.copy(),
+        q_fixed_kvar=-feeder.capacitor_kvar if scenario.capacitors else np.zeros(feeder.n_bus),
+    )
 
 
 @lru_cache(maxsize=64)
@@ -92,24 +105,22 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     row = row[:, np.arange(n_dc) % len(rows)]
     room = rows.shape[1] - window_steps(scenario) + 1 if scenario.trace_window == "random" else 1
     start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
-    return assemble(scenario, key, buses, row, start)
+    return assemble(scenario, key, buses, row * rows.shape[1] + start)
 
 
-def assemble(
-    scenario: Scenario, key: np.ndarray, buses: np.ndarray, row: np.ndarray, start: np.ndarray
-) -> Episode:
+def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
     nodes = (buses + np.arange(len(key))[:, None] * scenario.feeder.n_bus)[..., None]
-    return Episode(key, buses, nodes, observation.placement(scenario, buses), row, start)
+    return Episode(key, buses, nodes, observation.placement(scenario, buses), start)
 
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
     """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
-    return trace_pool(scenario)[episode.row, episode.start + step[:, None]] * scenario.datacenter.p_rated_kw
+    return trace_pool(scenario).take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
 
 
 def exogenous(
-    scenario: Scenario, episode: Episode, step: np.ndarray, noise: np.ndarray
+    scenario: Scenario, episode: Episode, step: np.ndarray, noise: np.ndarray, p_ref: np.ndarray
 ) -> tuple[Exogenous, np.ndarray]:
     """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
 
@@ -121,19 +132,18 @@ def exogenous(
         (lane,) int64; at 0 the noise starts afresh.
     noise
         The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
+    p_ref
+        The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
     """
-    p_base, q_base, q_fixed = _load(scenario)
-    rho, sigma = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma)
-    z, p, q = np.empty_like(noise), np.empty_like(noise), np.empty_like(noise)
+    z, p, q = np.empty((3, *noise.shape))
+    load = _load(scenario)
 
     def part(a: int, b: int) -> int:
-        return counter.load_step(
-            episode.key[a:b], step[a:b], noise[a:b], rho, sigma, p_base, q_base, q_fixed, z[a:b], p[a:b], q[a:b]
-        )
+        return counter.load_step(episode.key[a:b], step[a:b], noise[a:b], *load, z[a:b], p[a:b], q[a:b])
 
     over_lanes(part, len(step))
     if scenario.inverter_trace is None:
         injection = np.zeros((len(step), scenario.n_inverters))
     else:
         injection = _schedule(scenario)[step]
-    return Exogenous(p, q, p_ref_kw(scenario, episode, step), injection, episode.nodes), z
+    return Exogenous(p, q, p_ref, injection, episode.nodes), z

@@ -26,7 +26,8 @@ def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
 
 def check_running(face: Face) -> None:
     """RuntimeError unless the (first lane's) episode goes on."""
-    if face._simulation.now.over[0]:
+    last = face._simulation.transition
+    if last.truncated[0] or last.terminated[0]:
         raise RuntimeError("the episode is over; call reset()")
 
 

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import Array, namespace
+from dcgrid_env.arrays import Array, namespace, take_at
 from dcgrid_env.constants import constants
 from dcgrid_env.dynamics import State
 from dcgrid_env.scenario import Scenario
@@ -37,7 +37,7 @@ class Placement(NamedTuple):
     """Where the agents stand, as far as observing goes; fixed for an episode, made by :func:`placement`."""
 
     distance: Array
-    """R_ii and X_ii in bands per MW and Mvar, (lane, n_agent, 2)."""
+    """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""
     nearest: Array
     """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
 
@@ -93,19 +93,46 @@ def _electrical(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     return own, np.hypot(*between)
 
 
-class _Scales(NamedTuple):
-    agent: Array  # v_deviation, v_change, p, q, q_limit, (n_agent, 5)
-    queue: Array  # p_ref_next, backlog, (n_dc, 2)
+class _Layout(NamedTuple):
+    scale: Array  # of each raw figure, (n_raw,)
+    column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
 
 
 @lru_cache(maxsize=64)
-def _scales(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Scales:
+def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
+    """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     known = constants(scenario, np.empty(0))
-    band = np.full(scenario.n_agents, 1.0 / (scenario.band_pu or 1.0))
-    p, q = 1.0 / known.p_scale_kw, 1.0 / known.q_scale_kvar
+    n, n_dc = scenario.n_agents, scenario.n_datacenters
+    per_band = 1.0 / (scenario.band_pu or 1.0)
     rated = 1.0 / scenario.datacenter.p_rated_kw
-    fields = np.stack((band, band, p, q, q), axis=-1), np.stack((rated * scenario.preview, rated), axis=-1)
-    return _Scales(*(xp.asarray(f, dtype=dtype, device=device) for f in fields))
+    near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
+    blocks = {
+        "v_deviation": np.full(n, per_band),
+        "v_change": np.full(n, per_band),
+        "p": 1.0 / known.p_scale_kw,
+        "q": 1.0 / known.q_scale_kvar,
+        "q_limit": 1.0 / known.q_scale_kvar,
+        "r": np.ones(n),
+        "x": np.ones(n),
+        "p_ref_next": rated * scenario.preview,
+        "backlog": rated,
+    }
+    starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
+    scale = np.concatenate(list(blocks.values()))
+    column = []
+    for i in range(n):
+        column += [starts[name] + i for name in (DATACENTER if i < n_dc else COMMON)]
+        if scenario.observe == "neighbours":
+            column += range(len(scale) + 3 * near * i, len(scale) + 3 * near * (i + 1))
+        elif scenario.observe == "feeder":
+            column += range(len(scale), len(scale) + scenario.feeder.n_bus - 1)
+    if scenario.observe == "neighbours":
+        scale = np.concatenate((scale, np.ones(3 * near * n)))
+    elif scenario.observe == "feeder":
+        scale = np.concatenate((scale, np.full(scenario.feeder.n_bus - 1, per_band)))
+    return _Layout(
+        xp.asarray(scale, dtype=dtype, device=device), xp.asarray(np.array(column, dtype=np.int64), device=device)
+    )
 
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
@@ -119,7 +146,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
-    return Placement(own[buses], nearest)
+    return Placement(np.concatenate((own[buses, 0], own[buses, 1]), axis=-1), nearest)
 
 
 def observe(
@@ -140,22 +167,26 @@ def observe(
         scenario has noise or delay.
     """
     xp = namespace(state.v_pu)
-    lanes, n_dc = state.v_pu.shape[0], scenario.n_datacenters
-    scales = _scales(scenario, xp, state.v_pu.dtype, state.v_pu.device)
-    raw = (v_measured_pu - 1.0, v_measured_pu - v_before_pu, state.p_kw, state.q_kvar, state.q_limit_kvar)
-    own = xp.concat(tuple(field[..., None] for field in raw), axis=-1) * scales.agent
-    queue = xp.concat((p_ref_next_kw[..., None], state.backlog_kws[..., None]), axis=-1) * scales.queue
-    dc, inv = [own[:, :n_dc], placed.distance[:, :n_dc], queue], [own[:, n_dc:], placed.distance[:, n_dc:]]
+    layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
+    deviation = v_measured_pu - 1.0
+    raw = [
+        deviation,
+        v_measured_pu - v_before_pu,
+        state.p_kw,
+        state.q_kvar,
+        state.q_limit_kvar,
+        placed.distance,
+        p_ref_next_kw,
+        state.backlog_kws,
+    ]
     if scenario.observe == "neighbours":
-        trio = own[..., (0, 2, 3)].reshape(-1, 3)
-        near = trio[placed.nearest].reshape(*own.shape[:2], -1)
-        dc, inv = [*dc, near[:, :n_dc]], [*inv, near[:, n_dc:]]
+        known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
+        trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar / known.q_scale_kvar)
+        near = (take_at(field, placed.nearest)[..., None] for field in trio)
+        raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":
-        buses = ((state.v_pu[:, 1:] - 1.0) / (scenario.band_pu or 1.0))[:, None, :]
-        wide = xp.broadcast_to(buses, (*own.shape[:2], buses.shape[-1]))
-        dc, inv = [*dc, wide[:, :n_dc]], [*inv, wide[:, n_dc:]]
-    of_dc, of_inv = xp.concat(dc, axis=-1), xp.concat(inv, axis=-1)
-    return xp.concat((of_dc.reshape(lanes, -1), of_inv.reshape(lanes, -1)), axis=-1)
+        raw.append(state.v_pu[:, 1:] - 1.0)
+    return xp.take(xp.concat(raw, axis=-1) * layout.scale, layout.column, axis=-1)
 
 
 def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:

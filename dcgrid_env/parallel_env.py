@@ -123,16 +123,13 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, np.ndarray]):
         its rating and limit; p_ref over the coming interval and backlog of every data centre, as shares of its rating
         and in seconds at it; the share of the episode that has passed.
         """
-        from dcgrid_env.episode import p_ref_kw  # brings the compiler with it, so not on import
-
         s, now = self.scenario, self._simulation.now
         known, rated = constants(s, now.state.p_kw), s.datacenter.p_rated_kw
-        upcoming = p_ref_kw(s, now.episode, np.minimum(now.step + 1, s.horizon + 1))
         parts = (
             (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
             now.state.p_kw[0] / known.p_scale_kw,
             now.state.q_kvar[0] / known.q_scale_kvar,
-            upcoming[0] / rated,
+            now.p_ref_next_kw[0] / rated,
             now.state.backlog_kws[0] / rated,
             now.step / s.horizon,
         )

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import Array, namespace, positive_part
+from dcgrid_env.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.constants import constants
 from dcgrid_env.dynamics import State
 from dcgrid_env.powerflow import Solution
@@ -61,29 +61,29 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     return xp.where(inside, xp.exp(-1.0 / xp.where(inside, near, 1.0 + 0.0 * near)), 0.0 * near)
 
 
-def team_costs(scenario: Scenario, state: State, solution: Solution) -> Costs:
-    """The terms of c_t after a step, and the charge for the work then left, each (lane,)."""
+def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
+    """The terms of c_t after a step, (lane,) each; the leftover is charged where ``last`` (bool) is True."""
     xp, w, known = namespace(state.v_pu), scenario.weights, constants(scenario, state.v_pu)
     n_bus = scenario.feeder.n_bus - 1
     v = state.v_pu[..., 1:]
     deviation = xp.abs(v - 1.0)
     excess = positive_part(deviation - scenario.band_pu)
-    backlog = state.backlog_kws.sum(-1) / known.p_rated_sum_kw
+    backlog = sum_last(state.backlog_kws) / known.p_rated_sum_kw
     effort = xp.abs(state.q_kvar) / known.s_rated_kva
     none = 0.0 * backlog
     return Costs(
-        voltage=voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu).sum(-1) * (w.voltage / n_bus),
-        violation=excess.sum(-1) * (w.violation / n_bus),
+        voltage=sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / n_bus),
+        violation=sum_last(excess) * (w.violation / n_bus),
         backlog=backlog * w.backlog,
-        effort=effort.sum(-1) * (w.effort / scenario.n_agents),
-        clock=_clock_share(scenario, state).sum(-1) * (w.clock / scenario.n_datacenters) if w.clock else none,
-        step=xp.abs(v - state.v_last_pu[..., 1:]).sum(-1) * (w.step / n_bus) if w.step else none,
+        effort=sum_last(effort) * (w.effort / scenario.n_agents),
+        clock=sum_last(_clock_share(scenario, state)) * (w.clock / scenario.n_datacenters) if w.clock else none,
+        step=sum_last(xp.abs(v - state.v_last_pu[..., 1:])) * (w.step / n_bus) if w.step else none,
         loss=solution.loss_kw * (w.loss / known.p_rated_sum_kw) if w.loss else none,
-        leftover=backlog * w.leftover,
+        leftover=backlog * w.leftover * last,
     )
 
 
-def local_costs(scenario: Scenario, state: State, solution: Solution) -> Costs:
+def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """The same terms as each agent has them alone, (lane, n_agent): its own voltage, backlog, effort and clock.
 
     The feeder's loss is nobody's own and is charged to all alike.
@@ -101,7 +101,7 @@ def local_costs(scenario: Scenario, state: State, solution: Solution) -> Costs:
         clock=xp.concat((_clock_share(scenario, state), own_dc), axis=-1) * w.clock,
         step=xp.abs(state.v_agent_pu - state.v_agent_last_pu) * w.step,
         loss=none + (solution.loss_kw * (w.loss / known.p_rated_sum_kw))[..., None],
-        leftover=backlog * w.leftover,
+        leftover=backlog * w.leftover * last[..., None],
     )
 
 
@@ -140,12 +140,10 @@ def largest_costs(scenario: Scenario) -> Costs:
 def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> Costs:
     """The terms as they are charged at each lane's ``step`` (1 .. horizon), (lane,) int.
 
-    The leftover falls due at the horizon alone. Where the power flow has no solution the episode ends here, and this
-    step and all that would have followed are charged at the largest cost, so that ending early never pays.
+    Where the power flow has no solution the episode ends here, and this step and all that would have followed are
+    charged at the largest cost, so that ending early never pays.
     """
     xp = namespace(converged)
-    last = step >= scenario.horizon
-    costs = costs._replace(leftover=costs.leftover * (last if costs.leftover.ndim == 1 else last[..., None]))
     if bool(converged.all()):
         return costs
     remaining = scenario.horizon - step + 1

@@ -133,6 +133,7 @@ class Scenario:
         return DataCenterParams(
             p_rated_kw=p,
             p_idle_kw=self.idle_share * p,
+            p_dynamic_kw=p - self.idle_share * p,
             f_min_mhz=self.f_min_mhz * one,
             f_max_mhz=self.f_max_mhz * one,
             s_rated_kva=self.s_rated_share * p,

@@ -43,6 +43,7 @@ class Snapshot(NamedTuple):
     episode: episode.Episode
     step: np.ndarray
     noise: np.ndarray
+    p_ref_next_kw: np.ndarray
     state: State
     measured: tuple[np.ndarray, ...]
     transition: Transition
@@ -97,11 +98,12 @@ class Simulation:
         """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
         now = self.now
         step = now.step + 1
-        outside, noise = episode.exogenous(self.scenario, now.episode, step, now.noise)
+        outside, noise = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
         state, solution = dynamics.step(self.scenario, now.state, action, outside)
         measured = (*now.measured[1:], self._measure(now.episode, step, state))
-        transition = self._transition(now.episode, step, state, solution, measured)
-        self._now = Snapshot(now.seeds, now.numbers, now.episode, step, noise, state, measured, transition)
+        p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
+        transition = self._transition(now.episode, step, state, solution, measured, p_ref_next)
+        self._now = Snapshot(now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition)
         return transition
 
     def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
@@ -116,11 +118,12 @@ class Simulation:
         drawn = episode.draw(self.scenario, seed, number)
         step = np.zeros(len(lanes), np.int64)
         quiet = np.zeros((len(lanes), self.scenario.feeder.n_bus))
-        outside, noise = episode.exogenous(self.scenario, drawn, step, quiet)
+        p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
+        outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
-        transition = self._transition(drawn, step, state, solution, measured)
-        return Snapshot(seed, number, drawn, step, noise, state, measured, transition)
+        transition = self._transition(drawn, step, state, solution, measured, p_ref_next)
+        return Snapshot(seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         sigma = self.scenario.voltage_noise_pu
@@ -137,22 +140,23 @@ class Simulation:
         state: State,
         solution: Solution,
         measured: tuple[np.ndarray, ...],
+        p_ref_next: np.ndarray,
     ) -> Transition:
         s = self.scenario
-        p_ref_next = episode.p_ref_kw(s, drawn, np.minimum(step + 1, s.horizon + 1))
         joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0])
-        costs = reward.charged(s, reward.team_costs(s, state, solution), step, solution.converged)
+        last = step >= s.horizon
+        costs = reward.charged(s, reward.team_costs(s, state, solution, last), step, solution.converged)
         cost_j = reward.total(costs)
         if s.reward == "shared":
             paid = -cost_j
         else:
-            own = reward.local_costs(s, state, solution)
+            own = reward.local_costs(s, state, solution, last)
             paid = -reward.total(reward.charged(s, own, step, solution.converged))
         return Transition(
             observation=observation.within_bounds(s, joint),
             reward=paid,
             terminated=~solution.converged & (step > 0),
-            truncated=solution.converged & (step >= s.horizon),
+            truncated=solution.converged & last,
             costs=costs,
             cost_j=cost_j,
             state=state,
@@ -173,7 +177,7 @@ def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
         return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
 
     old_episode, new_episode = now.episode, drawn.episode
-    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in ("key", "buses", "row", "start"))
+    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in ("key", "buses", "start"))
     state = put(now.state, drawn.state)
     return Snapshot(
         seeds=put(now.seeds, drawn.seeds),
@@ -181,6 +185,7 @@ def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
         episode=episode.assemble(scenario, *drawn_in),
         step=put(now.step, drawn.step),
         noise=put(now.noise, drawn.noise),
+        p_ref_next_kw=put(now.p_ref_next_kw, drawn.p_ref_next_kw),
         state=state,
         measured=put(now.measured, drawn.measured),
         transition=put(now.transition, drawn.transition)._replace(state=state),

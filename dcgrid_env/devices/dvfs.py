@@ -38,6 +38,6 @@ class LinearDvfs:
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """See :class:`Dvfs`: what is served is what is drawn."""
-        ceiling = (params.p_rated_kw - params.p_idle_kw) * (f_mhz / params.f_max_mhz)
+        ceiling = params.p_dynamic_kw * (f_mhz / params.f_max_mhz)
         served = namespace(f_mhz).minimum(ceiling, work_kw)
         return served, served

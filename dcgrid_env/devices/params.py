@@ -22,6 +22,8 @@ class DataCenterParams(NamedTuple):
 
     p_rated_kw: Array
     p_idle_kw: Array
+    p_dynamic_kw: Array
+    """Rating less idle draw, kW."""
     f_min_mhz: Array
     f_max_mhz: Array
     s_rated_kva: Array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,7 +72,7 @@ def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
     v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
     if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray):
         if 0.0 < v0_pu < np.inf:
-            return np.full(p_kw.shape[:-1], v0_pu, p_kw.dtype)
+            return _filled(p_kw.shape[:-1], v0_pu, p_kw.dtype)
         xp, good = np, False
     else:
         xp, v0 = namespace(p_kw), as_like(v0_pu, p_kw)
@@ -83,6 +84,11 @@ def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
     except (ValueError, RuntimeError):
         shapes = f"{tuple(v0.shape)} for loads of shape {tuple(p_kw.shape)}"
         raise PowerFlowError(f"v0_pu has shape {shapes}; give a number or the loads' leading shape") from None
+
+
+@lru_cache(maxsize=64)
+def _filled(shape: tuple[int, ...], value: float, dtype: Any) -> Any:
+    return np.full(shape, value, dtype)
 
 
 def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:

@@ -26,8 +26,10 @@ def n_threads() -> int:
 
 def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
     """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread."""
+    if lanes < 2 * LANES_PER_THREAD:
+        return work(0, lanes)
     parts = min(n_threads(), lanes // LANES_PER_THREAD)
-    if parts <= 1:
+    if parts == 1:
         return work(0, lanes)
     cuts = [lanes * i // parts for i in range(parts + 1)]
     return sum(_executor().map(work, cuts[:-1], cuts[1:]))
