@@ -1,4 +1,4 @@
-"""What a controller is: it is told the scenario, then turns observations into actions, one environment's or a batch's."""
+"""What a controller is: told the scenario, it turns observations into actions, one environment's or a batch's."""
 
 from __future__ import annotations
 

@@ -71,7 +71,11 @@ class Droop(LocalController):
             q[..., :n_dc] = 0.0
             return np.full_like(seen.p_ref_next_kw, s.f_max_mhz), q
         waiting = seen.backlog_kws if self.memory == "cumulative" else self._last_shortfall(seen)
-        p = seen.p_ref_next_kw + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0) + self.alpha_per_s * waiting
+        p = (
+            seen.p_ref_next_kw
+            + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0)
+            + self.alpha_per_s * waiting
+        )
         dynamic = dc.p_dynamic_kw
         p_min = dc.p_idle_kw + dynamic * (dc.f_min_mhz / dc.f_max_mhz)
         p = np.clip(p, p_min, dc.p_rated_kw)

@@ -13,6 +13,7 @@ from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
 from dcgrid_env.presets import PRESETS, make_scenario
 from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
 from dcgrid_env.vector_env import DcgridVectorEnv
+
 from dcgrid_env.parallel_env import DcgridParallelEnv, env, parallel_env  # isort: skip  (last: its names are modules too)
 
 __version__ = "0.1.0"
@@ -60,10 +61,9 @@ def _register() -> None:
                 disable_env_checker=True,
                 kwargs={"scenario": scenario},
             )
-        if hasattr(_pettingzoo, "register"):
-            for kind, entry in (("parallel", "parallel_env"), ("aec", "env")):
-                if name not in getattr(_pettingzoo, f"{kind}_registry"):
-                    _pettingzoo.register(kind, name, f"dcgrid_env:{entry}", kwargs={"scenario": scenario})
+        if hasattr(_pettingzoo, "register") and name not in _pettingzoo.parallel_registry:
+            _pettingzoo.register("parallel", name, "dcgrid_env:parallel_env", kwargs={"scenario": scenario})
+            _pettingzoo.register("aec", name, "dcgrid_env:env", kwargs={"scenario": scenario})
 
 
 _register()

@@ -35,17 +35,14 @@ def _hash(key, stream, step, index):
 @numba.njit(cache=True)
 def _standard(h):
     total = (
-        (h & _MASK)
-        + ((h >> np.uint64(16)) & _MASK)
-        + ((h >> np.uint64(32)) & _MASK)
-        + ((h >> np.uint64(48)) & _MASK)
+        (h & _MASK) + ((h >> np.uint64(16)) & _MASK) + ((h >> np.uint64(32)) & _MASK) + ((h >> np.uint64(48)) & _MASK)
     )
     return (float(total) - 2.0 * 65535.0) * _SCALE
 
 
 @numba.njit(cache=True)
 def keys(salt, seeds, episodes):
-    """One key per lane from the split's salt, the lane's seed and the episode's number since that seed; (lane,) uint64."""
+    """One key per lane, uint64, from the split's salt, the lane's seed and the episode's number since that seed."""
     out = np.empty(seeds.shape[0], np.uint64)
     for i in range(seeds.shape[0]):
         out[i] = _mix(_mix(_mix(salt + _GOLDEN) + seeds[i] * _GOLDEN) + (episodes[i] + np.uint64(1)) * _GOLDEN)

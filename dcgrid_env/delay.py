@@ -53,7 +53,12 @@ def fcfs_delays(arrived_kw: np.ndarray, served_kw: np.ndarray, dt_s: float) -> D
         return Delays(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     order = np.argsort(delay, kind="stable")
     share = np.cumsum(weight[order]) / weight.sum()
-    at = [delay[order][min(np.searchsorted(share, q - 1e-12), len(share) - 1)] for q in (0.5, 0.95, 0.99)]
+    p50, p95, p99 = (delay[order][min(np.searchsorted(share, q - 1e-12), len(share) - 1)] for q in (0.5, 0.95, 0.99))
     return Delays(
-        float(np.average(delay, weights=weight)), *map(float, at), float(arrived_kw.sum() * dt_s), float(unserved * dt_s)
+        mean_s=float(np.average(delay, weights=weight)),
+        p50_s=float(p50),
+        p95_s=float(p95),
+        p99_s=float(p99),
+        arrived_kws=float(arrived_kw.sum() * dt_s),
+        unserved_kws=float(unserved * dt_s),
     )

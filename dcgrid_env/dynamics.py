@@ -96,9 +96,9 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     known = constants(scenario, action)
     action = xp.minimum(xp.maximum(action, known.minus_one), known.one)
     n_dc = scenario.n_datacenters
-    paired = action[..., : 2 * n_dc].reshape(*action.shape[:-1], n_dc, 2)
-    f_mhz = known.f_middle_mhz + known.f_half_range_mhz * paired[..., 0]
-    q = xp.concat((paired[..., 1], action[..., 2 * n_dc :]), axis=-1) * known.q_scale_kvar
+    clock, q_dc, q_inv = action[..., 0 : 2 * n_dc : 2], action[..., 1 : 2 * n_dc : 2], action[..., 2 * n_dc :]
+    f_mhz = known.f_middle_mhz + known.f_half_range_mhz * clock
+    q = xp.concat((q_dc, q_inv), axis=-1) * known.q_scale_kvar
     return _step(scenario, state, f_mhz, q, exogenous)
 
 
@@ -107,9 +107,7 @@ def _step(
 ) -> tuple[State, Solution]:
     xp = namespace(f_mhz)
     known = constants(scenario, f_mhz)
-    dc = datacenter.step(
-        known.datacenter, scenario.dvfs, state.backlog_kws, exogenous.p_ref_kw, f_mhz, scenario.dt_s
-    )
+    dc = datacenter.step(known.datacenter, scenario.dvfs, state.backlog_kws, exogenous.p_ref_kw, f_mhz, scenario.dt_s)
     p_agent = xp.concat((dc.p_kw, -exogenous.p_inverter_kw), axis=-1)
     q_agent, q_limit = converter.dispatch(known.s_rated_kva, known.q_scale_kvar, p_agent, q_setpoint_kvar)
 

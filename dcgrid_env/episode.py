@@ -135,7 +135,8 @@ def exogenous(
     p_ref
         The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
     """
-    z, p, q = np.empty((3, *noise.shape))
+    process_and_loads = np.empty((3, *noise.shape))
+    z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     load = _load(scenario)
 
     def part(a: int, b: int) -> int:

@@ -77,7 +77,7 @@ class Face:
             raise RuntimeError("render needs a render_mode ('rgb_array' or 'human') and a reset")
         return self._viewer.draw()
 
-    def close(self) -> None:
+    def close(self, **kwargs: Any) -> None:
         """Close the window, if there is one."""
         if self._viewer is not None:
             self._viewer.close()

@@ -29,8 +29,8 @@ def info_arrays(transition: Transition) -> dict[str, np.ndarray]:
         "cost_loss": costs.loss,
         "cost_leftover": costs.leftover,
         "power_flow_converged": transition.converged,
-        "voltage_min_pu": v.min(-1),
-        "voltage_max_pu": v.max(-1),
-        "backlog_kws": state.backlog_kws.sum(-1),
+        "voltage_min_pu": np.minimum.reduce(v, -1),
+        "voltage_max_pu": np.maximum.reduce(v, -1),
+        "backlog_kws": np.add.reduce(state.backlog_kws, -1),
         "loss_kw": transition.loss_kw,
     }

@@ -25,10 +25,10 @@ STATE_BOUND = 1e4
 """Bound of the global state's entries: far beyond any voltage deviation in bands or any backlog in seconds."""
 
 
-class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, np.ndarray]):
+class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
     """A scenario with an agent in each slot: ``dc_0``.. then ``inv_0``.., the same in every episode.
 
-    A data centre acts on (clock, q), an inverter on (q,), each in [-1, 1]; ``info[agent]["bus"]`` tells where it stands.
+    A data centre acts on (clock, q), an inverter on (q,), each in [-1, 1]; ``info[agent]["bus"]`` is where it stands.
 
     Parameters
     ----------
@@ -65,8 +65,10 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, np.ndarray]):
         self.possible_agents = list(s.agents)
         self.agents: list[str] = []
         bounds = observation.bounds(s)
-        self.observation_spaces = {a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents}
-        self.action_spaces = {
+        self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {
+            a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents
+        }
+        self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
             a: spaces.Box(-1.0, 1.0, (2 if a.startswith("dc_") else 1,), np.float32) for a in s.agents
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
@@ -75,11 +77,11 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, np.ndarray]):
         self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
         self._rng, _ = seeding.np_random()
 
-    def observation_space(self, agent: str) -> spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Space[np.ndarray]:
         """Space of an agent's observation, the same object at each call."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Box:
+    def action_space(self, agent: str) -> spaces.Space[np.ndarray]:
         """Space of an agent's action, the same object at each call."""
         return self.action_spaces[agent]
 

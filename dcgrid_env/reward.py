@@ -11,7 +11,7 @@ of the clocks as a share of their range, ``loss`` the feeder's loss as a share o
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,9 +40,9 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     """Cost of a voltage ``deviation`` = |V - 1|, p.u., elementwise, unweighted.
 
     The five of MAPDN (J. Wang et al., "Multi-agent reinforcement learning for active voltage control on power
-    distribution networks", NeurIPS 2021, arXiv 2110.14300): ``l1`` and ``l2``; ``bowl``, a normal density's hollow within
-    the band and a line beyond it; ``courant_beltrami``, squared excess over the band; ``bump``, the smooth bump function
-    of 1 - deviation.
+    distribution networks", NeurIPS 2021, arXiv 2110.14300): ``l1`` and ``l2``; ``bowl``, a normal density's hollow
+    within the band and a line beyond it; ``courant_beltrami``, squared excess over the band; ``bump``, the smooth bump
+    function of 1 - deviation.
     """
     xp = namespace(deviation)
     if kind == "l1":
@@ -147,10 +147,10 @@ def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> 
     if bool(converged.all()):
         return costs
     remaining = scenario.horizon - step + 1
-    worst = largest_costs(scenario)
-    due = Costs(*(w * remaining for w in worst[:-1]), worst.leftover + 0 * remaining)
+    *each_step, leftover = largest_costs(scenario)
+    due = [*(worst * remaining for worst in each_step), leftover + 0 * remaining]
 
     def choose(a: Array, b: Array) -> Array:
         return xp.where(converged, a, b) if a.ndim == 1 else xp.where(converged[..., None], a, b[..., None])
 
-    return Costs(*map(choose, costs, due))
+    return Costs._make(map(choose, costs, due))

@@ -88,7 +88,7 @@ class Scenario:
     dt_s: float = 1.0
     power_flow: PowerFlowName = "distflow"
     split: str = "train"
-    weights: CostWeights = CostWeights()
+    weights: CostWeights = field(default_factory=CostWeights)
     band_pu: float = 0.05
     voltage_cost: VoltageCost = "l1"
     reward: RewardScope = "shared"
@@ -164,7 +164,7 @@ def _check(s: Scenario) -> None:
         refuse("feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
     for name, low, high in (
         ("v0_pu", 0.5, 1.5),
-        ("idle_share", 0.0, 1.0),
+        ("idle_share", 0.0, 0.99),
         ("s_rated_share", 1.0, math.inf),
         ("q_max_share", 0.0, s.s_rated_share),
         ("f_min_mhz", 1e-9, s.f_max_mhz),

@@ -1,4 +1,4 @@
-"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. The environments are faces of it."""
+"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. Environments are its faces."""
 
 from __future__ import annotations
 
@@ -129,9 +129,7 @@ class Simulation:
         sigma = self.scenario.voltage_noise_pu
         if sigma == 0.0:
             return state.v_agent_pu
-        return state.v_agent_pu + sigma * counter.standard(
-            drawn.key, counter.MEASUREMENT, step, self.scenario.n_agents
-        )
+        return state.v_agent_pu + sigma * counter.standard(drawn.key, counter.MEASUREMENT, step, self.scenario.n_agents)
 
     def _transition(
         self,

@@ -71,16 +71,16 @@ class DcgridVectorEnv(Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, n
         else:
             seeds, self._seeded = list(seed), True
             if len(seeds) != self.num_envs:
-                raise ValueError(f"{len(seeds)} seeds for num_envs = {self.num_envs}; give one for each lane, or one int")
+                raise ValueError(
+                    f"{len(seeds)} seeds for num_envs = {self.num_envs}; give one for each lane, or one int"
+                )
         mask = (options or {}).get("reset_mask")
         if mask is not None and (np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_):
             raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
         transition = self._reset(seeds, mask)
         return transition.observation, self._infos(transition, self._everyone if mask is None else mask)
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every lane by one step of joint actions (num_envs, n_action)."""
         transition = self._step(joint_action(self.scenario, actions, self.num_envs))
         done = transition.terminated | transition.truncated

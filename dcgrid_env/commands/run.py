@@ -92,7 +92,8 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     from rich.table import Table
 
     n = len(records) // len(names)
-    title = f"{scenario.name}, {cfg.split} split, {n} episodes of {scenario.horizon * scenario.dt_s:g} s, seeds from {cfg.seed}"
+    length_s = scenario.horizon * scenario.dt_s
+    title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     made = Table(title=title, title_justify="left", header_style="bold")
     made.add_column("mean over episodes")
     made.add_column("unit")

@@ -1,6 +1,6 @@
 """The grid-side converter of a data centre or an inverter: reactive power within what active power leaves of it.
 
-    |q| <= min(q_max, sqrt(s_rated^2 - p^2))
+|q| <= min(q_max, sqrt(s_rated^2 - p^2))
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from importlib.resources import as_file, files
 
 from dcgrid_env.feeder.feeder import Feeder
@@ -17,7 +17,7 @@ FEEDERS: dict[str, str] = {
 }
 
 
-@lru_cache(maxsize=None)
+@cache
 def load_feeder(name: str) -> Feeder:
     """One of the named feeders (see ``FEEDERS``). The same frozen object at each call.
 

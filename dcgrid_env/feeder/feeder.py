@@ -174,7 +174,7 @@ class Feeder:
 
     @cached_property
     def path(self) -> FloatArray:
-        """0/1 matrix, shape (n_bus, n_bus - 1): entry (i, k) is 1 where branch k lies between bus i and the substation."""
+        """0/1 matrix, shape (n_bus, n_bus - 1): 1 where branch k lies between bus i and the substation."""
         path = np.zeros((self.n_bus, self.n_bus - 1))
         for j in self.depth_first[1:]:
             path[j] = path[self.parent[j - 1]]

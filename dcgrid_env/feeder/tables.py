@@ -51,7 +51,11 @@ def read_feeder_tables(folder: Path) -> dict[str, Any]:
     for key in ("base_kv", "v0_pu"):
         if isinstance(head[key], bool) or not isinstance(head[key], int | float):
             raise FeederError(f"{folder / 'feeder.toml'}: {key} is {head[key]!r}; give a number")
-    buses = _columns(folder / "buses.csv", ["bus"], {"p_kw": None, "q_kvar": None, "capacitor_kvar": 0.0, "x": math.nan, "y": math.nan})
+    buses = _columns(
+        folder / "buses.csv",
+        ["bus"],
+        {"p_kw": None, "q_kvar": None, "capacitor_kvar": 0.0, "x": math.nan, "y": math.nan},
+    )
     branches = _columns(folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None})
     texts = [*buses["bus"], *branches["from_bus"], *branches["to_bus"], str(head["substation"])]
     as_id = int if all(t.lstrip("-").isdecimal() for t in texts) else str

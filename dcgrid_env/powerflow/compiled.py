@@ -18,14 +18,15 @@ from dcgrid_env.units import S_BASE_KVA
 
 BLOCK = 32  # lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123
 FEW = 10  # up to this many lanes one at a time beats a mostly empty block
+PER_KVA = 1.0 / S_BASE_KVA
 BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _load(b, lane, order, p_kw, q_kvar, v0_pu, p, q, v):
     for k in range(order.shape[0]):
-        p[k, b] = p_kw[lane, order[k]] / S_BASE_KVA
-        q[k, b] = q_kvar[lane, order[k]] / S_BASE_KVA
+        p[k, b] = p_kw[lane, order[k]] * PER_KVA
+        q[k, b] = q_kvar[lane, order[k]] * PER_KVA
         v[k, b] = v0_pu[lane] * v0_pu[lane]
 
 
@@ -57,7 +58,7 @@ def _store(b, lane, order, r, scratch, sweeps, residual, converged, out):
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _lane(parent, r, x, scratch, tolerance, max_sweeps):
-    """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf where a voltage collapsed."""
+    """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch
     n = parent.shape[0]
     residual = np.inf
@@ -125,6 +126,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
     off = np.empty(BLOCK, p_kw.dtype)
     collapsed = np.empty(BLOCK, p_kw.dtype)
     done = np.empty(BLOCK, np.bool_)
+    most = min(BLOCK_SWEEPS, max_sweeps)
     for first in range(0, lanes, BLOCK):
         count = min(BLOCK, lanes - first)
         for b in range(BLOCK):
@@ -133,7 +135,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
             _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch[0], scratch[1], scratch[4])
             _start(b, lane, order, warm, scratch[5])
         left = count
-        for sweep in range(1, min(BLOCK_SWEEPS, max_sweeps) + 1):
+        for sweep in range(1, most + 1):
             _block(parent, r, x, scratch, off, collapsed)
             for b in range(count):
                 if done[b]:
@@ -142,7 +144,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
                     out[6][first + b] = 0
                 elif off[b] <= tolerance:
                     _store(b, first + b, order, r, scratch, sweep, off[b], True, out)
-                elif sweep == BLOCK_SWEEPS or sweep == max_sweeps:
+                elif sweep == most:
                     out[6][first + b] = 0
                 else:
                     continue

@@ -19,7 +19,14 @@ import numpy as np
 
 from dcgrid_env.arrays import namespace
 from dcgrid_env.feeder.feeder import Feeder
-from dcgrid_env.powerflow.solution import Array, PowerFlowError, Solution, check_loads, raise_not_finite, substation_voltage
+from dcgrid_env.powerflow.solution import (
+    Array,
+    PowerFlowError,
+    Solution,
+    check_loads,
+    raise_not_finite,
+    substation_voltage,
+)
 from dcgrid_env.units import S_BASE_KVA
 
 TOLERANCE_KVA = {8: 1e-4, 4: 1e-2}
@@ -69,7 +76,8 @@ def distflow(
     start = warm.current_sq_pu if isinstance(warm, Solution) else warm
     if start is not None and tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
         raise PowerFlowError(
-            f"warm start has shape {tuple(start.shape)}; it must be {(*p_kw.shape[:-1], feeder.n_bus - 1)} for these loads"
+            f"warm start has shape {tuple(start.shape)}; for these loads it must be "
+            f"{(*p_kw.shape[:-1], feeder.n_bus - 1)}"
         )
     if tolerance_kva is None:
         tolerance_kva = TOLERANCE_KVA[p_kw.dtype.itemsize]

@@ -10,7 +10,6 @@ import numpy as np
 from dcgrid_env.arrays import Array, as_like, namespace
 from dcgrid_env.feeder.feeder import Feeder
 
-
 V_SQ_FLOOR = 1e-4
 """A squared voltage this low is no operating point: the iteration is on its way to collapse."""
 
@@ -61,8 +60,8 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
         raise PowerFlowError(f"p_kw is a {type(p_kw).__name__} and q_kvar is not; give both as the same kind of array")
     if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_bus:
         raise PowerFlowError(
-            f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must be "
-            f"(..., {feeder.n_bus}), one figure for each of bus_ids"
+            f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
+            f"be (..., {feeder.n_bus}), one figure for each of bus_ids"
         )
     return p_kw, q_kvar
 
@@ -70,14 +69,10 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
 def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
     """``v0_pu`` (the feeder's own if None) with the loads' kind and leading shape; PowerFlowError unless positive."""
     v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
-    if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray):
-        if 0.0 < v0_pu < np.inf:
-            return _filled(p_kw.shape[:-1], v0_pu, p_kw.dtype)
-        xp, good = np, False
-    else:
-        xp, v0 = namespace(p_kw), as_like(v0_pu, p_kw)
-        good = bool(xp.all((v0 > 0) & (v0 < xp.inf)))
-    if not good:
+    if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray) and 0.0 < v0_pu < np.inf:
+        return _filled(p_kw.shape[:-1], v0_pu, p_kw.dtype)
+    xp, v0 = namespace(p_kw), as_like(v0_pu, p_kw)
+    if not bool(xp.all((v0 > 0) & (v0 < xp.inf))):
         raise PowerFlowError(f"feeder {feeder.name!r}: v0_pu is {v0_pu}; give a positive substation voltage in p.u.")
     try:
         return xp.broadcast_to(v0, p_kw.shape[:-1])
