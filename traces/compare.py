@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
+
 from dcgrid_env.traces.inference import generate_inference
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError
 

@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+
 from dcgrid_env.traces.trace import FloatArray, TraceError, check_samples
 
 KW_PER_UNIT = {"W": 1e-3, "kW": 1.0, "MW": 1e3}

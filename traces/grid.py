@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
 
 GRID_S = 0.1

@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
 

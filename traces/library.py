@@ -10,6 +10,7 @@ from functools import lru_cache
 from operator import index
 
 import numpy as np
+
 from dcgrid_env.traces.grid import GRID_S
 from dcgrid_env.traces.inference import generate_inference
 from dcgrid_env.traces.mixed import generate_mixed

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from dcgrid_env.traces.grid import IDLE_SHARE, stream
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 

@@ -9,6 +9,7 @@ give are choices, not measurements; they stand in `TrainingParams`.
 from dataclasses import dataclass, fields
 
 import numpy as np
+
 from dcgrid_env.traces.grid import GRID_S, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+
 from dcgrid_env.traces import (
     AWAKE_SHARE,
     IDLE_SHARE,

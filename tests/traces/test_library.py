@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from dcgrid_env.traces import (
     SPLITS,
     TRACE_SOURCES,

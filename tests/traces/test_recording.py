@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from dcgrid_env.traces import PowerTrace, from_recordings
 from dcgrid_env.traces.compare import ACTIVE_SHARE, comparison, figures, main
 

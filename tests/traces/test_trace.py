@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from dcgrid_env.traces import PowerTrace, TraceError
 from hypothesis import given
 from hypothesis import strategies as st
+
+from dcgrid_env.traces import PowerTrace, TraceError
 
 
 def hand_trace():
