@@ -44,8 +44,7 @@ def trace_pool(scenario: Scenario) -> np.ndarray:
     needed_s = steps * dt_s
     if isinstance(trace, str):
         # Rounding may cost a step of dt at the end, so one more is asked for.
-        duration = needed_s + dt_s if scenario.trace_window == "start" else max(ROW_DURATION_S, needed_s + dt_s)
-        rows, name = library(trace, split, dt_s, duration), trace
+        rows, name = library(trace, split, dt_s, max(ROW_DURATION_S, needed_s + dt_s)), trace
     else:
         rows, name = from_recordings(trace, split, dt_s, needed_s), ", ".join(t.name for t in trace)
     require_window(rows, steps, dt_s, name)

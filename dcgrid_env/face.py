@@ -65,7 +65,8 @@ class Face:
     def restore(self, snapshot: Snapshot) -> None:
         """Go on from where ``save`` was called; ValueError for a snapshot of another kind of environment."""
         self._simulation.restore(snapshot)
-        self._seeded = True
+        self._seeded, self._last = True, None
+        self._name_buses()
 
     def buses(self) -> np.ndarray:
         """Name of each agent's bus, (lane, n_agent)."""
@@ -92,9 +93,7 @@ class Face:
 
     def _reset(self, seeds: list[int | None], mask: np.ndarray | None = None) -> Transition:
         transition = self._simulation.reset(seeds, mask)
-        self._bus_names = self.buses()
-        keys = [f"bus_{agent}" for agent in self.scenario.agents]
-        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
+        self._name_buses()
         if self.render_mode is not None:
             from dcgrid_env.render import Viewer
 
@@ -103,6 +102,11 @@ class Face:
             self._viewer.begin(self._simulation.now)
             self._show()
         return transition
+
+    def _name_buses(self) -> None:
+        self._bus_names = self.buses()
+        keys = [f"bus_{agent}" for agent in self.scenario.agents]
+        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
 
     def _step(self, action: np.ndarray) -> Transition:
         transition = self._simulation.step(action)

@@ -1,0 +1,67 @@
+"""The command line, as a user runs it."""
+
+import json
+import math
+
+import pytest
+
+from dcgrid_env import PRESETS
+from dcgrid_env.baselines import CONTROLLERS
+from dcgrid_env.cli import main
+
+
+def run(tmp_path, *arguments):
+    main(["run", "--out", str(tmp_path), *arguments])
+    return json.loads((tmp_path / "results.json").read_text())
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
+    results = run(tmp_path, "--scenario", scenario, "--episodes", "2", "--seed", "3", "--controllers", "none, droop")
+    printed = capsys.readouterr().out
+    assert "mean |V-1|" in printed
+    assert "2 episodes" in printed
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert results["meta"]["versions"]["numpy"]
+    assert results["meta"]["machine"]["cores"] >= 1
+    keys = [(r["scenario"], r["controller"], r["episode"], r["seed"]) for r in results["episodes"]]
+    assert keys == [(scenario, c, i, 3 + i) for c in ("none", "droop") for i in range(2)]
+    for record in results["episodes"]:
+        numbers = {k: v for k, v in record.items() if k not in ("scenario", "controller")}
+        assert all(math.isfinite(v) for v in numbers.values())
+        assert record["J"] == pytest.approx(sum(v for k, v in record.items() if k.startswith("cost_")))
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_same_command_gives_the_same_records(tmp_path):
+    first = run(tmp_path / "a", "--episodes", "1", "--controllers", "droop")
+    again = run(tmp_path / "b", "--episodes", "1", "--controllers", "droop")
+    assert first["episodes"] == again["episodes"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "ieee124"], "unknown scenario 'ieee124'; there are toy6, ieee123, ieee33-weak"),
+        (["--controllers", "none,pid"], "unknown controller 'pid'; there are"),
+        (["--controllers", " , "], "name at least one"),
+        (["--episodes", "0"], "episodes is 0"),
+        (["--split", "exam"], "split is 'exam'; choose one of train, validation, test"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", *arguments)
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("dcgrid: ")
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_list_shows_everything(capsys):
+    main(["list"])
+    printed = capsys.readouterr().out
+    for name in (*PRESETS, *CONTROLLERS, "khodr141", "inference", "training", "dcgrid/IEEE123-v0"):
+        assert name in printed

@@ -1,0 +1,207 @@
+"""The Gymnasium environment, through the ids a user types."""
+
+import copy
+import math
+import multiprocessing
+import pickle
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_sb3_env
+
+import dcgrid_env
+from dcgrid_env import ActionError, DcgridEnv, ScenarioError
+from dcgrid_env.traces import PowerTrace
+
+
+@pytest.mark.parametrize("name", dcgrid_env.IDS)
+def test_gymnasium_checker(name):
+    check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)
+
+
+@pytest.mark.parametrize("name", dcgrid_env.IDS)
+def test_stable_baselines3_checker(name):
+    check_sb3_env(gymnasium.make(name).unwrapped)
+
+
+def test_make_without_importing_the_package_first():
+    code = "import gymnasium; e = gymnasium.make('dcgrid_env:dcgrid/IEEE123-v0'); print(e.reset(seed=0)[0].shape)"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(94,)"
+
+
+def test_overrides_reach_the_scenario():
+    env = gymnasium.make("dcgrid/IEEE123-v0", n_datacenters=2, horizon=3, split="test", power_flow="lindistflow")
+    scenario = env.unwrapped.scenario
+    assert (scenario.n_datacenters, scenario.horizon, scenario.split) == (2, 3, "test")
+    assert env.action_space.shape == (2 * 2 + 7,)
+    env.reset(seed=0)
+    ends = [env.step(env.action_space.sample())[3] for _ in range(3)]
+    assert ends == [False, False, True]
+
+
+def test_same_seed_same_episode_and_no_seed_goes_on():
+    one, two = DcgridEnv("ieee123"), DcgridEnv("ieee123")
+    first, info = one.reset(seed=11)
+    again, info_again = two.reset(seed=11)
+    np.testing.assert_array_equal(first, again)
+    assert info == info_again
+    next_one, next_two = one.reset()[0], two.reset()[0]
+    np.testing.assert_array_equal(next_one, next_two)
+    assert not np.array_equal(first, next_one)
+    assert not np.array_equal(first, two.reset(seed=12)[0])
+
+
+def test_split_makes_another_episode_of_the_same_seed():
+    first = {s: DcgridEnv("ieee123", split=s).reset(seed=1)[0] for s in ("train", "validation", "test")}
+    assert not np.array_equal(first["train"], first["test"])
+    assert not np.array_equal(first["train"], first["validation"])
+    assert not np.array_equal(first["validation"], first["test"])
+
+
+def test_rewards_add_up_to_minus_j_times_t_and_info_names_the_terms():
+    env = DcgridEnv("ieee33-weak", horizon=25)
+    env.reset(seed=5)
+    env.action_space.seed(5)
+    rewards, done = [], False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        terms = sum(info[f"cost_{name}"] for name in env.transition.costs._fields)
+        assert reward == pytest.approx(-terms, rel=1e-12)
+        assert info["cost"] == info["cost_violation"]
+        assert all(math.isfinite(value) for value in info.values())
+        rewards.append(reward)
+        done = terminated or truncated
+    assert len(rewards) == 25
+    assert info["cost_leftover"] == pytest.approx(9.0 * info["backlog_kws"] / 3000.0)
+
+
+def test_info_tells_where_the_agents_stand():
+    env = DcgridEnv("ieee33-weak")
+    _, info = env.reset(seed=0)
+    assert [info[f"bus_{a}"] for a in env.scenario.agents] == [18, 33, 25, 7, 14, 20, 30]
+
+
+def test_info_keys_are_constant():
+    env = DcgridEnv("toy6", horizon=4)
+    _, info = env.reset(seed=0)
+    keys = list(info)
+    for _ in range(4):
+        *_, info = env.step(env.action_space.sample())
+        assert list(info) == keys
+
+
+def test_save_and_restore_round_trip_exactly():
+    env = DcgridEnv("ieee123")
+    env.reset(seed=3)
+    env.action_space.seed(3)
+    actions = [env.action_space.sample() for _ in range(20)]
+    for action in actions[:7]:
+        env.step(action)
+    saved = env.save()
+    course = [env.step(action) for action in actions[7:]]
+    env.restore(saved)
+    other = DcgridEnv("ieee123")
+    other.restore(saved)
+    clone = pickle.loads(pickle.dumps(env))
+    copied = copy.deepcopy(env)
+    for again in (env, other, clone, copied):
+        for action, before in zip(actions[7:], course, strict=True):
+            now = again.step(action)
+            np.testing.assert_array_equal(now[0], before[0])
+            assert now[1:] == before[1:]
+    following = [again.reset()[0] for again in (env, other, clone, copied)]
+    for observation in following[1:]:
+        np.testing.assert_array_equal(observation, following[0])
+
+
+def test_restore_refuses_what_is_none():
+    env = DcgridEnv("toy6")
+    other = DcgridEnv("ieee33-weak")
+    other.reset(seed=0)
+    with pytest.raises(ValueError, match="1 lanes and 6 buses"):
+        env.restore(other.save())
+
+
+def _play(seed):
+    env = gymnasium.make("dcgrid/IEEE123-v0")
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
+    return [env.step(env.action_space.sample())[1] for _ in range(10)]
+
+
+def test_same_episode_in_another_process():
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(_play, (4,)) == _play(4)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.full(17, np.nan), "action of dc_0: clock is nan"),
+        (np.r_[np.zeros(16), np.inf], "action of inv_6: q is inf"),
+        (np.zeros(3), r"shape \(3,\); it must be \(17,\)"),
+        ("up", "no array of numbers"),
+    ],
+)
+def test_bad_actions_are_refused(action, message):
+    env = DcgridEnv("ieee123")
+    env.reset(seed=0)
+    before = env.save()
+    with pytest.raises(ActionError, match=message):
+        env.step(action)
+    assert env.save() is before
+
+
+def test_actions_out_of_bounds_are_cut():
+    env = DcgridEnv("ieee123")
+    env.reset(seed=0)
+    saved = env.save()
+    far = env.step(np.full(17, 1e300))[0]
+    env.restore(saved)
+    np.testing.assert_array_equal(far, env.step(np.ones(17))[0])
+
+
+def test_errors_of_use():
+    env = DcgridEnv("toy6", horizon=1)
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.step(env.action_space.sample())
+    with pytest.raises(RuntimeError, match="render_mode"):
+        env.render()
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    with pytest.raises(RuntimeError, match="episode is over"):
+        env.step(env.action_space.sample())
+    with pytest.raises(ScenarioError, match="there are toy6, ieee123, ieee33-weak"):
+        DcgridEnv("ieee124")
+    with pytest.raises(ScenarioError, match="no field 'horizn'; there are name, feeder"):
+        gymnasium.make("dcgrid/IEEE123-v0", horizn=3)
+    with pytest.raises(ScenarioError, match="use parallel_env"):
+        DcgridEnv("toy6", reward="local")
+    with pytest.raises(ValueError, match="render_mode is 'ascii'"):
+        DcgridEnv("toy6", render_mode="ascii")
+
+
+def test_collapse_terminates_and_never_pays():
+    step = PowerTrace(np.array([0.0, 10.0, 200.0]), np.array([0.2, 1.0, 1.0]))
+    overloaded = {"p_rated_kw": 6000.0, "horizon": 40, "trace": (step,), "trace_window": "start"}
+    env = DcgridEnv("ieee33-weak", **overloaded)
+    env.reset(seed=0)
+    rewards, terminated, truncated = [], False, False
+    while not (terminated or truncated):
+        observation, reward, terminated, truncated, info = env.step(np.ones(10))
+        assert env.observation_space.contains(observation)
+        rewards.append(reward)
+    assert (len(rewards), terminated, truncated) == (10, True, False)
+    assert info["power_flow_converged"] == 0
+    assert 0.9 < info["voltage_min_pu"] < 1.0  # the last voltages that were solved
+    assert rewards[-1] < -1000.0 * (40 - 9)  # 31 steps at the largest cost
+    slow = DcgridEnv("ieee33-weak", **overloaded)
+    slow.reset(seed=0)
+    throttled = [slow.step(np.array([-1.0, 1.0] * 3 + [1.0] * 4)) for _ in range(40)]
+    assert throttled[-1][3]
+    assert sum(rewards) < sum(step[1] for step in throttled)

@@ -1,0 +1,34 @@
+"""100,000 steps of random actions on every preset, across resets."""
+
+import resource
+
+import numpy as np
+import pytest
+
+import dcgrid_env
+from dcgrid_env import DcgridEnv
+
+STEPS = 100_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
+def test_random_actions(scenario):
+    env = DcgridEnv(scenario)
+    low, high = env.observation_space.low, env.observation_space.high
+    rng = np.random.default_rng(0)
+    observation, _ = env.reset(seed=0)
+    actions = rng.uniform(-1.0, 1.0, (1000, *env.action_space.shape))
+    early = 0
+    for step in range(STEPS):
+        observation, reward, terminated, truncated, info = env.step(actions[step % 1000])
+        assert ((observation >= low) & (observation <= high)).all()  # also False for a NaN
+        assert -np.inf < reward <= 0.0
+        if terminated or truncated:
+            assert env.observation_space.contains(observation)
+            assert all(np.isfinite(v) for v in info.values())
+            env.reset()
+        if step == STEPS // 5:
+            early = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    grown_mib = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - early) / 1024
+    assert grown_mib < 8.0

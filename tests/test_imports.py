@@ -1,0 +1,92 @@
+"""Imports run one way, and importing the package is light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# Each module or package may import those before it, and its own package.
+ORDER = """
+    units arrays traces feeder powerflow devices scenario presets constants dynamics observation reward delay counter
+    episode simulation metrics layout render info actions face env vector_env parallel_env baselines agents figure
+    yardsticks commands speed cli
+""".split()  # noqa: SIM905 (a list of strings would be longer than the page is wide)
+FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}
+FOLDERS |= {"traces": "dcgrid_env.traces"}
+
+
+def modules():
+    for folder, package in FOLDERS.items():
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            dotted = ".".join([package, *path.relative_to(ROOT / folder).with_suffix("").parts])
+            yield dotted.removesuffix(".__init__"), path
+
+
+def imported(path):
+    """Dotted names that a file imports, except those for the type checker alone."""
+    tree = ast.parse(path.read_text())
+    guarded = {
+        id(node)
+        for block in ast.walk(tree)
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for node in ast.walk(block)
+    }
+    for node in ast.walk(tree):
+        if id(node) in guarded:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def part_of(dotted):
+    parts = dotted.split(".")
+    return parts[1] if len(parts) > 1 else None
+
+
+def test_every_module_has_its_place_in_the_order():
+    assert {part_of(name) for name, _ in modules()} - {None} == set(ORDER)
+
+
+@pytest.mark.parametrize(("name", "path"), list(modules()), ids=[name for name, _ in modules()])
+def test_no_upward_import(name, path):
+    if name == "dcgrid_env":
+        return  # gathers the public names
+    own = ORDER.index(part_of(name))
+    for target in imported(path):
+        if not target.startswith("dcgrid_env"):
+            continue
+        part = part_of(target)
+        if part not in ORDER:
+            # A public name of the package itself: for what stands above the environments.
+            assert own >= ORDER.index("baselines"), f"{name} imports {target} from the package itself"
+            continue
+        assert ORDER.index(part) <= own, f"{name} imports {target}, which stands above it"
+
+
+@pytest.mark.parametrize(("name", "path"), list(modules()), ids=[name for name, _ in modules()])
+def test_torch_and_sb3_are_imported_in_agents_only(name, path):
+    heavy = {target.split(".")[0] for target in imported(path)} & {"torch", "stable_baselines3"}
+    assert not heavy or part_of(name) in ("agents", "speed")
+
+
+@pytest.mark.parametrize(("name", "path"), [m for m in modules() if part_of(m[0]) in ("baselines", "agents")])
+def test_controllers_use_public_names_only(name, path):
+    import dcgrid_env
+
+    for target in imported(path):
+        if target.startswith("dcgrid_env") and part_of(target) not in ("baselines", "agents"):
+            public = target.removeprefix("dcgrid_env.")
+            assert public in dcgrid_env.__all__, f"{name} imports {target}, which is not public"
+
+
+def test_import_is_light():
+    code = "import sys, dcgrid_env; print([m for m in ('torch', 'matplotlib', 'pandas', 'numba') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
