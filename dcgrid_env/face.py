@@ -36,6 +36,7 @@ class Face:
 
     scenario: Scenario
     render_mode: str | None
+    _viewer: Any = None
 
     def _setup(
         self, scenario: str | Scenario, lanes: int, render_mode: str | None, overrides: dict[str, Any], *, joint: bool
@@ -51,7 +52,6 @@ class Face:
         self._simulation: Simulation = Simulation(self.scenario, lanes)
         self._seeded = False
         self._last: Transition | None = None
-        self._viewer: Any = None
 
     @property
     def transition(self) -> Transition:

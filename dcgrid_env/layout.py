@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
@@ -23,8 +24,11 @@ AGENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9
 VOLTAGE_CMAP = "RdBu_r"
 INK = "#333333"
 _WIDTH_TO_HEIGHT = 1.35
-_DC_RADIUS_PT = 8.5
-_MANY_BUSES = 40
+_MARGIN_PT = 28.0
+_FEW_BUSES = 40
+"""Feeders up to this size have their bus numbers written on the map."""
+_HALO_S, _HALO_AREA = 30.0, 3600.0
+"""Backlog in s of rated power at which the halo is largest, and its area then, square points."""
 
 
 def voltage_norm(band_pu: float = 0.05) -> Normalize:
@@ -87,15 +91,17 @@ class _Block:
         self.low[span] = self.high[span] = 0
 
     def attach(self, lateral: _Block, side: int | None) -> int:
-        """Put a lateral as near as it goes, above (side 1) or below (-1), or where the block stays flatter."""
+        """Put a lateral as near as it goes, above (side 1) or mirrored below (-1), or where it comes nearer."""
         up = max(1.0, float((self.high - lateral.low).max()) + 1.0)
-        down = max(1.0, float((lateral.high - self.low).max()) + 1.0)
+        down = max(1.0, float((-lateral.low - self.low).max()) + 1.0)
         if side is None:
-            side = 1 if up + lateral.high.max() <= down - lateral.low.min() else -1
-        shift = int(up) if side > 0 else -int(down)
-        self.at |= {bus: (column, row + shift) for bus, (column, row) in lateral.at.items()}
-        self.low = np.minimum(self.low, lateral.low + shift)
-        self.high = np.maximum(self.high, lateral.high + shift)
+            side = 1 if (up, self.high.max()) <= (down, -self.low.min()) else -1
+        shift = int(up if side > 0 else down)
+        self.at |= {bus: (column, side * (row + shift)) for bus, (column, row) in lateral.at.items()}
+        edges = side * (lateral.low + shift), side * (lateral.high + shift)
+        here = np.isfinite(lateral.low)
+        self.low[here] = np.minimum(self.low, np.minimum(*edges))[here]
+        self.high[here] = np.maximum(self.high, np.maximum(*edges))[here]
         return side
 
 
@@ -108,7 +114,7 @@ def _tree(feeder: Feeder) -> FloatArray:
         if j > 0:
             children[feeder.parent[j - 1]].append(j)
 
-    def block(start: int, column: int) -> _Block:
+    def block(start: int, column: int, hanging: bool) -> _Block:
         chain = [start]
         while children[chain[-1]]:
             chain.append(max(children[chain[-1]], key=lambda k: (weight[k], -k)))
@@ -116,18 +122,21 @@ def _tree(feeder: Feeder) -> FloatArray:
         # From the far end back: a lateral nearer to the root then passes outside those beyond it.
         for k in range(len(chain) - 1, -1, -1):
             laterals = sorted((b for b in children[chain[k]] if b not in chain), key=lambda b: (weight[b], b))
-            # One lateral can rise straight from the bus on either side, any more lean to the right beneath them.
-            for bus in laterals[:-2]:
-                result.attach(block(bus, column + k + 1), None)
-            side = None
-            for bus in laterals[-2:]:
-                side = result.attach(block(bus, column + k), None if side is None else -side)
+            # One lateral can stand straight on either side of a bus, but not where the bus itself hangs on another;
+            # any more lean to the right beneath them.
+            straight = 1 if hanging and k == 0 else 2
+            for bus in laterals[:-straight]:
+                result.attach(block(bus, column + k + 1, False), None)
+            side = 1 if straight == 1 else None
+            for bus in laterals[-straight:]:
+                taken = result.attach(block(bus, column + k, True), side)
+                side = -taken
         return result
 
-    at = block(0, 0).at
+    at = block(0, 0, False).at
     xy = np.array([at[i] for i in range(feeder.n_bus)], dtype=np.float64)
     width, height = np.maximum(np.ptp(xy, axis=0), 1.0)
-    xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 3.0)
+    xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 2.5)
     return xy
 
 
@@ -139,43 +148,55 @@ class FeederMap:
 
     def __init__(self, ax: Axes, feeder: Feeder, xy: FloatArray, band_pu: float, n_dc: int, n_inv: int):
         self.ax, self.feeder, self.xy, self.band_pu = ax, feeder, xy, band_pu
-        ax.set_aspect("equal", adjustable="datalim")
-        ax.set_axis_off()
-        margin = 0.06 * np.ptp(xy, axis=0).max()
-        ax.set_xlim(xy[:, 0].min() - margin, xy[:, 0].max() + margin)
-        ax.set_ylim(xy[:, 1].min() - margin, xy[:, 1].max() + margin)
-        self._draw_network()
+        few = feeder.n_bus <= _FEW_BUSES
+        self._bus_area, self._dc_radius_pt = (42.0, 8.5) if few else (24.0, 7.5)
+        self._frame_axes()
+        self._draw_network(few)
         self._draw_devices(n_dc, n_inv)
 
-    def _draw_network(self) -> None:
+    @property
+    def moving(self) -> list[Artist]:
+        """What ``update`` changes, in drawing order; ``place`` also moves the names."""
+        return [self.halos, self.tracks, *self.clocks, self.dots, self.substation, self.triangles, self.rings]
+
+    def _frame_axes(self) -> None:
+        """Limits that fill the box at equal scales, with room for what reaches beyond a bus."""
+        ax, (low, high) = self.ax, (self.xy.min(axis=0), self.xy.max(axis=0))
+        box = ax.get_window_extent().get_points() * 72.0 / ax.figure.dpi
+        size_pt = box[1] - box[0]
+        scale = float(np.max((high - low) / (size_pt - 2 * _MARGIN_PT)))
+        half = 0.5 * size_pt * scale
+        middle = 0.5 * (low + high)
+        ax.set_xlim(middle[0] - half[0], middle[0] + half[0])
+        ax.set_ylim(middle[1] - half[1], middle[1] + half[1])
+        ax.set_aspect("equal", adjustable="box")
+        ax.set_axis_off()
+
+    def _draw_network(self, few: bool) -> None:
         ax, feeder, xy = self.ax, self.feeder, self.xy
         share = feeder.path.T @ feeder.p_load_kw
         width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
         segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
         ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
-        few = feeder.n_bus <= _MANY_BUSES
-        colour = {"cmap": VOLTAGE_CMAP, "norm": voltage_norm(self.band_pu), "edgecolors": INK, "linewidths": 0.6}
+        look = {"cmap": VOLTAGE_CMAP, "norm": voltage_norm(self.band_pu), "edgecolors": INK, "linewidths": 0.6}
         ones = np.ones(feeder.n_bus)
-        self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=42 if few else 24, c=ones[1:], zorder=4, **colour)
-        self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=ones[:1], zorder=4, **colour)
-        self.rings = ax.scatter([], [], s=130 if few else 85, facecolors="none", edgecolors="black", linewidths=1.5)
-        self.rings.set_zorder(6)
-        self.triangles = ax.scatter([], [], s=75, marker="^", c=[], zorder=5, **colour)
+        self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=self._bus_area, c=ones[1:], zorder=4, **look)
+        self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=ones[:1], zorder=4, **look)
+        self.triangles = ax.scatter([], [], s=75, marker="^", c=[], zorder=5, **look)
+        self.rings = ax.scatter([], [], facecolors="none", edgecolors="black", linewidths=1.6, zorder=6)
+        self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
 
     def _draw_devices(self, n_dc: int, n_inv: int) -> None:
         ax = self.ax
-        self.halos = ax.scatter([], [], alpha=0.3, linewidths=0, zorder=2)
+        self.halos = ax.scatter([], [], alpha=0.3, linewidths=0, zorder=2, clip_on=False)
         self.halos.set_facecolor([agent_colour(i) for i in range(n_dc)])
-        track = {"marker": "o", "linestyle": "none", "markersize": 2 * _DC_RADIUS_PT, "zorder": 3}
-        (self.tracks,) = ax.plot([], [], **track, markerfacecolor="white", markeredgecolor="#C8C8C8", markeredgewidth=3)
+        look = {"marker": "o", "linestyle": "none", "markersize": 2 * self._dc_radius_pt, "markeredgewidth": 3.0}
+        (self.tracks,) = ax.plot([], [], **look, markerfacecolor="white", markeredgecolor="#C8C8C8", zorder=3)
         self.clocks: list[Line2D] = []
-        self.labels: list[Annotation] = []
         for i in range(n_dc):
-            (clock,) = ax.plot([], [], **track, markerfacecolor="none", markeredgewidth=3)
-            clock.set_markeredgecolor(agent_colour(i))
-            self.clocks.append(clock)
-            self.labels.append(self._label(f"dc_{i}", 10, agent_colour(i), "bold"))
-        self.labels += [self._label(f"inv_{i}", 8, "#555555", "normal") for i in range(n_inv)]
+            self.clocks += ax.plot([], [], **look, markerfacecolor="none", markeredgecolor=agent_colour(i), zorder=3.5)
+        self._names = {f"dc_{i}": self._label("", 10, agent_colour(i), "bold") for i in range(n_dc)}
+        self._names |= {f"inv_{i}": self._label("", 8, "#555555", "normal") for i in range(n_inv)}
 
     def _label(self, text: str, size: float, colour: str, weight: str) -> Annotation:
         label = self.ax.annotate(text, (0.0, 0.0), (0.0, 0.0), textcoords="offset points", ha="center", va="center")
@@ -194,46 +215,35 @@ class FeederMap:
         for clock, (x, y) in zip(self.clocks, at, strict=True):
             clock.set_data([x], [y])
         self.triangles.set_offsets(self.xy[self.inv])
-        hidden = np.isin(np.arange(1, self.feeder.n_bus), self.inv)
-        self.dots.set_linewidths(np.where(hidden, 0.0, 0.6).tolist())
+        areas = np.full(self.feeder.n_bus, self._bus_area)
+        areas[self.inv] = 0.0  # the triangle stands in its place
+        self.dots.set_sizes(areas[1:])
+        self._ring_areas = np.where(areas > 0.0, 2.2 * self._bus_area, 190.0)
+        self._ring_areas[0] = 260.0
         self._place_labels()
 
     def _place_labels(self) -> None:
-        self.ax.apply_aspect()
-        points_per_pixel = 72.0 / self.ax.figure.dpi
-        to_points = lambda xy: self.ax.transData.transform(xy) * points_per_pixel  # noqa: E731
-        bus = to_points(self.xy)
-        along = np.linspace(0.0, 1.0, 25)[:, None, None]
-        lines = (bus[self.feeder.parent] * (1 - along) + bus[1:] * along).reshape(-1, 2)
-        devices = np.concatenate((self.dc, self.inv))
-        radius = np.where(np.arange(len(devices)) < len(self.dc), _DC_RADIUS_PT + 2.0, 5.0)
-        frame = self.ax.get_window_extent().get_points() * points_per_pixel
-        taken: list[tuple[FloatArray, FloatArray]] = [
-            (bus[i], np.array([r, r])) for i, r in zip(devices, radius, strict=True)
-        ]
-        angles = 2.0 * np.pi * (np.arange(16) / 16 + 0.25)
-        for label, i, r in zip(self.labels, devices, radius, strict=True):
-            size = label.get_fontsize()
-            half = np.array([0.33 * size * len(label.get_text()), 0.55 * size])
-            best, least = np.zeros(2), np.inf
-            for reach, angle in ((reach, a) for reach in (1.0, 6.0, 14.0) for a in angles):
-                way = np.array([np.cos(angle), np.sin(angle)])
-                offset = way * (r + reach + np.minimum(half, np.abs(half @ np.abs(way))))
-                centre = bus[i] + offset
-                crowd = 0.4 * np.all(np.abs(lines - centre) < half + 1.0, axis=1).sum()
-                crowd += 4.0 * np.all(np.abs(bus - centre) < half + 3.0, axis=1).sum()
-                crowd += 40.0 * sum(bool(np.all(np.abs(c - centre) < h + half)) for c, h in taken)
-                crowd += 40.0 * bool(np.any(centre - half < frame[0]) or np.any(centre + half > frame[1]))
-                crowd += 0.1 * reach
-                if crowd < least:
-                    best, least = offset, crowd
-            label.xy = tuple(self.xy[i])
-            label.set_position(tuple(best))
-            taken.append((bus[i] + best, half))
+        to_points = 72.0 / self.ax.figure.dpi
+        bus = self.ax.transData.transform(self.xy) * to_points
+        radius = np.sqrt(self._ring_areas / np.pi) + 1.0
+        radius[self.dc] = self._dc_radius_pt + 2.0
+        room = _Room(bus, radius, self.feeder.parent, self.ax.get_window_extent().get_points() * to_points)
+        devices = [*self.dc, *self.inv]
+        for (name, label), i in zip(self._names.items(), devices, strict=True):
+            label.set_text(f"{name} ({self.feeder.bus_ids[i]})" if self._ids else name)
+            self._write(label, i, room)
+        for i, label in enumerate(self._ids):
+            label.set_visible(i not in devices)
+            if label.get_visible():
+                self._write(label, i, room)
 
-    def outside(self, v_pu: FloatArray) -> NDArray[np.bool_]:
+    def _write(self, label: Annotation, i: int, room: _Room) -> None:
+        label.xy = tuple(self.xy[i])
+        label.set_position(tuple(room.take(i, len(label.get_text()), float(label.get_fontsize()))))
+
+    def outside(self, v_pu: ArrayLike) -> NDArray[np.bool_]:
         """Which voltages, p.u., are outside the band; one held exactly at the limit, give or take rounding, is not."""
-        return np.abs(v_pu - 1.0) > self.band_pu + 1e-6
+        return np.abs(np.asarray(v_pu) - 1.0) > self.band_pu + 1e-6
 
     def update(self, v_pu: ArrayLike, clock_share: ArrayLike | None = None, backlog_s: ArrayLike | None = None) -> None:
         """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,)."""
@@ -241,14 +251,51 @@ class FeederMap:
         self.dots.set_array(v[1:])
         self.substation.set_array(v[:1])
         self.triangles.set_array(v[self.inv])
-        self.rings.set_offsets(self.xy[self.outside(v)])
+        outside = self.outside(v)
+        self.rings.set_offsets(self.xy[outside])
+        self.rings.set_sizes(self._ring_areas[outside])
         for i, clock in enumerate(self.clocks):
             share = 1.0 if clock_share is None else float(np.asarray(clock_share)[i])
             # Clockwise from twelve o'clock. A marker is scaled by its farthest vertex, here always on the unit circle.
             angle = np.linspace(0.0, 2.0 * np.pi * min(max(share, 0.0), 1.0), 49)
             clock.set_marker(Path(np.column_stack((np.sin(angle), np.cos(angle)))))
         if backlog_s is not None:
-            self.halos.set_sizes(300.0 * np.minimum(np.asarray(backlog_s, dtype=np.float64), 30.0))
+            waiting = np.minimum(np.asarray(backlog_s, dtype=np.float64), _HALO_S)
+            self.halos.set_sizes(_HALO_AREA * waiting / _HALO_S)
+
+
+class _Room:
+    """What is taken on a map, in points: buses, branches, the frame and the names placed so far."""
+
+    def __init__(self, bus: FloatArray, radius: FloatArray, parent: NDArray[np.intp], frame: FloatArray):
+        self.bus, self.radius, self.frame = bus, radius, frame
+        along = np.linspace(0.0, 1.0, 25)[:, None, None]
+        self.lines = (bus[parent] * (1.0 - along) + bus[1:] * along).reshape(-1, 2)
+        self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
+        angle = 2.0 * np.pi * (np.arange(16) / 16 + 0.25)
+        self.ways = np.tile(np.column_stack((np.cos(angle), np.sin(angle))), (3, 1))
+        self.reach = np.repeat((1.0, 6.0, 14.0), len(angle))
+
+    def take(self, i: int, n_letters: int, size: float) -> FloatArray:
+        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,)."""
+        half = np.array([0.33 * size * n_letters, 0.5 * size])
+        # As far out along each way as brings the name's box clear of the bus.
+        clear = np.min(half / np.maximum(np.abs(self.ways), 1e-9), axis=1)
+        offset = self.ways * (self.radius[i] + self.reach + clear)[:, None]
+        centre = self.bus[i] + offset
+        others = np.arange(len(self.bus)) != i
+
+        def covered(points: FloatArray, margin: ArrayLike) -> NDArray[np.intp]:
+            return np.all(np.abs(points - centre[:, None]) < half + margin, axis=2).sum(axis=1)
+
+        crowd = 0.1 * self.reach + 0.4 * covered(self.lines, 1.0)
+        crowd += 20.0 * covered(self.bus[others], self.radius[others, None])
+        crowd += 40.0 * covered(self.centres, self.halves)
+        crowd += 40.0 * np.any((centre - half < self.frame[0]) | (centre + half > self.frame[1]), axis=1)
+        best = int(np.argmin(crowd))
+        self.centres = np.vstack((self.centres, centre[best]))
+        self.halves = np.vstack((self.halves, half))
+        return offset[best]
 
 
 def draw_feeder(
@@ -288,7 +335,7 @@ def draw_feeder(
     Returns
     -------
     FeederMap
-        Holds the artists. ``update`` shows other voltages, ``place`` moves the devices; ``dots`` serves for a colour bar.
+        Its ``update`` shows other voltages, ``place`` moves the devices; ``dots`` serves for a colour bar.
     """
     drawn = FeederMap(ax, feeder, xy, band_pu, len(dc_buses), len(inv_buses))
     drawn.place(dc_buses, inv_buses)
