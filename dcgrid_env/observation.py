@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import Array, namespace, take_at
+from dcgrid_env.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.constants import constants
 from dcgrid_env.dynamics import State
 from dcgrid_env.scenario import Scenario
@@ -186,7 +186,7 @@ def observe(
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":
         raw.append(state.v_pu[:, 1:] - 1.0)
-    return xp.take(xp.concat(raw, axis=-1) * layout.scale, layout.column, axis=-1)
+    return take_last(xp.concat(raw, axis=-1) * layout.scale, layout.column)
 
 
 def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import namespace, requires_grad
+from dcgrid_env.arrays import namespace, requires_grad, take_last
 from dcgrid_env.feeder.feeder import Feeder
 from dcgrid_env.powerflow.solution import V_SQ_FLOOR, Array, Solution
 from dcgrid_env.units import S_BASE_KVA
@@ -95,7 +95,7 @@ def lindistflow_arrays(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array)
 def _load_and_impedance(t: Tree, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
     """Per-unit load (2, ..., n) in depth-first order and impedance broadcast against it."""
     xp = namespace(p_kw)
-    load = xp.stack((xp.take(p_kw, t.order, axis=-1), xp.take(q_kvar, t.order, axis=-1))) / S_BASE_KVA
+    load = xp.stack((take_last(p_kw, t.order), take_last(q_kvar, t.order))) / S_BASE_KVA
     z = xp.reshape(xp.stack((t.r, t.x)), (2,) + (1,) * (p_kw.ndim - 1) + (p_kw.shape[-1],))
     return load, z
 
@@ -103,13 +103,13 @@ def _load_and_impedance(t: Tree, p_kw: Array, q_kvar: Array) -> tuple[Array, Arr
 def _subtree_sums(t: Tree, values: Array) -> Array:
     xp = namespace(values)
     prefix = xp.cumulative_sum(values, axis=-1, include_initial=True)
-    return xp.take(prefix, t.end, axis=-1) - prefix[..., :-1]
+    return take_last(prefix, t.end) - prefix[..., :-1]
 
 
 def _path_sums(t: Tree, drop: Array) -> Array:
     xp = namespace(drop)
-    terms = xp.take(xp.concat((drop, -drop), axis=-1), t.tour, axis=-1)
-    return xp.take(xp.cumulative_sum(terms, axis=-1), t.enter, axis=-1)
+    terms = take_last(xp.concat((drop, -drop), axis=-1), t.tour)
+    return take_last(xp.cumulative_sum(terms, axis=-1), t.enter)
 
 
 def _sweeps(
@@ -123,7 +123,7 @@ def _sweeps(
     v0_sq = (v0_pu * v0_pu)[..., None]
     current_sq = 0.0 * load[0]
     if warm is not None:
-        current_sq = xp.take(xp.concat((current_sq[..., :1], warm), axis=-1), t.order, axis=-1)
+        current_sq = take_last(xp.concat((current_sq[..., :1], warm), axis=-1), t.order)
     flow, v_sq = load, v0_sq + 0.0 * load[0]
     active = xp.ones_like(v0_pu, dtype=xp.bool)
     good = ~active
@@ -135,11 +135,14 @@ def _sweeps(
         alive = xp.min(new_v_sq, axis=-1) > V_SQ_FLOOR
         # The floor keeps lanes without a solution finite, so that they spoil neither values nor derivatives.
         new_v_sq = xp.clip(new_v_sq, V_SQ_FLOOR, None)
-        new_current_sq = xp.sum(new_flow * new_flow, axis=0) / xp.take(new_v_sq, t.parent, axis=-1)
+        new_current_sq = xp.sum(new_flow * new_flow, axis=0) / take_last(new_v_sq, t.parent)
         off = xp.where(alive, xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1), xp.inf)
-        on = active[..., None]
-        flow, v_sq = xp.where(on, new_flow, flow), xp.where(on, new_v_sq, v_sq)
-        current_sq = xp.where(on & alive[..., None], new_current_sq, current_sq)
+        if bool((active & alive).all()):
+            flow, v_sq, current_sq = new_flow, new_v_sq, new_current_sq
+        else:
+            on = active[..., None]
+            flow, v_sq = xp.where(on, new_flow, flow), xp.where(on, new_v_sq, v_sq)
+            current_sq = xp.where(on & alive[..., None], new_current_sq, current_sq)
         residual = xp.where(active, off, residual)
         iterations = iterations + xp.astype(active, xp.int64)
         good = good | (active & (off <= tolerance))
@@ -155,10 +158,10 @@ def _solution(
     xp = namespace(v_sq)
     branch = t.place[1:]
     return Solution(
-        v_pu=xp.sqrt(xp.take(v_sq, t.place, axis=-1)),
-        p_branch_kw=xp.take(flow[0], branch, axis=-1) * S_BASE_KVA,
-        q_branch_kvar=xp.take(flow[1], branch, axis=-1) * S_BASE_KVA,
-        current_sq_pu=xp.take(current_sq, branch, axis=-1),
+        v_pu=xp.sqrt(take_last(v_sq, t.place)),
+        p_branch_kw=take_last(flow[0], branch) * S_BASE_KVA,
+        q_branch_kvar=take_last(flow[1], branch) * S_BASE_KVA,
+        current_sq_pu=take_last(current_sq, branch),
         loss_kw=xp.sum(t.r * current_sq, axis=-1) * S_BASE_KVA,
         converged=good,
         iterations=iterations,

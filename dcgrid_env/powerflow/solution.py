@@ -52,12 +52,16 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
         if hasattr(q_kvar, "shape") and not isinstance(q_kvar, _HOST):
             raise PowerFlowError("p_kw is a NumPy array and q_kvar is not; give both as the same kind of array")
         p_kw, q_kvar = np.asarray(p_kw), np.asarray(q_kvar)
-        if p_kw.dtype.type not in _FLOATS:
-            p_kw = p_kw.astype(np.float64)
+        if p_kw.dtype.type not in _FLOATS or not p_kw.dtype.isnative:
+            p_kw = p_kw.astype(np.float32 if p_kw.dtype.type is np.float32 else np.float64)
         if q_kvar.dtype != p_kw.dtype:
             q_kvar = q_kvar.astype(p_kw.dtype)
-    elif type(p_kw) is not type(q_kvar):
-        raise PowerFlowError(f"p_kw is a {type(p_kw).__name__} and q_kvar is not; give both as the same kind of array")
+    else:
+        xp = namespace(p_kw)
+        if isinstance(q_kvar, _HOST) or not hasattr(q_kvar, "shape") or namespace(q_kvar) is not xp:
+            raise PowerFlowError(f"p_kw is a {type(p_kw).__name__} and q_kvar is not; give both as the same kind")
+        dtype = xp.float32 if p_kw.dtype == xp.float32 else xp.float64
+        p_kw, q_kvar = (x if x.dtype == dtype else xp.astype(x, dtype) for x in (p_kw, q_kvar))
     if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_bus:
         raise PowerFlowError(
             f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
