@@ -13,7 +13,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from dcgrid_env.powerflow.solution import V_SQ_FLOOR
+from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 from dcgrid_env.units import S_BASE_KVA
 
 BLOCK = 32  # lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123
@@ -23,11 +23,16 @@ BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near c
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _load(b, lane, order, p_kw, q_kvar, v0_pu, p, q, v):
+def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
+    """Put a lane's loads into column b; whether all of them are finite."""
+    p, q, _, _, v, _ = scratch
+    check = 0.0
     for k in range(order.shape[0]):
         p[k, b] = p_kw[lane, order[k]] * PER_KVA
         q[k, b] = q_kvar[lane, order[k]] * PER_KVA
         v[k, b] = v0_pu[lane] * v0_pu[lane]
+        check += 0.0 * p[k, b] + 0.0 * q[k, b]
+    return check == 0.0
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
@@ -35,6 +40,15 @@ def _start(b, lane, order, warm, l):
     l[0, b] = 0.0
     for k in range(1, order.shape[0]):
         l[k, b] = warm[lane, order[k] - 1] if warm.shape[0] > 0 else 0.0
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _clear(scratch):
+    """No solution at all: no flow, and the lowest voltage but at the substation."""
+    _, _, P, Q, v, l = scratch
+    for k in range(1, v.shape[0]):
+        P[k, 0] = Q[k, 0] = l[k, 0] = 0.0
+        v[k, 0] = V_SQ_FLOOR
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
@@ -74,8 +88,7 @@ def _lane(parent, r, x, scratch, tolerance, max_sweeps):
             v_i = v[parent[k], 0]
             l_new = (P[k, 0] * P[k, 0] + Q[k, 0] * Q[k, 0]) / v_i
             v_j = v_i - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0]) + (r[k] * r[k] + x[k] * x[k]) * l_new
-            if not v_j > V_SQ_FLOOR:
-                v[k, 0] = V_SQ_FLOOR
+            if not (v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING):
                 return sweep, np.inf
             residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
             l[k, 0] = l_new
@@ -111,7 +124,7 @@ def _block(parent, r, x, scratch, off, collapsed):
             v_i = v[i, b]
             l_new = (P[k, b] * P[k, b] + Q[k, b] * Q[k, b]) / v_i
             v_j = v_i - 2.0 * (r_k * P[k, b] + x_k * Q[k, b]) + (r_k * r_k + x_k * x_k) * l_new
-            collapsed[b] = collapsed[b] if v_j > V_SQ_FLOOR else 1.0
+            collapsed[b] = collapsed[b] if v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING else 1.0
             off[b] = max(off[b], abs(l_new - l[k, b]) * z_max)
             l[k, b] = l_new
             v[k, b] = v_j
@@ -124,6 +137,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
     work = np.empty((6, n, BLOCK), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     off = np.empty(BLOCK, p_kw.dtype)
+    finite = np.empty(BLOCK, np.bool_)
     collapsed = np.empty(BLOCK, p_kw.dtype)
     done = np.empty(BLOCK, np.bool_)
     most = min(BLOCK_SWEEPS, max_sweeps)
@@ -132,7 +146,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
         for b in range(BLOCK):
             lane = first + min(b, count - 1)
             done[b] = b >= count
-            _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch[0], scratch[1], scratch[4])
+            finite[b] = _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch)
             _start(b, lane, order, warm, scratch[5])
         left = count
         for sweep in range(1, most + 1):
@@ -140,7 +154,7 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
             for b in range(count):
                 if done[b]:
                     continue
-                if collapsed[b] > 0.0:
+                if collapsed[b] > 0.0 or not finite[b]:
                     out[6][first + b] = 0
                 elif off[b] <= tolerance:
                     _store(b, first + b, order, r, scratch, sweep, off[b], True, out)
@@ -174,16 +188,18 @@ def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, ma
         if not few and out[6][lane] > 0:
             continue
         sweeps, residual = 0, np.inf
-        _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch[0], scratch[1], scratch[4])
-        if few:
+        finite = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
+        if few and finite:
             _start(0, lane, order, warm, scratch[5])
             sweeps, residual = _lane(parent, r, x, scratch, tolerance, min(BLOCK_SWEEPS, max_sweeps))
-        if not residual <= tolerance:
-            _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch[0], scratch[1], scratch[4])
+        if finite and not residual <= tolerance:
+            _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
             _start(0, lane, order, cold, scratch[5])
             sweeps, residual = _lane(parent, r, x, scratch, tolerance, max_sweeps)
         settled = residual <= tolerance
         failed += not settled
+        if residual == np.inf:
+            _clear(scratch)
         _store(0, lane, order, r, scratch, sweeps, residual, settled, out)
     return failed
 
@@ -197,7 +213,7 @@ def lindistflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, out):
     p, q, P, Q, v, l = scratch
     failed = 0
     for lane in range(lanes):
-        _load(0, lane, order, p_kw, q_kvar, v0_pu, p, q, v)
+        settled = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
         for k in range(n):
             P[k, 0] = p[k, 0]
             Q[k, 0] = q[k, 0]
@@ -205,12 +221,11 @@ def lindistflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, out):
         for k in range(n - 1, 0, -1):
             P[parent[k], 0] += P[k, 0]
             Q[parent[k], 0] += Q[k, 0]
-        settled = True
         for k in range(1, n):
             v[k, 0] = v[parent[k], 0] - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0])
-            if not v[k, 0] > V_SQ_FLOOR:
-                v[k, 0] = V_SQ_FLOOR
-                settled = False
+            settled = settled and v[k, 0] > V_SQ_FLOOR and v[k, 0] < V_SQ_CEILING
         failed += not settled
+        if not settled:
+            _clear(scratch)
         _store(0, lane, order, r, scratch, 1, 0.0 if settled else np.inf, settled, out)
     return failed

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.arrays import namespace
+from dcgrid_env.arrays import as_like, namespace
 from dcgrid_env.feeder.feeder import Feeder
 from dcgrid_env.powerflow.solution import (
     Array,
@@ -73,7 +73,11 @@ def distflow(
         For loads of the wrong shape or not finite, a bad v0_pu or warm start.
     """
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
+    if max_sweeps < 1 or not (tolerance_kva is None or tolerance_kva > 0):
+        raise PowerFlowError(f"max_sweeps is {max_sweeps} and tolerance_kva {tolerance_kva}; both must be positive")
     start = warm.current_sq_pu if isinstance(warm, Solution) else warm
+    if start is not None:
+        start = as_like(start, p_kw)
     if start is not None and tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
         raise PowerFlowError(
             f"warm start has shape {tuple(start.shape)}; for these loads it must be "

@@ -37,7 +37,7 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
     loads = _rows(p_kw, (lanes, n)), _rows(q_kvar, (lanes, n)), _rows(v0_pu, (lanes,))
     if rest:
         warm = rest[0]
-        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm.astype(dtype, copy=False), (lanes, n - 1))
+        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm, (lanes, n - 1))
         rest = (warm, *rest[1:])
     over_branches = np.empty((3, lanes, n - 1), dtype)
     per_lane = np.empty((2, lanes), dtype)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dcgrid_env.arrays import namespace, requires_grad, take_last
 from dcgrid_env.feeder.feeder import Feeder
-from dcgrid_env.powerflow.solution import V_SQ_FLOOR, Array, Solution
+from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, Array, Solution
 from dcgrid_env.units import S_BASE_KVA
 
 
@@ -86,10 +86,10 @@ def lindistflow_arrays(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array)
     load, z = _load_and_impedance(t, p_kw, q_kvar)
     flow = _subtree_sums(t, load)
     v_sq = (v0_pu * v0_pu)[..., None] - _path_sums(t, 2.0 * xp.sum(z * flow, axis=0))
-    good = xp.min(v_sq, axis=-1) > V_SQ_FLOOR
+    good = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
     residual = xp.where(good, 0.0 * v0_pu, xp.inf)
     iterations = xp.ones_like(good, dtype=xp.int64)
-    return _solution(t, xp.clip(v_sq, V_SQ_FLOOR, None), flow, 0.0 * load[0], good, iterations, residual)
+    return _solution(t, xp.clip(v_sq, V_SQ_FLOOR, V_SQ_CEILING), flow, 0.0 * load[0], good, iterations, residual)
 
 
 def _load_and_impedance(t: Tree, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
@@ -132,9 +132,9 @@ def _sweeps(
     for _ in range(max_sweeps):
         new_flow = _subtree_sums(t, load + z * current_sq)
         new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * new_flow, axis=0) - z_sq * current_sq)
-        alive = xp.min(new_v_sq, axis=-1) > V_SQ_FLOOR
+        alive = (xp.min(new_v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(new_v_sq, axis=-1) < V_SQ_CEILING)
         # The floor keeps lanes without a solution finite, so that they spoil neither values nor derivatives.
-        new_v_sq = xp.clip(new_v_sq, V_SQ_FLOOR, None)
+        new_v_sq = xp.clip(new_v_sq, V_SQ_FLOOR, V_SQ_CEILING)
         new_current_sq = xp.sum(new_flow * new_flow, axis=0) / take_last(new_v_sq, t.parent)
         off = xp.where(alive, xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1), xp.inf)
         if bool((active & alive).all()):

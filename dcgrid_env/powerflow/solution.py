@@ -12,6 +12,8 @@ from dcgrid_env.feeder.feeder import Feeder
 
 V_SQ_FLOOR = 1e-4
 """A squared voltage this low is no operating point: the iteration is on its way to collapse."""
+V_SQ_CEILING = 1e4
+"""Nor is one this high: an iteration under impossible injections runs away upwards."""
 
 
 class PowerFlowError(ValueError):
@@ -59,7 +61,9 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
     else:
         xp = namespace(p_kw)
         if isinstance(q_kvar, _HOST) or not hasattr(q_kvar, "shape") or namespace(q_kvar) is not xp:
-            raise PowerFlowError(f"p_kw is a {type(p_kw).__name__} and q_kvar is not; give both as the same kind")
+            raise PowerFlowError(
+                f"p_kw is a {type(p_kw).__name__} and q_kvar is not; give both as the same kind of array"
+            )
         dtype = xp.float32 if p_kw.dtype == xp.float32 else xp.float64
         p_kw, q_kvar = (x if x.dtype == dtype else xp.astype(x, dtype) for x in (p_kw, q_kvar))
     if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_bus:
@@ -98,6 +102,6 @@ def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:
         if len(where[0]):
             at = tuple(int(i[0]) for i in where)
             raise PowerFlowError(
-                f"feeder {feeder.name!r}: {field} of bus {feeder.bus_ids[at[-1]]} is {float(values[at])} in scenario "
+                f"feeder {feeder.name!r}: {field} of bus {feeder.bus_ids[at[-1]]} is {values[at].item()} in scenario "
                 f"{at[:-1]} of the batch; give finite loads"
             )
