@@ -20,10 +20,9 @@ def as_like(values: Array, like: Array) -> Array:
     """``values`` as an array of the kind, precision and device of ``like``."""
     if isinstance(like, np.ndarray):
         return np.asarray(values, dtype=like.dtype)
-    xp = array_namespace(like)
-    if not hasattr(values, "device") or isinstance(values, np.ndarray):
-        values = xp.asarray(np.array(values))  # a copy: tensors cannot share read-only memory
-    return xp.asarray(values, dtype=like.dtype, device=like.device)
+    if not hasattr(values, "to"):
+        values = array_namespace(like).asarray(np.array(values))  # a copy: tensors cannot share read-only memory
+    return values.to(dtype=like.dtype, device=like.device)
 
 
 def positive_part(array: Array) -> Array:

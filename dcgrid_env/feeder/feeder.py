@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.feeder.radial import FeederError, orient
-from dcgrid_env.feeder.tables import check_numbers, read_feeder_tables
+from dcgrid_env.feeder.tables import check_lengths, check_numbers, read_feeder_tables
 from dcgrid_env.units import S_BASE_KVA, impedance_base_ohm
 
 BusId = int | str
@@ -20,6 +20,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 __all__ = ["BusId", "Feeder", "FeederError"]
+
+
+def _read_only(array: Any) -> Any:
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +91,8 @@ class Feeder:
             negative or NaN figure.
         """
         n = len(bus_ids)
+        check_lengths(name, "bus", n, {"x": x, "y": y})
+        check_lengths(name, "branch", len(from_bus), {"to_bus": to_bus})
         buses = {
             "p_kw": p_load_kw,
             "q_kvar": q_load_kvar,
@@ -95,13 +102,13 @@ class Feeder:
         check_numbers(name, "feeder", ["base_kv", "v0_pu"], {"value": [base_kv, v0_pu]}, positive=True)
         check_numbers(name, "bus", bus_ids, buses)
         check_numbers(name, "branch", branch_names, {"r_ohm": r_ohm, "x_ohm": x_ohm}, non_negative=True)
+        drawn = {field: values for field, values in (("x", x), ("y", y)) if values is not None}
+        check_numbers(name, "bus", bus_ids, drawn, may_be_nan=True)
         order, parent, branch = orient(name, substation, bus_ids, from_bus, to_bus)
         nan = [np.nan] * n
 
         def frozen(values: Any, index: IntArray, dtype: Any = np.float64) -> Any:
-            array = np.asarray(values, dtype=dtype)[index]
-            array.flags.writeable = False
-            return array
+            return _read_only(np.asarray(values, dtype=dtype)[index])
 
         return cls(
             name=name,
@@ -133,6 +140,13 @@ class Feeder:
         """
         return cls.from_tables(**read_feeder_tables(Path(folder)))
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Feeder:
+        return self  # frozen: a copy shares it
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():  # arrays come out of a pickle writable
+            object.__setattr__(self, name, _read_only(value) if isinstance(value, np.ndarray) else value)
+
     @property
     def n_bus(self) -> int:
         """Number of buses, the substation among them."""
@@ -152,12 +166,12 @@ class Feeder:
     @cached_property
     def r_pu(self) -> FloatArray:
         """Series resistance of each branch, per unit, shape (n_bus - 1,)."""
-        return self.r_ohm / impedance_base_ohm(self.base_kv)
+        return _read_only(self.r_ohm / impedance_base_ohm(self.base_kv))
 
     @cached_property
     def x_pu(self) -> FloatArray:
         """Series reactance of each branch, per unit, shape (n_bus - 1,)."""
-        return self.x_ohm / impedance_base_ohm(self.base_kv)
+        return _read_only(self.x_ohm / impedance_base_ohm(self.base_kv))
 
     @cached_property
     def depth_first(self) -> IntArray:
@@ -170,7 +184,7 @@ class Feeder:
             i = stack.pop()
             order.append(i)
             stack.extend(reversed(children[i]))
-        return np.array(order, dtype=np.intp)
+        return _read_only(np.array(order, dtype=np.intp))
 
     @cached_property
     def path(self) -> FloatArray:
@@ -179,7 +193,7 @@ class Feeder:
         for j in self.depth_first[1:]:
             path[j] = path[self.parent[j - 1]]
             path[j, j - 1] = 1.0
-        return path
+        return _read_only(path)
 
     def sensitivity(self) -> tuple[FloatArray, FloatArray]:
         """LinDistFlow's R and X: drop of the voltage at i in p.u. for a load of 1 MW or 1 Mvar at j, around 1 p.u.

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.feeder.radial import FeederError
+
+
+def check_lengths(name: str, component: str, n: int, fields: Mapping[str, Sequence[Any] | None]) -> None:
+    """Raise FeederError at the first field (None is left out) that has not one value for each of ``n`` rows."""
+    for field, values in fields.items():
+        if values is not None and len(values) != n:
+            raise FeederError(f"feeder {name!r}: {len(values)} values of {field} for {n} {component} rows")
 
 
 def check_numbers(
@@ -20,14 +29,16 @@ def check_numbers(
     *,
     non_negative: bool = False,
     positive: bool = False,
+    may_be_nan: bool = False,
 ) -> None:
-    """Raise FeederError at the first figure that is not finite, or of the wrong sign, naming component and field."""
+    """Raise FeederError, naming component and field, at the first value that is not finite or of the wrong sign."""
+    check_lengths(name, component, len(ids), fields)
     for field, values in fields.items():
-        if len(values) != len(ids):
-            raise FeederError(f"feeder {name!r}: {len(values)} values of {field} for {len(ids)} {component} rows")
         for i, value in zip(ids, values, strict=True):
-            if not math.isfinite(value):
-                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; give a finite number")
+            if isinstance(value, bool) or not isinstance(value, Real) or (math.isnan(value) and not may_be_nan):
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
+            if math.isinf(value):
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
             if (non_negative and value < 0) or (positive and value <= 0):
                 wanted = "> 0" if positive else ">= 0"
                 raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; it must be {wanted}")
@@ -58,7 +69,7 @@ def read_feeder_tables(folder: Path) -> dict[str, Any]:
     )
     branches = _columns(folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None})
     texts = [*buses["bus"], *branches["from_bus"], *branches["to_bus"], str(head["substation"])]
-    as_id = int if all(t.lstrip("-").isdecimal() for t in texts) else str
+    as_id = int if all(re.fullmatch(r"-?[0-9]+", t) for t in texts) else str
     return {
         "name": str(head["name"]),
         "base_kv": head["base_kv"],
@@ -79,9 +90,11 @@ def read_feeder_tables(folder: Path) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise FeederError(f"{path} is missing; a feeder is feeder.toml, buses.csv and branches.csv") from None
+    except UnicodeDecodeError as error:
+        raise FeederError(f"{path}: {error}; save it as UTF-8") from None
 
 
 def _columns(path: Path, names: list[str], numbers: dict[str, float | None]) -> dict[str, list[Any]]:

@@ -23,7 +23,8 @@ class PowerFlowError(ValueError):
 class Solution(NamedTuple):
     """Voltages and flows of a batch of feeders; leading dimensions are those of the loads.
 
-    Where ``converged`` is False the figures are finite but no solution: the load is beyond what the feeder can carry.
+    Where ``converged`` is False no solution was found, most likely because there is none: the load is beyond what the
+    feeder can carry. Voltages and flows are then finite but no solution, and the residual may be infinite.
     """
 
     v_pu: Array
