@@ -73,6 +73,7 @@ def test_one_step_memory_is_the_last_shortfall_alone():
 
 def test_inverters_only_leaves_the_data_centres_alone():
     controller = make_controller("inverters")
+    assert isinstance(controller, Droop)
     scenario = started(controller)
     f, q = controller.control(seen(scenario, 0.96, q_kvar=0.0))
     assert f == pytest.approx([1410.0])

@@ -36,6 +36,7 @@ def test_make_without_importing_the_package_first():
 
 def test_overrides_reach_the_scenario():
     env = gymnasium.make("dcgrid/IEEE123-v0", n_datacenters=2, horizon=3, split="test", power_flow="lindistflow")
+    assert isinstance(env.unwrapped, DcgridEnv)
     scenario = env.unwrapped.scenario
     assert (scenario.n_datacenters, scenario.horizon, scenario.split) == (2, 3, "test")
     assert env.action_space.shape == (2 * 2 + 7,)
@@ -67,7 +68,7 @@ def test_rewards_add_up_to_minus_j_times_t_and_info_names_the_terms():
     env = DcgridEnv("ieee33-weak", horizon=25)
     env.reset(seed=5)
     env.action_space.seed(5)
-    rewards, done = [], False
+    rewards, info, done = [], {}, False
     while not done:
         _, reward, terminated, truncated, info = env.step(env.action_space.sample())
         terms = sum(info[f"cost_{name}"] for name in env.transition.costs._fields)
@@ -191,7 +192,7 @@ def test_collapse_terminates_and_never_pays():
     overloaded = {"p_rated_kw": 6000.0, "horizon": 40, "trace": (step,), "trace_window": "start"}
     env = DcgridEnv("ieee33-weak", **overloaded)
     env.reset(seed=0)
-    rewards, terminated, truncated = [], False, False
+    rewards, info, terminated, truncated = [], {}, False, False
     while not (terminated or truncated):
         observation, reward, terminated, truncated, info = env.step(np.ones(10))
         assert env.observation_space.contains(observation)
