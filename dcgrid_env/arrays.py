@@ -32,6 +32,11 @@ def positive_part(array: Array) -> Array:
     return array_namespace(array).clip(array, 0.0, None)
 
 
+def all_true(array: Array) -> bool:
+    """Whether every entry of a one-dimensional bool array is True."""
+    return bool(np.logical_and.reduce(array) if isinstance(array, np.ndarray) else array.all())
+
+
 def sum_last(array: Array) -> Array:
     """Sum over the last axis."""
     return np.add.reduce(array, -1) if isinstance(array, np.ndarray) else array.sum(-1)

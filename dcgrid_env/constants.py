@@ -34,7 +34,15 @@ class Constants(NamedTuple):
 
 def constants(scenario: Scenario, like: Array) -> Constants:
     """The constants as arrays of the kind, precision and device of ``like``; made once for each."""
+    if isinstance(like, np.ndarray) and like.dtype == np.float64:
+        return _on_numpy(scenario)
     return _constants(scenario, namespace(like), like.dtype, like.device)
+
+
+@lru_cache(maxsize=64)
+def _on_numpy(scenario: Scenario) -> Constants:
+    """The common case with a shorter key: this is asked several times a step."""
+    return _constants(scenario, np, np.dtype(np.float64), "cpu")
 
 
 @lru_cache(maxsize=64)

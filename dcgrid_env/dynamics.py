@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.arrays import Array, add_at, namespace, take_at
+from dcgrid_env.arrays import Array, add_at, all_true, namespace, take_at
 from dcgrid_env.constants import constants
 from dcgrid_env.devices import converter, datacenter
 from dcgrid_env.powerflow import Solution, distflow, lindistflow
@@ -119,7 +119,7 @@ def _step(
     else:
         solution = lindistflow(scenario.feeder, p_net, q_net, scenario.v0_pu)
     v, current_sq = solution.v_pu, solution.current_sq_pu
-    if not bool(solution.converged.all()):
+    if not all_true(solution.converged):
         solved = solution.converged[..., None]
         v, current_sq = xp.where(solved, v, state.v_pu), xp.where(solved, current_sq, state.current_sq_pu)
     return State(

@@ -141,7 +141,10 @@ def exogenous(
     def part(a: int, b: int) -> int:
         return counter.load_step(episode.key[a:b], step[a:b], noise[a:b], *load, z[a:b], p[a:b], q[a:b])
 
-    over_lanes(part, len(step))
+    if len(step) == 1:
+        counter.load_step(episode.key, step, noise, *load, z, p, q)
+    else:
+        over_lanes(part, len(step))
     if scenario.inverter_trace is None:
         injection = np.zeros((len(step), scenario.n_inverters))
     else:

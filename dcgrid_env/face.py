@@ -49,6 +49,7 @@ class Face:
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         self.render_mode = render_mode
+        self._bus_ids = np.array(self.scenario.feeder.bus_ids)
         self._simulation: Simulation = Simulation(self.scenario, lanes)
         self._seeded = False
         self._last: Transition | None = None
@@ -70,7 +71,7 @@ class Face:
 
     def buses(self) -> np.ndarray:
         """Name of each agent's bus, (lane, n_agent)."""
-        return np.array(self.scenario.feeder.bus_ids)[self._simulation.now.episode.buses]
+        return self._bus_names
 
     def render(self) -> Any:
         """Draw the feeder and the running curves: an image (height, width, 3) uint8, or a window for "human"."""
@@ -104,7 +105,7 @@ class Face:
         return transition
 
     def _name_buses(self) -> None:
-        self._bus_names = self.buses()
+        self._bus_names = self._bus_ids[self._simulation.now.episode.buses]
         keys = [f"bus_{agent}" for agent in self.scenario.agents]
         self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.arrays import Array, all_true, namespace, positive_part, sum_last
 from dcgrid_env.constants import constants
 from dcgrid_env.dynamics import State
 from dcgrid_env.powerflow import Solution
@@ -144,7 +144,7 @@ def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> 
     charged at the largest cost, so that ending early never pays.
     """
     xp = namespace(converged)
-    if bool(converged.all()):
+    if all_true(converged):
         return costs
     remaining = scenario.horizon - step + 1
     *each_step, leftover = largest_costs(scenario)
