@@ -42,7 +42,8 @@ def constants(scenario: Scenario, like: Array) -> Constants:
 @lru_cache(maxsize=64)
 def _on_numpy(scenario: Scenario) -> Constants:
     """The common case with a shorter key: this is asked several times a step."""
-    return _constants(scenario, np, np.dtype(np.float64), "cpu")
+    like = np.empty(0)
+    return _constants(scenario, namespace(like), like.dtype, like.device)
 
 
 @lru_cache(maxsize=64)

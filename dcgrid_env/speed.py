@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gc
 import itertools
-import json
 import platform
 import statistics
 import subprocess
@@ -17,7 +16,6 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -26,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.commands.run import meta
+from dcgrid_env.commands.results import meta, versions, write_json
 from dcgrid_env.feeder import Feeder
 from dcgrid_env.powerflow import Solution, distflow, lindistflow
 from dcgrid_env.powerflow.threads import n_threads
@@ -335,11 +333,7 @@ def measure(cfg: Speed) -> Iterator[Row]:
 def about() -> dict[str, Any]:
     """Versions and machine: those of every result, the other libraries' and the processor's name besides."""
     known = meta()
-    for package in PACKAGES:
-        try:
-            known["versions"][package] = version(package)
-        except PackageNotFoundError:
-            known["versions"][package] = None
+    known["versions"] |= versions(PACKAGES)
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines() if cpuinfo.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -376,24 +370,15 @@ def main(args: list[str] | None = None) -> None:
             rows.extend(measure(cfg))
         known = about()
         console.print(table(rows, cfg.scenario))
-        versions = [f"{package} {number}" for package, number in known["versions"].items() if number is not None]
-        console.print(", ".join(versions), highlight=False)
+        installed = [f"{package} {number}" for package, number in known["versions"].items() if number is not None]
+        console.print(", ".join(installed), highlight=False)
         console.print(", ".join(f"{name} {value}" for name, value in known["machine"].items()), highlight=False)
         if cfg.json is not None:
-            write(cfg.json, known, cfg, rows)
+            settings = {name: value for name, value in asdict(cfg).items() if name != "json"}
+            write_json(cfg.json, {"meta": known, "settings": settings, "rows": [asdict(row) for row in rows]})
     except (ValueError, OSError) as error:
         print(f"dcgrid: {error}", file=sys.stderr)
         raise SystemExit(2) from None
-
-
-def write(path: Path, known: dict[str, Any], cfg: Speed, rows: list[Row]) -> None:
-    """Write the figures whole or not at all: ``meta``, ``settings`` and ``rows``, a list of flat records."""
-    settings = {name: value for name, value in asdict(cfg).items() if name != "json"}
-    made = {"meta": known, "settings": settings, "rows": [asdict(row) for row in rows]}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(made, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    part.replace(path)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import sys
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.commands.results import meta, write_json
+
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series
-
-PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,7 @@ def main(cfg: Run) -> None:
     console.print(table(scenario, records, names, cfg))
     console.print(linear_difference(scenario, seeds))
     cfg.out.mkdir(parents=True, exist_ok=True)
-    write_results(cfg.out / "results.json", records, split=cfg.split)
+    write_json(cfg.out / "results.json", {"meta": meta() | {"split": cfg.split}, "episodes": records})
     draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
     console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
 
@@ -125,29 +120,6 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
     apart = [np.abs(runs[0].lane(i).v_pu[:n] - runs[1].lane(i).v_pu[:n]) for i, n in enumerate(lengths)]
     mean, most = np.mean([a.mean() for a in apart]), np.max([a.max() for a in apart])
     return f"LinDistFlow, which leaves losses out, is off by {mean:.4f} p.u. on average and {most:.4f} at most (none)"
-
-
-def meta() -> dict[str, Any]:
-    """Versions, command and machine behind a result."""
-    versions = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = None
-    return {
-        "command": " ".join(["dcgrid", *sys.argv[1:]]),
-        "versions": {"python": platform.python_version(), **versions},
-        "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-    }
-
-
-def write_results(path: Path, records: list[dict[str, Any]], **more: Any) -> None:
-    """Write results.json whole or not at all: ``meta`` and ``episodes``, a list of flat records."""
-    text = json.dumps({"meta": meta() | more, "episodes": records}, indent=1, allow_nan=False)
-    part = path.with_suffix(".part")
-    part.write_text(text + "\n", encoding="utf-8")
-    part.replace(path)
 
 
 def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
