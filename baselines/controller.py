@@ -62,7 +62,7 @@ class LocalController:
         }
         dc, inv = env_info.datacenter, env_info.inverter
         self._p_scale = np.concatenate((dc.p_rated_kw, inv.s_rated_kva))
-        self._q_scale = np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), inv.s_rated_kva))
+        self._q_scale = env_info.q_scale_kvar
 
     def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
@@ -95,7 +95,7 @@ class LocalController:
         s = self.scenario
         n_dc, span = s.n_datacenters, s.f_max_mhz - s.f_min_mhz
         clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
-        q = q_kvar / self._q_scale
+        q = q_kvar / np.where(self._q_scale > 0, self._q_scale, 1.0)
         paired = np.stack((clock, q[..., :n_dc]), axis=-1).reshape(*q.shape[:-1], 2 * n_dc)
         actions = np.concatenate((paired, q[..., n_dc:]), axis=-1)
         return np.clip(actions, -1.0, 1.0).astype(np.float32)

@@ -29,7 +29,8 @@ def rollout(
     ValueError
         Where the controller returns something that is no action, naming the agent.
     """
-    env = DcgridVectorEnv(len(seeds), scenario)
+    # Actions and metrics are those of the team, whoever is paid what.
+    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
     observations, _ = env.reset(seed=list(seeds))
     recorder = Recorder(scenario, env.transition)
     controller.reset(scenario)

@@ -15,7 +15,7 @@ class ActionError(ValueError):
     """An action of the wrong shape or kind, or not finite; the message names the agent."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def action_names(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """(agent, actuator) of each entry of the joint action."""
     return tuple(

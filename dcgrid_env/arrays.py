@@ -32,6 +32,14 @@ def positive_part(array: Array) -> Array:
     return array_namespace(array).clip(array, 0.0, None)
 
 
+def positive_sqrt(array: Array) -> Array:
+    """sqrt(max(array, 0)), elementwise, with derivative 0 (not infinite) at and below 0."""
+    if isinstance(array, np.ndarray):
+        return np.sqrt(np.maximum(array, 0.0))
+    xp = array_namespace(array)
+    return xp.where(array > 0, xp.sqrt(xp.where(array > 0, array, 1.0)), 0.0)
+
+
 def all_true(array: Array) -> bool:
     """Whether every entry of a one-dimensional bool array is True."""
     return bool(np.logical_and.reduce(array) if isinstance(array, np.ndarray) else array.all())

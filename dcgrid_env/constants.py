@@ -23,6 +23,8 @@ class Constants(NamedTuple):
     """Rating that a draw is a share of, kW or kVA, (n_agent,)."""
     q_scale_kvar: Array
     """Reactive limit at zero active power, kvar, (n_agent,)."""
+    per_q_scale: Array
+    """1 / q_scale_kvar, and 0 for a device without reactive power."""
     s_rated_kva: Array
     """Apparent-power rating, which reactive effort is a share of, kVA, (n_agent,)."""
     one: Array
@@ -30,6 +32,13 @@ class Constants(NamedTuple):
     """1 and -1 without dimensions: tensors take no plain number in minimum and maximum."""
     p_rated_sum_kw: float
     """Sum of the data centres' ratings, kW; 1 where there are none."""
+    p_all_kw: float
+    """Sum of the feeder's base load and the data centres' ratings, kW, which losses are a share of."""
+
+
+def inverse(values: np.ndarray) -> np.ndarray:
+    """1 / values, and 0 where they are 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0)
 
 
 def constants(scenario: Scenario, like: Array) -> Constants:
@@ -39,14 +48,14 @@ def constants(scenario: Scenario, like: Array) -> Constants:
     return _constants(scenario, namespace(like), like.dtype, like.device)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _on_numpy(scenario: Scenario) -> Constants:
     """The common case with a shorter key: this is asked several times a step."""
     like = np.empty(0)
     return _constants(scenario, namespace(like), like.dtype, like.device)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _constants(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Constants:
     dc, inv = scenario.datacenter, scenario.inverter
 
@@ -58,9 +67,11 @@ def _constants(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Constant
         f_middle_mhz=array(0.5 * (dc.f_max_mhz + dc.f_min_mhz)),
         f_half_range_mhz=array(0.5 * (dc.f_max_mhz - dc.f_min_mhz)),
         p_scale_kw=array(np.concatenate((dc.p_rated_kw, inv.s_rated_kva))),
-        q_scale_kvar=array(np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), inv.s_rated_kva))),
+        q_scale_kvar=array(scenario.q_scale_kvar),
+        per_q_scale=array(inverse(scenario.q_scale_kvar)),
         s_rated_kva=array(np.concatenate((dc.s_rated_kva, inv.s_rated_kva))),
         one=array(1.0),
         minus_one=array(-1.0),
         p_rated_sum_kw=float(dc.p_rated_kw.sum()) or 1.0,
+        p_all_kw=float(dc.p_rated_kw.sum() + np.abs(scenario.feeder.p_load_kw).sum()) or 1.0,
     )

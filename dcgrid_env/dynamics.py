@@ -125,7 +125,7 @@ def _step(
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
-        v_agent_pu=_from_nodes(v, nodes),
+        v_agent_pu=from_nodes(v, nodes),
         v_agent_last_pu=state.v_agent_pu,
         current_sq_pu=current_sq,
         backlog_kws=dc.backlog_kws,
@@ -146,7 +146,7 @@ def _to_nodes(values: Array, nodes: Array) -> Array:
     return namespace(values).broadcast_to((values / nodes.shape[-1])[..., None], nodes.shape)
 
 
-def _from_nodes(v_pu: Array, nodes: Array) -> Array:
+def from_nodes(v_pu: Array, nodes: Array) -> Array:
     """Each agent's voltage, the mean of its nodes', (lane, n_agent)."""
     at = take_at(v_pu, nodes)
     return at[..., 0] if nodes.shape[-1] == 1 else at.sum(-1) / nodes.shape[-1]

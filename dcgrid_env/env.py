@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from dcgrid_env.actions import joint_action
-from dcgrid_env.face import Face, check_running, joint_spaces
+from dcgrid_env.face import Face, as_seed, check_running, joint_spaces
 from dcgrid_env.info import info_arrays
 from dcgrid_env.scenario import Scenario
 
@@ -39,16 +39,17 @@ class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin a seed's first episode, or the next one if no seed is given."""
+        seed = as_seed(seed)
         super().reset(seed=seed)
-        transition = self._reset([self._seed_or_draw(seed, self.np_random)])
-        return transition.observation[0], self._info(transition)
+        transition = self._reset([seed], self.np_random)
+        return transition.observation[0].copy(), self._info(transition)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advance one step; RuntimeError once the episode is over."""
         check_running(self)
         transition = self._step(joint_action(self.scenario, action))
         return (
-            transition.observation[0],
+            transition.observation[0].copy(),
             float(transition.reward[0]),
             bool(transition.terminated[0]),
             bool(transition.truncated[0]),

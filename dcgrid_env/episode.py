@@ -25,8 +25,6 @@ class Episode(NamedTuple):
     """(lane,) uint64."""
     buses: np.ndarray
     """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
-    nodes: np.ndarray
-    """Flat positions for the physics, (lane, n_agent, 1): see ``Exogenous.nodes``."""
     placed: observation.Placement
     start: np.ndarray
     """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
@@ -37,7 +35,7 @@ def window_steps(scenario: Scenario) -> int:
     return scenario.horizon + 2
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def trace_pool(scenario: Scenario) -> np.ndarray:
     """Rows of power as a share of the rating that the scenario's split draws from, (n_row, n_step)."""
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
@@ -61,7 +59,7 @@ class _Load(NamedTuple):
     q_fixed_kvar: np.ndarray
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _load(scenario: Scenario) -> _Load:
     feeder = scenario.feeder
     return _Load(
@@ -73,14 +71,20 @@ def _load(scenario: Scenario) -> _Load:
     )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _schedule(scenario: Scenario) -> np.ndarray:
-    """Active injection of the inverters over an episode, kW, (n_step, n_inv); held at the end of its trace."""
-    steps = window_steps(scenario)
-    assert scenario.inverter_trace is not None
-    known = np.minimum(scenario.inverter_trace.resample(scenario.dt_s), 1.0)
-    share = known[np.minimum(np.arange(steps), len(known) - 1)]
-    return share[:, None] * scenario.inverter.s_rated_kva
+    """Active injection of the inverters over an episode, kW, (n_step, n_inv)."""
+    trace, steps = scenario.inverter_trace, window_steps(scenario)
+    assert trace is not None
+    trace.require_duration(steps * scenario.dt_s)
+    return trace.resample(scenario.dt_s)[:steps, None] * scenario.inverter.s_rated_kva
+
+
+def check_traces(scenario: Scenario) -> None:
+    """Raise TraceError unless every trace lasts as long as an episode."""
+    trace_pool(scenario)
+    if scenario.inverter_trace is not None:
+        _schedule(scenario)
 
 
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
@@ -109,8 +113,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
 
 def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
-    nodes = (buses + np.arange(len(key))[:, None] * scenario.feeder.n_bus)[..., None]
-    return Episode(key, buses, nodes, observation.placement(scenario, buses), start)
+    return Episode(key, buses, observation.placement(scenario, buses), start)
 
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
@@ -149,4 +152,4 @@ def exogenous(
         injection = np.zeros((len(step), scenario.n_inverters))
     else:
         injection = _schedule(scenario)[step]
-    return Exogenous(p, q, p_ref, injection, episode.nodes), z
+    return Exogenous(p, q, p_ref, injection, episode.placed.nodes), z

@@ -51,7 +51,6 @@ class Face:
         self.render_mode = render_mode
         self._bus_ids = np.array(self.scenario.feeder.bus_ids)
         self._simulation: Simulation = Simulation(self.scenario, lanes)
-        self._seeded = False
         self._last: Transition | None = None
 
     @property
@@ -64,19 +63,20 @@ class Face:
         return self._simulation.now
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from where ``save`` was called; ValueError for a snapshot of another kind of environment."""
+        """Go on from where ``save`` was called; ValueError for a snapshot of another scenario or number of lanes."""
         self._simulation.restore(snapshot)
-        self._seeded, self._last = True, None
-        self._name_buses()
+        self._arrived()
 
     def buses(self) -> np.ndarray:
-        """Name of each agent's bus, (lane, n_agent)."""
-        return self._bus_names
+        """Name of each agent's bus, (lane, n_agent); RuntimeError before the first reset."""
+        return self._bus_ids[self._simulation.now.episode.buses]
 
     def render(self) -> Any:
         """Draw the feeder and the running curves: an image (height, width, 3) uint8, or a window for "human"."""
+        if self.render_mode is None:
+            raise RuntimeError("render needs a render_mode; make the environment with 'rgb_array' or 'human'")
         if self._viewer is None:
-            raise RuntimeError("render needs a render_mode ('rgb_array' or 'human') and a reset")
+            raise RuntimeError("the environment has not been reset; call reset() before render()")
         return self._viewer.draw()
 
     def close(self, **kwargs: Any) -> None:
@@ -85,37 +85,43 @@ class Face:
             self._viewer.close()
             self._viewer = None
 
-    def _seed_or_draw(self, seed: int | None, rng: np.random.Generator) -> int | None:
-        """The seed given; one drawn if there never was any; None for the next episode of the last one."""
-        if seed is None and not self._seeded:
-            seed = int(rng.integers(2**63))
-        self._seeded = True
-        return seed
-
-    def _reset(self, seeds: list[int | None], mask: np.ndarray | None = None) -> Transition:
+    def _reset(self, seeds: list[int | None], rng: np.random.Generator, mask: np.ndarray | None = None) -> Transition:
+        """Begin episodes; where there was never a seed one is drawn."""
+        if not self._simulation.begun:
+            seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
         transition = self._simulation.reset(seeds, mask)
-        self._name_buses()
-        if self.render_mode is not None:
-            from dcgrid_env.render import Viewer
-
-            if self._viewer is None:
-                self._viewer = Viewer(self.scenario, self.render_mode)
-            self._viewer.begin(self._simulation.now)
-            self._show()
+        self._arrived()
         return transition
-
-    def _name_buses(self) -> None:
-        self._bus_names = self._bus_ids[self._simulation.now.episode.buses]
-        keys = [f"bus_{agent}" for agent in self.scenario.agents]
-        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
 
     def _step(self, action: np.ndarray) -> Transition:
         transition = self._simulation.step(action)
         if self._viewer is not None:
-            self._viewer.record(self._simulation.now)
             self._show()
         return transition
 
+    def _arrived(self) -> None:
+        """After a reset or restore: where the agents stand, and the picture."""
+        self._last = None
+        self._bus_names = self.buses()
+        keys = [f"bus_{agent}" for agent in self.scenario.agents]
+        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
+        if self.render_mode is not None:
+            if self._viewer is None:
+                from dcgrid_env.render import Viewer
+
+                self._viewer = Viewer(self.scenario, self.render_mode)
+            self._show()
+
     def _show(self) -> None:
+        self._viewer.record(self._simulation.now)
         if self.render_mode == "human":
             self._viewer.draw()
+
+
+def as_seed(seed: Any) -> int | None:
+    """A seed as an int, None as it is; ValueError unless it is a whole number of at least 0."""
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed is {seed!r}; give a whole number of at least 0")
+    return int(seed)

@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dcgrid_env.layout import agent_colour
 from dcgrid_env.metrics import Series
 from dcgrid_env.scenario import Scenario
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito, colour-blind safe
 
 
 def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figure:
@@ -23,7 +22,7 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
         _voltages(column[0], scenario, run, t)
         column[0].set_title(f"{name}    J = {run.metrics()['J']:.3f}", fontsize=11)
         for i in range(n_dc):
-            colour = COLOURS[i % len(COLOURS)]
+            colour = agent_colour(i)
             column[1].step(t[1:], run.f_mhz[:, i], where="pre", color=colour, linewidth=1.2, label=f"dc_{i}")
             column[2].plot(t, run.backlog_kws[:, i], color=colour, linewidth=1.2)
         column[1].set_ylim(0.0, 1.05 * scenario.f_max_mhz)

@@ -105,7 +105,9 @@ class Recorder:
         return bool(self._over.all())
 
     def lane(self, lane: int) -> Series:
-        """The course of one lane's episode."""
+        """The course of one lane's episode; ValueError before its first step."""
+        if self._length[lane] == 0:
+            raise ValueError("no step has been recorded yet")
         taken = self._transitions[: int(self._length[lane]) + 1]
         return Series(self.scenario, taken, lane)
 

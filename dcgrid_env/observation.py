@@ -9,7 +9,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | p | all | share of the rating; an inverter's injection is negative | -1 .. 1 |
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
-| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. 1/band |
+| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. the feeder's largest |
 | p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. 1 |
 | backlog | data centres | s at the rated power | 0 .. horizon dt |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.arrays import Array, namespace, take_at, take_last
-from dcgrid_env.constants import constants
-from dcgrid_env.dynamics import State
+from dcgrid_env.constants import constants, inverse
+from dcgrid_env.dynamics import State, from_nodes
 from dcgrid_env.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
@@ -38,6 +38,8 @@ class Placement(NamedTuple):
 
     distance: Array
     """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""
+    nodes: Array
+    """Flat positions lane * n_bus + bus of the agents' nodes, as in ``Exogenous.nodes``, (lane, n_agent, 1)."""
     nearest: Array
     """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
 
@@ -56,14 +58,15 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    own, _ = _electrical(scenario)
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
         "p": (-1.0, 1.0),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
-        "r": (0.0, edge),
-        "x": (0.0, edge),
+        "r": (0.0, max(float(own[:, 0].max()), 1e-6)),
+        "x": (0.0, max(float(own[:, 1].max()), 1e-6)),
         "p_ref_next": (0.0, 1.0),
         "backlog": (0.0, scenario.horizon * scenario.dt_s),
     }
@@ -77,14 +80,14 @@ def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the joint observation, the agents' one after the other, float32, (n_observation,) each."""
     low, high = zip(*bounds(scenario).values(), strict=True)
     return np.concatenate(low), np.concatenate(high)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _electrical(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """(R_ii, X_ii) in bands, (n_bus, 2), and the impedance magnitude of the path between any two buses."""
     r, x = scenario.feeder.sensitivity()
@@ -98,20 +101,21 @@ class _Layout(NamedTuple):
     column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     known = constants(scenario, np.empty(0))
     n, n_dc = scenario.n_agents, scenario.n_datacenters
     per_band = 1.0 / (scenario.band_pu or 1.0)
     rated = 1.0 / scenario.datacenter.p_rated_kw
+    per_q = inverse(known.q_scale_kvar)
     near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
     blocks = {
         "v_deviation": np.full(n, per_band),
         "v_change": np.full(n, per_band),
         "p": 1.0 / known.p_scale_kw,
-        "q": 1.0 / known.q_scale_kvar,
-        "q_limit": 1.0 / known.q_scale_kvar,
+        "q": per_q,
+        "q_limit": per_q,
         "r": np.ones(n),
         "x": np.ones(n),
         "p_ref_next": rated * scenario.preview,
@@ -139,6 +143,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
     own, between = _electrical(scenario)
     lanes, n_agent = buses.shape
+    nodes = (buses + np.arange(lanes)[:, None] * scenario.feeder.n_bus)[..., None]
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
@@ -146,7 +151,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
-    return Placement(np.concatenate((own[buses, 0], own[buses, 1]), axis=-1), nearest)
+    return Placement(np.concatenate((own[buses, 0], own[buses, 1]), axis=-1), nodes, nearest)
 
 
 def observe(
@@ -163,15 +168,18 @@ def observe(
     p_ref_next_kw
         p_ref over the coming interval, kW, (lane, n_dc).
     v_measured_pu, v_before_pu
-        Voltage at the agents as measured now and one step before, p.u., (lane, n_agent): the state's own unless the
-        scenario has noise or delay.
+        Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
+        (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
     """
     xp = namespace(state.v_pu)
     layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
-    deviation = v_measured_pu - 1.0
+    v_now, v_before = v_measured_pu, v_before_pu
+    if scenario.observe == "feeder":
+        v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
+    deviation = v_now - 1.0
     raw = [
         deviation,
-        v_measured_pu - v_before_pu,
+        v_now - v_before,
         state.p_kw,
         state.q_kvar,
         state.q_limit_kvar,
@@ -181,11 +189,11 @@ def observe(
     ]
     if scenario.observe == "neighbours":
         known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
-        trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar / known.q_scale_kvar)
+        trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":
-        raw.append(state.v_pu[:, 1:] - 1.0)
+        raw.append(v_measured_pu[:, 1:] - 1.0)
     return take_last(xp.concat(raw, axis=-1) * layout.scale, layout.column)
 
 

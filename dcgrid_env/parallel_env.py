@@ -13,7 +13,7 @@ from pettingzoo.utils import parallel_to_aec
 from dcgrid_env import observation
 from dcgrid_env.actions import joined_actions
 from dcgrid_env.constants import constants
-from dcgrid_env.face import Face, check_running
+from dcgrid_env.face import Face, as_seed, check_running
 from dcgrid_env.info import info_arrays
 from dcgrid_env.scenario import Scenario
 
@@ -89,7 +89,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
         """Begin a seed's first episode, or the next one if no seed is given."""
-        transition = self._reset([self._seed_or_draw(seed, self._rng)])
+        transition = self._reset([as_seed(seed)], self._rng)
         self.agents = list(self.possible_agents)
         return self._observations(transition), self._infos(transition)
 
@@ -130,7 +130,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         parts = (
             (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
             now.state.p_kw[0] / known.p_scale_kw,
-            now.state.q_kvar[0] / known.q_scale_kvar,
+            now.state.q_kvar[0] * known.per_q_scale,
             now.p_ref_next_kw[0] / rated,
             now.state.backlog_kws[0] / rated,
             now.step / s.horizon,
@@ -138,7 +138,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)
 
     def _observations(self, transition: Transition) -> dict[str, np.ndarray]:
-        joint = transition.observation[0]
+        joint = transition.observation[0].copy()
         return {agent: joint[cut] for agent, cut in self._slices.items()}
 
     def _infos(self, transition: Transition) -> dict[str, dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from dcgrid_env.feeder import load_feeder
@@ -68,8 +69,21 @@ _MAKERS = {"toy6": _toy6, "ieee123": _ieee123, "ieee33-weak": _ieee33_weak}
 def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     """A preset by name, or a scenario of your own, with overrides of its fields.
 
-    ``feeder`` may be given by name. ScenarioError for an unknown name or field, listing those that exist.
+    ``feeder`` may be given by name. The same call gives the same frozen object, so that what is derived from it is
+    shared by all environments made alike. ScenarioError for an unknown name or field, listing those that exist.
     """
+    try:
+        return _made(scenario, tuple(overrides.items()))
+    except TypeError:  # an override that cannot be a key, a list say
+        return _make(scenario, overrides)
+
+
+@lru_cache(maxsize=1024)
+def _made(scenario: str | Scenario, overrides: tuple[tuple[str, Any], ...]) -> Scenario:
+    return _make(scenario, dict(overrides))
+
+
+def _make(scenario: str | Scenario, overrides: dict[str, Any]) -> Scenario:
     if isinstance(scenario, str):
         if scenario not in _MAKERS:
             raise ScenarioError(f"unknown scenario {scenario!r}; there are {', '.join(PRESETS)}")
@@ -77,5 +91,5 @@ def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     elif not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
     if isinstance(overrides.get("feeder"), str):
-        overrides["feeder"] = load_feeder(overrides["feeder"])
+        overrides = overrides | {"feeder": load_feeder(overrides["feeder"])}
     return scenario.replace(**overrides) if overrides else scenario

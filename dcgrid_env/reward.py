@@ -5,7 +5,8 @@
 
 means over buses other than the substation, and over agents. reward_t is minus its share of J times T. Three more
 terms have weight 0 by default: 100 mean|V_t - V_{t-1}| would be weight 100 of ``step``, ``clock`` is the mean movement
-of the clocks as a share of their range, ``loss`` the feeder's loss as a share of the data centres' rating.
+of the clocks as a share of their range, ``loss`` the feeder's loss as a share of its base load and the data centres'
+ratings.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 
     The five of MAPDN (J. Wang et al., "Multi-agent reinforcement learning for active voltage control on power
     distribution networks", NeurIPS 2021, arXiv 2110.14300): ``l1`` and ``l2``; ``bowl``, a normal density's hollow
-    within the band and a line beyond it; ``courant_beltrami``, squared excess over the band; ``bump``, the smooth bump
-    function of 1 - deviation.
+    within 0.05 p.u. and a line beyond it; ``courant_beltrami``, squared excess over the band; ``bump``, the smooth bump
+    function of 1 - deviation. Constant factors that its code puts before some of them are left to the weight.
     """
     xp = namespace(deviation)
     if kind == "l1":
@@ -55,7 +56,9 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     if kind == "bowl":
         sigma = 0.1
         density = xp.exp(-0.5 * (deviation / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
-        return xp.where(deviation > band_pu, 2.0 * deviation - 0.095, 0.04 - 0.01 * density)
+        return xp.where(deviation > 0.05, 2.0 * deviation - 0.095, 0.04 - 0.01 * density)
+    if kind != "bump":
+        raise ValueError(f"voltage cost {kind!r} is none of l1, l2, bowl, courant_beltrami, bump")
     near = 1.0 - (1.0 - deviation) ** 4  # bump: 0 at V = 1 and again at deviation 2, where the exponent has its poles
     inside = (deviation > 0.0) & (deviation < 2.0)
     return xp.where(inside, xp.exp(-1.0 / xp.where(inside, near, 1.0 + 0.0 * near)), 0.0 * near)
@@ -76,9 +79,9 @@ def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array
         violation=sum_last(excess) * (w.violation / n_bus),
         backlog=backlog * w.backlog,
         effort=sum_last(effort) * (w.effort / scenario.n_agents),
-        clock=sum_last(_clock_share(scenario, state)) * (w.clock / scenario.n_datacenters) if w.clock else none,
+        clock=sum_last(_clock_share(scenario, state)) * (w.clock / max(scenario.n_datacenters, 1)) if w.clock else none,
         step=sum_last(xp.abs(v - state.v_last_pu[..., 1:])) * (w.step / n_bus) if w.step else none,
-        loss=solution.loss_kw * (w.loss / known.p_rated_sum_kw) if w.loss else none,
+        loss=solution.loss_kw * (w.loss / known.p_all_kw) if w.loss else none,
         leftover=backlog * w.leftover * last,
     )
 
@@ -100,7 +103,7 @@ def local_costs(scenario: Scenario, state: State, solution: Solution, last: Arra
         effort=xp.abs(state.q_kvar) / known.s_rated_kva * w.effort,
         clock=xp.concat((_clock_share(scenario, state), own_dc), axis=-1) * w.clock,
         step=xp.abs(state.v_agent_pu - state.v_agent_last_pu) * w.step,
-        loss=none + (solution.loss_kw * (w.loss / known.p_rated_sum_kw))[..., None],
+        loss=none + (solution.loss_kw * (w.loss / known.p_all_kw))[..., None],
         leftover=backlog * w.leftover * last[..., None],
     )
 
@@ -120,7 +123,7 @@ def largest_costs(scenario: Scenario) -> Costs:
     """An upper bound of each term, as floats: what a step is charged once the power flow has no solution.
 
     Voltage anywhere from 0 to 2 p.u., all work of the episode queued, full effort, clock and voltage swinging from end
-    to end, and all that the ratings can draw lost.
+    to end, and twice all that is drawn lost (a feeder at its limit loses about as much as it delivers).
     """
     w = scenario.weights
     grid = np.linspace(0.0, 1.0, 1001)
@@ -132,7 +135,7 @@ def largest_costs(scenario: Scenario) -> Costs:
         effort=w.effort,
         clock=w.clock,
         step=w.step,
-        loss=w.loss,
+        loss=2.0 * w.loss,
         leftover=w.leftover * queued,
     )
 
@@ -146,7 +149,7 @@ def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> 
     xp = namespace(converged)
     if all_true(converged):
         return costs
-    remaining = scenario.horizon - step + 1
+    remaining = xp.astype(scenario.horizon - step + 1, costs.voltage.dtype)
     *each_step, leftover = largest_costs(scenario)
     due = [*(worst * remaining for worst in each_step), leftover + 0 * remaining]
 

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs
-from dcgrid_env.feeder import BusId, Feeder, FeederError
-from dcgrid_env.traces import SPLITS, PowerTrace
+from dcgrid_env.feeder import BusId, Feeder
+from dcgrid_env.scenario_check import (
+    ObservationScope,
+    PowerFlowName,
+    RewardScope,
+    ScenarioError,
+    TraceWindow,
+    VoltageCost,
+    check,
+)
+from dcgrid_env.traces import PowerTrace
 
-PowerFlowName = Literal["distflow", "lindistflow"]
-VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
-RewardScope = Literal["shared", "local"]
-ObservationScope = Literal["local", "neighbours", "feeder"]
-
-
-class ScenarioError(ValueError):
-    """A scenario that cannot be; the message names the field, its value and what would do."""
+__all__ = ["CostWeights", "Scenario", "ScenarioError"]
 
 
 class CostWeights(NamedTuple):
-    """Weights of the cost terms (see ``reward``); those at 0 are computed and reported but not charged."""
+    """Weights of the cost terms (see ``reward``); a term at weight 0 is not charged and is 0 in ``info``."""
 
     voltage: float = 100.0
     violation: float = 1000.0
@@ -68,11 +69,14 @@ class Scenario:
     inverter_buses: tuple[BusId, ...] = ()
     inverter_s_kva: float | tuple[float, ...] = 0.0
     inverter_trace: PowerTrace | None = None
-    """Active injection from the episode's beginning as a share of the inverter's rating; none by default."""
+    """Active injection from the episode's beginning, 1 kW standing for the inverter's rating; none by default."""
 
     trace: str | tuple[PowerTrace, ...] = "inference"
-    """Source of the data centres' load: a name (``dcgrid list``) or recordings, each scaled to the site's rating."""
-    trace_window: Literal["random", "start"] = "random"
+    """Source of the data centres' load: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
+
+    A recording is cut in time, the first 60 % for training, then 20 % for validation and 20 % for test, and each part
+    must be as long as an episode."""
+    trace_window: TraceWindow = "random"
     """Where in a trace an episode begins."""
     load_sigma: float = 0.05
     """Standard deviation of the other loads' noise as a share of the load."""
@@ -97,7 +101,13 @@ class Scenario:
     """Whether a data centre observes its p_ref over the coming interval."""
 
     def __post_init__(self) -> None:
-        _check(self)
+        for name in ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace"):
+            value = getattr(self, name)
+            if isinstance(value, list | np.ndarray):
+                object.__setattr__(self, name, tuple(value))
+            elif isinstance(value, PowerTrace):
+                object.__setattr__(self, name, (value,))
+        check(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:
         return self  # frozen: a copy of an environment shares it
@@ -109,6 +119,13 @@ class Scenario:
             if key not in known:
                 raise ScenarioError(f"scenario {self.name!r} has no field {key!r}; there are {', '.join(known)}")
         return dataclasses.replace(self, **overrides)
+
+    def difference(self, other: Scenario) -> str | None:
+        """Name of the first field in which two scenarios differ, None if there is none."""
+        for f in dataclasses.fields(self):
+            if not _alike(getattr(self, f.name), getattr(other, f.name)):
+                return f.name
+        return None
 
     @property
     def n_inverters(self) -> int:
@@ -146,6 +163,12 @@ class Scenario:
         return InverterParams(s_rated_kva=_per_device(self.inverter_s_kva, self.n_inverters))
 
     @cached_property
+    def q_scale_kvar(self) -> np.ndarray:
+        """Reactive limit of each agent at zero active power, kvar, (n_agent,): what a reactive action is a share of."""
+        dc = self.datacenter
+        return np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), self.inverter.s_rated_kva))
+
+    @cached_property
     def candidates(self) -> np.ndarray:
         """Positions in ``bus_ids`` where a data centre may be drawn: load buses without an inverter."""
         taken = {0, *(self.feeder.index(b) for b in self.inverter_buses)}
@@ -156,73 +179,16 @@ def _per_device(value: float | tuple[float, ...], n: int) -> np.ndarray:
     return np.array(value, dtype=np.float64) if isinstance(value, tuple) else np.full(n, float(value))
 
 
-def _check(s: Scenario) -> None:
-    def refuse(field_name: str, wanted: str) -> None:
-        raise ScenarioError(f"scenario {s.name!r}: {field_name} is {getattr(s, field_name)!r}; {wanted}")
-
-    if not isinstance(s.feeder, Feeder):
-        refuse("feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
-    for name, low, high in (
-        ("v0_pu", 0.5, 1.5),
-        ("idle_share", 0.0, 0.99),
-        ("s_rated_share", 1.0, math.inf),
-        ("q_max_share", 0.0, s.s_rated_share),
-        ("f_min_mhz", 1e-9, s.f_max_mhz),
-        ("f_max_mhz", 1e-9, math.inf),
-        ("load_sigma", 0.0, 0.3),
-        ("load_rho", 0.0, 1.0 - 1e-9),
-        ("voltage_noise_pu", 0.0, 1.0),
-        ("dt_s", 1e-3, 3600.0),
-        ("band_pu", 0.0, 1.0),
-    ):
-        value = getattr(s, name)
-        if not isinstance(value, int | float) or not low <= value <= high or math.isinf(value):
-            refuse(name, f"give a finite number in [{low:g}, {high:g}]")
-    for name, low in (("n_datacenters", 0), ("horizon", 1), ("measurement_delay", 0)):
-        value = getattr(s, name)
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < low:
-            refuse(name, f"give a whole number of at least {low}")
-    for name, choices in (
-        ("power_flow", get_args(PowerFlowName)),
-        ("voltage_cost", get_args(VoltageCost)),
-        ("reward", get_args(RewardScope)),
-        ("observe", get_args(ObservationScope)),
-        ("trace_window", ("random", "start")),
-        ("split", SPLITS),
-    ):
-        if getattr(s, name) not in choices:
-            refuse(name, f"choose one of {', '.join(choices)}")
-    for name, value in s.weights._asdict().items():
-        if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
-            raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
-    for name, n in (("p_rated_kw", s.n_datacenters), ("inverter_s_kva", s.n_inverters)):
-        values = _per_device(getattr(s, name), n)
-        if values.shape != (n,) or not (np.isfinite(values).all() and (values > 0).all()):
-            refuse(name, f"give one positive number, or one for each of the {n} devices")
-    _check_placement(s)
-
-
-def _check_placement(s: Scenario) -> None:
-    fixed = list(s.inverter_buses)
-    if s.datacenter_buses is not None:
-        if len(s.datacenter_buses) != s.n_datacenters:
-            raise ScenarioError(
-                f"scenario {s.name!r}: {len(s.datacenter_buses)} datacenter_buses for n_datacenters = {s.n_datacenters}"
-            )
-        fixed += s.datacenter_buses
-    for bus in fixed:
-        try:
-            at = s.feeder.index(bus)
-        except FeederError as error:
-            raise ScenarioError(f"scenario {s.name!r}: {error}") from None
-        if at == 0:
-            raise ScenarioError(f"scenario {s.name!r}: a device at the substation {bus!r}; its voltage is held")
-        if fixed.count(bus) > 1:
-            raise ScenarioError(f"scenario {s.name!r}: more than one device at bus {bus!r}; give each its own")
-    if s.datacenter_buses is None and s.n_datacenters > len(s.candidates):
-        raise ScenarioError(
-            f"scenario {s.name!r}: n_datacenters is {s.n_datacenters}, but only {len(s.candidates)} load buses "
-            "have no device"
-        )
-    if s.n_agents == 0:
-        raise ScenarioError(f"scenario {s.name!r}: no data centre and no inverter, hence no agent")
+def _alike(a: Any, b: Any) -> bool:
+    """Equality that looks into arrays, and into feeders and traces, which compare by identity."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(_alike, a, b))
+    if dataclasses.is_dataclass(a):
+        return all(_alike(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+    return a == b

@@ -38,6 +38,7 @@ class Transition(NamedTuple):
 class Snapshot(NamedTuple):
     """All that a simulation needs to go on from where it was; made by ``save``. Its arrays are never written to."""
 
+    scenario: Scenario
     seeds: np.ndarray
     numbers: np.ndarray
     episode: episode.Episode
@@ -63,6 +64,7 @@ class Simulation:
     def __init__(self, scenario: Scenario, lanes: int):
         self.scenario = scenario
         self.lanes = lanes
+        episode.check_traces(scenario)
         self._now: Snapshot | None = None
 
     @property
@@ -77,11 +79,20 @@ class Simulation:
         """What the last step or reset led to."""
         return self.now.transition
 
+    @property
+    def begun(self) -> bool:
+        """Whether there has been a reset."""
+        return self._now is not None
+
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from ``snapshot``; ValueError if it is not one of a simulation of this shape."""
-        want = (self.lanes, self.scenario.feeder.n_bus)
-        if not isinstance(snapshot, Snapshot) or snapshot.state.v_pu.shape != want:
-            raise ValueError(f"restore takes what save() of an environment of {want[0]} lanes and {want[1]} buses gave")
+        """Go on from ``snapshot``; ValueError unless it is one of this scenario with as many lanes."""
+        if not isinstance(snapshot, Snapshot):
+            raise ValueError(f"restore takes what save() gave, not a {type(snapshot).__name__}")
+        other = snapshot.scenario.difference(self.scenario)
+        if other is not None:
+            raise ValueError(f"the snapshot is of a scenario with another {other}; restore it where it was saved")
+        if len(snapshot.seeds) != self.lanes:
+            raise ValueError(f"the snapshot has {len(snapshot.seeds)} lanes, this environment {self.lanes}")
         self._now = snapshot
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
@@ -103,7 +114,9 @@ class Simulation:
         measured = (*now.measured[1:], self._measure(now.episode, step, state))
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
         transition = self._transition(now.episode, step, state, solution, measured, p_ref_next)
-        self._now = Snapshot(now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition)
+        self._now = Snapshot(
+            self.scenario, now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition
+        )
         return transition
 
     def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
@@ -123,13 +136,17 @@ class Simulation:
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
         transition = self._transition(drawn, step, state, solution, measured, p_ref_next)
-        return Snapshot(seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
+        free = reward.Costs(*(0.0 * term for term in transition.costs))  # t = 0 is not charged
+        transition = transition._replace(costs=free, cost_j=0.0 * transition.cost_j, reward=0.0 * transition.reward)
+        return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
-        sigma = self.scenario.voltage_noise_pu
-        if sigma == 0.0:
-            return state.v_agent_pu
-        return state.v_agent_pu + sigma * counter.standard(drawn.key, counter.MEASUREMENT, step, self.scenario.n_agents)
+        """Voltages as measured: of every bus where agents observe the feeder, else of the agents."""
+        s = self.scenario
+        true = state.v_pu if s.observe == "feeder" else state.v_agent_pu
+        if s.voltage_noise_pu == 0.0:
+            return true
+        return true + s.voltage_noise_pu * counter.standard(drawn.key, counter.MEASUREMENT, step, true.shape[1])
 
     def _transition(
         self,
@@ -178,6 +195,7 @@ def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
     drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in ("key", "buses", "start"))
     state = put(now.state, drawn.state)
     return Snapshot(
+        scenario=scenario,
         seeds=put(now.seeds, drawn.seeds),
         numbers=put(now.numbers, drawn.numbers),
         episode=episode.assemble(scenario, *drawn_in),

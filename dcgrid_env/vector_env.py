@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.actions import joint_action
-from dcgrid_env.face import Face, joint_spaces
+from dcgrid_env.face import Face, as_seed, joint_spaces
 from dcgrid_env.info import info_arrays
 from dcgrid_env.scenario import Scenario
 
@@ -64,40 +64,49 @@ class DcgridVectorEnv(Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, n
 
         ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
         if seed is None or isinstance(seed, int | np.integer):
-            first = self._seed_or_draw(None if seed is None else int(seed), self.np_random)
+            first = as_seed(seed)
             seeds = [None if first is None else first + i for i in range(self.num_envs)]
         else:
-            seeds, self._seeded = list(seed), True
+            seeds, first = [as_seed(s) for s in seed], None
             if len(seeds) != self.num_envs:
-                raise ValueError(
-                    f"{len(seeds)} seeds for num_envs = {self.num_envs}; give one for each lane, or one int"
-                )
+                raise ValueError(f"{len(seeds)} seeds for num_envs = {self.num_envs}; give one for each, or one int")
         mask = (options or {}).get("reset_mask")
-        if mask is not None and (np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_):
-            raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
-        transition = self._reset(seeds, mask)
-        return transition.observation, self._infos(transition, self._everyone if mask is None else mask)
+        if mask is not None:
+            if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_:
+                raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
+            if not self._simulation.begun:
+                raise ValueError("the first reset must be of all lanes; leave reset_mask out")
+        super().reset(seed=first)
+        transition = self._reset(seeds, self.np_random, mask)
+        return transition.observation.copy(), self._infos(transition, self._everyone if mask is None else mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every lane by one step of joint actions (num_envs, n_action)."""
         transition = self._step(joint_action(self.scenario, actions, self.num_envs))
+        self._last = None
         done = transition.terminated | transition.truncated
-        self._last = transition
         if not done.any():
-            infos = self._infos(transition, self._everyone)
-            return transition.observation, transition.reward, transition.terminated, transition.truncated, infos
-        final_info = self._infos(transition, done)
-        final_obs = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(done):
-            final_obs[i] = transition.observation[i]
-        begun = self._reset([None] * self.num_envs, done)
-        infos = self._infos(begun, self._everyone)
-        infos |= {"final_obs": final_obs, "_final_obs": done, "final_info": final_info, "_final_info": done}
-        return begun.observation, transition.reward, transition.terminated, transition.truncated, infos
+            begun, infos = transition, self._infos(transition, self._everyone)
+        else:
+            final_info = self._infos(transition, done)
+            final_obs = np.full(self.num_envs, None, dtype=object)
+            for i in np.flatnonzero(done):
+                final_obs[i] = transition.observation[i].copy()
+            begun = self._reset([None] * self.num_envs, self.np_random, done)
+            self._last = transition
+            infos = self._infos(begun, self._everyone)
+            infos |= {"final_obs": final_obs, "_final_obs": done, "final_info": final_info, "_final_info": done}
+        return (
+            begun.observation.copy(),
+            transition.reward.copy(),
+            transition.terminated.copy(),
+            transition.truncated.copy(),
+            infos,
+        )
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
         """Arrays over lanes, each beside its mask of valid lanes, as gymnasium's vector environments give them."""
-        infos: dict[str, Any] = info_arrays(transition) | dict(zip(self._bus_keys, self._bus_names.T, strict=True))
-        return infos | {f"_{name}": valid for name in infos}
+        figures = {name: values.copy() for name, values in info_arrays(transition).items()}
+        infos: dict[str, Any] = figures | dict(zip(self._bus_keys, self._bus_names.T.copy(), strict=True))
+        return infos | {f"_{name}": valid.copy() for name in infos}

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from dcgrid_env.arrays import Array, namespace, positive_part
+from dcgrid_env.arrays import Array, namespace, positive_sqrt
 
 
 def dispatch(s_rated_kva: Array, q_max_kvar: Array, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:
     """Reactive injection and its limit, kvar, for an active power of ``p_kw``; all arrays (..., n_device)."""
     xp = namespace(p_kw)
-    limit = xp.minimum(xp.sqrt(positive_part(s_rated_kva * s_rated_kva - p_kw * p_kw)), q_max_kvar)
+    limit = xp.minimum(positive_sqrt(s_rated_kva * s_rated_kva - p_kw * p_kw), q_max_kvar)
     return xp.minimum(xp.maximum(q_setpoint_kvar, -limit), limit), limit

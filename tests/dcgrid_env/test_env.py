@@ -14,8 +14,8 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3_env
 
 import dcgrid_env
-from dcgrid_env import ActionError, DcgridEnv, ScenarioError
-from dcgrid_env.traces import PowerTrace
+from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, ScenarioError
+from dcgrid_env.traces import PowerTrace, TraceError
 
 
 @pytest.mark.parametrize("name", dcgrid_env.IDS)
@@ -124,8 +124,18 @@ def test_restore_refuses_what_is_none():
     env = DcgridEnv("toy6")
     other = DcgridEnv("ieee33-weak")
     other.reset(seed=0)
-    with pytest.raises(ValueError, match="1 lanes and 6 buses"):
+    with pytest.raises(ValueError, match="a scenario with another name"):
         env.restore(other.save())
+    longer = DcgridEnv("toy6", horizon=50)
+    longer.reset(seed=0)
+    with pytest.raises(ValueError, match="another horizon"):
+        env.restore(longer.save())
+    with pytest.raises(RuntimeError, match="call reset"):  # nothing was taken over
+        env.step(np.zeros(4))
+    batch = DcgridVectorEnv(2, "toy6")
+    batch.reset(seed=0)
+    with pytest.raises(ValueError, match="the snapshot has 2 lanes, this environment 1"):
+        env.restore(batch.save())
 
 
 def _play(seed):
@@ -206,3 +216,58 @@ def test_collapse_terminates_and_never_pays():
     throttled = [slow.step(np.array([-1.0, 1.0] * 3 + [1.0] * 4)) for _ in range(40)]
     assert throttled[-1][3]
     assert sum(rewards) < sum(step[1] for step in throttled)
+
+
+def test_reset_charges_nothing():
+    _, info = DcgridEnv("ieee33-weak").reset(seed=0)
+    assert all(value == 0.0 for name, value in info.items() if name.startswith("cost"))
+
+
+def test_without_reactive_power_or_data_centres():
+    env = DcgridEnv("ieee123", q_max_share=0.0)
+    observation, _ = env.reset(seed=0)
+    assert np.isfinite(observation).all()
+    env.step(np.ones(17))
+    assert (env.transition.state.q_kvar[0, :5] == 0.0).all()
+    alone = DcgridEnv("ieee123", n_datacenters=0, weights=CostWeights(clock=1.0, step=1.0, loss=1.0))
+    alone.reset(seed=0)
+    assert alone.step(np.zeros(7))[1] < 0.0
+
+
+def test_a_failed_first_reset_leaves_the_next_one_to_work():
+    env = DcgridEnv("toy6")
+    with pytest.raises(ValueError, match="seed is -1; give a whole number"):
+        env.reset(seed=-1)
+    env.reset()
+
+
+def test_what_a_user_writes_into_stays_outside():
+    env = DcgridEnv("toy6")
+    observation, _ = env.reset(seed=0)
+    kept = observation.copy()
+    observation[:] = 9.0
+    np.testing.assert_array_equal(env.transition.observation[0], kept)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"trace": "foo"}, "trace is 'foo'; choose one of inference"),
+        ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
+        ({"weights": {"voltage": 1}}, "weights is .*; give CostWeights"),
+        ({"dvfs": None}, "dvfs is None; give a clock law"),
+        ({"capacitors": "no"}, "capacitors is 'no'; choose one of True, False"),
+        ({"n_datacenters": 2}, "n_datacenters = 2 buses, or None"),
+        ({"p_rated_kw": "much"}, "p_rated_kw is 'much'; give one positive number"),
+        ({"inverter_buses": None}, "inverter_buses is None; give a tuple"),
+    ],
+)
+def test_bad_overrides_name_field_value_and_remedy(override, message):
+    with pytest.raises(ScenarioError, match=message):
+        gymnasium.make("dcgrid/IEEE33Weak-v0", **override)
+
+
+def test_a_recording_shorter_than_the_episode_is_refused_where_the_environment_is_made():
+    short = PowerTrace(np.arange(100.0), np.ones(100), name="short")
+    with pytest.raises(TraceError, match="short"):
+        DcgridEnv("ieee33-weak", trace=short)

@@ -148,3 +148,29 @@ def test_subproc_vec_env():
         np.testing.assert_array_equal(seen, DcgridVectorEnv(2, "toy6").reset(seed=3)[0])
     finally:
         env.close()
+
+
+def test_the_transition_is_the_last_steps_or_resets():
+    env = DcgridVectorEnv(2, "toy6", horizon=2)
+    env.reset(seed=1)
+    env.step(np.zeros((2, 4)))
+    _, rewards, *_ = env.step(np.zeros((2, 4)))
+    assert env.transition.truncated.all()  # the step's, though the lanes have begun anew
+    np.testing.assert_array_equal(env.transition.reward, rewards)
+    seen, _ = env.reset(seed=7)
+    np.testing.assert_array_equal(env.transition.observation, seen)
+
+
+def test_first_resets_that_cannot_be():
+    env = DcgridVectorEnv(2, "toy6")
+    with pytest.raises(ValueError, match="the first reset must be of all lanes"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ValueError, match=r"seed is 1\.5"):
+        env.reset(seed=[1.5, 2])  # pyright: ignore[reportArgumentType]
+    env.reset(seed=[None, 4])
+    np.testing.assert_array_equal(env.transition.observation[1], DcgridEnv("toy6").reset(seed=4)[0])
+
+
+def test_environments_made_alike_share_what_is_derived():
+    one, two = DcgridEnv("ieee123", horizon=7), DcgridEnv("ieee123", horizon=7)
+    assert one.scenario is two.scenario

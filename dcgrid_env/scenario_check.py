@@ -1,0 +1,145 @@
+"""Checks of a scenario's fields: each refusal names the field, its value and what would do."""
+
+from __future__ import annotations
+
+import math
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from dcgrid_env.feeder import Feeder, FeederError
+from dcgrid_env.traces import SPLITS, TRACE_SOURCES, PowerTrace
+
+if TYPE_CHECKING:
+    from dcgrid_env.scenario import Scenario
+
+PowerFlowName = Literal["distflow", "lindistflow"]
+VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
+RewardScope = Literal["shared", "local"]
+ObservationScope = Literal["local", "neighbours", "feeder"]
+TraceWindow = Literal["random", "start"]
+
+_CHOICES = {
+    "power_flow": get_args(PowerFlowName),
+    "voltage_cost": get_args(VoltageCost),
+    "reward": get_args(RewardScope),
+    "observe": get_args(ObservationScope),
+    "trace_window": get_args(TraceWindow),
+    "split": SPLITS,
+    "capacitors": (True, False),
+    "preview": (True, False),
+}
+_RANGES: dict[str, tuple[float, float | str]] = {  # a bound may be another field, checked before it
+    "v0_pu": (0.5, 1.5),
+    "idle_share": (0.0, 0.99),
+    "s_rated_share": (1.0, math.inf),
+    "q_max_share": (0.0, "s_rated_share"),
+    "f_max_mhz": (1e-9, math.inf),
+    "f_min_mhz": (1e-9, "f_max_mhz"),
+    "load_sigma": (0.0, 0.3),
+    "load_rho": (0.0, 0.999999),
+    "voltage_noise_pu": (0.0, 1.0),
+    "dt_s": (1e-3, 3600.0),
+    "band_pu": (0.0, 1.0),
+}
+_COUNTS = {"n_datacenters": 0, "horizon": 1, "measurement_delay": 0}
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be; the message names the field, its value and what would do."""
+
+
+def check(s: Scenario) -> None:
+    """Raise ScenarioError at the first field that cannot be."""
+    if not isinstance(s.feeder, Feeder):
+        _refuse(s, "feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
+    for name, (low, bound) in _RANGES.items():
+        value = getattr(s, name)
+        high = getattr(s, bound) if isinstance(bound, str) else bound
+        if not _is_number(value) or not low <= value <= high or math.isinf(value):
+            upper = f"{bound} = {high:g}" if isinstance(bound, str) else f"{high:g}"
+            _refuse(s, name, f"give a finite number in [{low:g}, {upper}]")
+    for name, low in _COUNTS.items():
+        value = getattr(s, name)
+        if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
+            _refuse(s, name, f"give a whole number of at least {low}")
+    for name, choices in _CHOICES.items():
+        value = getattr(s, name)
+        if type(value) is not type(choices[0]) or value not in choices:
+            _refuse(s, name, f"choose one of {', '.join(map(str, choices))}")
+    if not hasattr(s.weights, "leftover"):
+        _refuse(s, "weights", "give CostWeights(voltage=..., ...)")
+    for name, value in s.weights._asdict().items():
+        if not _is_number(value) or not 0 <= value < math.inf:
+            raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
+    if not callable(getattr(s.dvfs, "serve", None)):
+        _refuse(s, "dvfs", "give a clock law such as LinearDvfs()")
+    _check_ratings(s)
+    _check_placement(s)
+    _check_traces(s)
+
+
+def _refuse(s: Scenario, name: str, remedy: str) -> None:
+    raise ScenarioError(f"scenario {s.name!r}: {name} is {getattr(s, name)!r}; {remedy}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _check_ratings(s: Scenario) -> None:
+    if not isinstance(s.inverter_buses, tuple):
+        _refuse(s, "inverter_buses", "give a tuple of buses, () for none")
+    for name, n in (("p_rated_kw", s.n_datacenters), ("inverter_s_kva", s.n_inverters)):
+        value = getattr(s, name)
+        values = value if isinstance(value, tuple) else (value,) * n
+        if len(values) != n or not all(_is_number(v) and 0 < v < math.inf for v in values):
+            _refuse(s, name, f"give one positive number, or one for each of the {n} devices")
+
+
+def _check_placement(s: Scenario) -> None:
+    fixed = list(s.inverter_buses)
+    if s.datacenter_buses is not None:
+        if not isinstance(s.datacenter_buses, tuple) or len(s.datacenter_buses) != s.n_datacenters:
+            remedy = f"give n_datacenters = {s.n_datacenters} buses, or None to have them drawn among the load buses"
+            _refuse(s, "datacenter_buses", remedy)
+        fixed += s.datacenter_buses
+    for bus in fixed:
+        try:
+            at = s.feeder.index(bus)
+        except FeederError as error:
+            raise ScenarioError(f"scenario {s.name!r}: {error}") from None
+        if at == 0:
+            raise ScenarioError(
+                f"scenario {s.name!r}: a device at the substation {bus!r}, whose voltage is held; choose another bus"
+            )
+        if fixed.count(bus) > 1:
+            raise ScenarioError(f"scenario {s.name!r}: more than one device at bus {bus!r}; give each its own")
+    if s.datacenter_buses is None and s.n_datacenters > len(s.candidates):
+        raise ScenarioError(
+            f"scenario {s.name!r}: n_datacenters is {s.n_datacenters}, but only {len(s.candidates)} load buses have no "
+            "device; ask for fewer or name datacenter_buses"
+        )
+    if s.n_agents == 0:
+        raise ScenarioError(
+            f"scenario {s.name!r}: no data centre and no inverter, hence no agent; give n_datacenters or inverter_buses"
+        )
+
+
+def _check_traces(s: Scenario) -> None:
+    if isinstance(s.trace, str):
+        if s.trace not in TRACE_SOURCES:
+            _refuse(s, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings")
+    elif not isinstance(s.trace, tuple) or not s.trace or not all(isinstance(t, PowerTrace) for t in s.trace):
+        _refuse(s, "trace", "give a source's name, a PowerTrace or a tuple of them")
+    if s.inverter_trace is None:
+        return
+    if not isinstance(s.inverter_trace, PowerTrace):
+        _refuse(s, "inverter_trace", "give a PowerTrace as a share of the rating, or None")
+    highest = float(np.max(s.inverter_trace.power_kw))
+    if highest > 1.0:
+        raise ScenarioError(
+            f"scenario {s.name!r}: inverter_trace rises to {highest:g}, but it is a share of the inverter's rating; "
+            "scale it, for instance trace.scaled_to(1.0)"
+        )
