@@ -74,10 +74,14 @@ def _load(scenario: Scenario) -> _Load:
 @lru_cache(maxsize=1024)
 def _schedule(scenario: Scenario) -> np.ndarray:
     """Active injection of the inverters over an episode, kW, (n_step, n_inv)."""
-    trace, steps = scenario.inverter_trace, window_steps(scenario)
-    assert trace is not None
-    trace.require_duration(steps * scenario.dt_s)
-    return trace.resample(scenario.dt_s)[:steps, None] * scenario.inverter.s_rated_kva
+    trace, steps = scenario.inverter_trace, scenario.horizon + 1
+    if isinstance(trace, tuple):
+        share = np.array(trace[:steps])
+    else:
+        assert trace is not None
+        trace.require_duration(steps * scenario.dt_s)
+        share = trace.resample(scenario.dt_s)[:steps]
+    return share[:, None] * scenario.inverter.s_rated_kva
 
 
 def check_traces(scenario: Scenario) -> None:

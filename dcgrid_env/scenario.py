@@ -68,8 +68,12 @@ class Scenario:
 
     inverter_buses: tuple[BusId, ...] = ()
     inverter_s_kva: float | tuple[float, ...] = 0.0
-    inverter_trace: PowerTrace | None = None
-    """Active injection from the episode's beginning, 1 kW standing for the inverter's rating; none by default."""
+    inverter_trace: PowerTrace | tuple[float, ...] | None = None
+    """Active injection of every inverter from the episode's beginning; none by default.
+
+    A recording in which 1 kW stands for the inverter's rating (PV), or shares of the rating from -1 to 1, one for t = 0
+    and one for each step (storage following a schedule; negative charges).
+    """
 
     trace: str | tuple[PowerTrace, ...] = "inference"
     """Source of the data centres' load: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
@@ -101,12 +105,12 @@ class Scenario:
     """Whether a data centre observes its p_ref over the coming interval."""
 
     def __post_init__(self) -> None:
-        for name in ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace"):
+        for name in ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace", "inverter_trace"):
             value = getattr(self, name)
             if isinstance(value, list | np.ndarray):
                 object.__setattr__(self, name, tuple(value))
-            elif isinstance(value, PowerTrace):
-                object.__setattr__(self, name, (value,))
+        if isinstance(self.trace, PowerTrace):
+            object.__setattr__(self, "trace", (self.trace,))
         check(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:

@@ -133,13 +133,20 @@ def _check_traces(s: Scenario) -> None:
             _refuse(s, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings")
     elif not isinstance(s.trace, tuple) or not s.trace or not all(isinstance(t, PowerTrace) for t in s.trace):
         _refuse(s, "trace", "give a source's name, a PowerTrace or a tuple of them")
-    if s.inverter_trace is None:
-        return
-    if not isinstance(s.inverter_trace, PowerTrace):
-        _refuse(s, "inverter_trace", "give a PowerTrace as a share of the rating, or None")
-    highest = float(np.max(s.inverter_trace.power_kw))
-    if highest > 1.0:
-        raise ScenarioError(
-            f"scenario {s.name!r}: inverter_trace rises to {highest:g}, but it is a share of the inverter's rating; "
-            "scale it, for instance trace.scaled_to(1.0)"
-        )
+    if isinstance(s.inverter_trace, tuple):
+        wrong = [share for share in s.inverter_trace if not _is_number(share) or not -1 <= share <= 1]
+        if wrong or len(s.inverter_trace) < s.horizon + 1:
+            raise ScenarioError(
+                f"scenario {s.name!r}: inverter_trace has {len(s.inverter_trace)} shares"
+                + (f", {wrong[0]!r} among them" if wrong else "")
+                + f"; give {s.horizon + 1} numbers from -1 to 1, for t = 0 and each step"
+            )
+    elif s.inverter_trace is not None:
+        if not isinstance(s.inverter_trace, PowerTrace):
+            _refuse(s, "inverter_trace", "give a PowerTrace as a share of the rating, shares for each step, or None")
+        highest = float(np.max(s.inverter_trace.power_kw))
+        if highest > 1.0:
+            raise ScenarioError(
+                f"scenario {s.name!r}: inverter_trace rises to {highest:g}, but it is a share of the inverter's "
+                "rating; scale it, for instance trace.scaled_to(1.0)"
+            )

@@ -360,3 +360,19 @@ def test_unusable_inverter_schedules_are_refused_before_the_first_episode():
         Simulation(short, 1)
     with pytest.raises(ScenarioError, match="inverter_trace is 'sun'; give a PowerTrace"):
         make_scenario("toy6", inverter_trace="sun")
+
+
+def test_storage_follows_a_schedule_that_may_charge():
+    scenario = make_scenario("toy6", inverter_trace=[-0.5, -1.0, 0.0, 0.6], horizon=3)
+    simulation = Simulation(scenario, 1)
+    simulation.reset([0])
+    for share, left in ((-0.5, 0.75**0.5), (-1.0, 0.0), (0.0, 1.0), (0.6, 0.8)):
+        state = simulation.now.state
+        assert state.p_kw[0, 1:].tolist() == [-1000.0 * share] * 2
+        np.testing.assert_allclose(state.q_limit_kvar[0, 1:], 1000.0 * left)
+        if not simulation.now.over.any():
+            simulation.step(np.ones((1, 4)))
+    with pytest.raises(ScenarioError, match="inverter_trace has 3 shares; give 4 numbers from -1 to 1"):
+        make_scenario("toy6", inverter_trace=(0.0, 0.0, 0.0), horizon=3)
+    with pytest.raises(ScenarioError, match=r"1\.5 among them"):
+        make_scenario("toy6", inverter_trace=(0.0, 0.0, 1.5, 0.0), horizon=3)
