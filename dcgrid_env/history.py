@@ -49,5 +49,4 @@ class History:
 
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
-        lane = type(self.episode)(*(x[:1] if isinstance(x, np.ndarray) else x for x in self.episode))
-        return episode.p_ref_kw(scenario, lane, steps)
+        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[:1]), steps)

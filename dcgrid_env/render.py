@@ -60,12 +60,8 @@ class Viewer:
         self._history = History(scenario)
         self._forget()
 
-    def begin(self, snapshot: Snapshot) -> None:
-        """Start a new episode's history, or go on if another lane was the one that was reset."""
-        self._history.add(snapshot)
-
     def record(self, snapshot: Snapshot) -> None:
-        """Take the step in; cheap, nothing is drawn."""
+        """Take a reset, a step or a restored snapshot in; cheap, nothing is drawn."""
         self._history.add(snapshot)
 
     def draw(self) -> np.ndarray | None:
@@ -74,7 +70,7 @@ class Viewer:
         RuntimeError before the first episode.
         """
         if self._history.last < 0:
-            raise RuntimeError("nothing to draw yet; begin an episode first")
+            raise RuntimeError("nothing to draw yet; record a snapshot first")
         if self._figure is None:
             self._figure = self._make()
         if self._window is not None and not _is_open(self._window):

@@ -4,9 +4,8 @@
     J   = (1/T) sum_t c_t + 9 (1/T) sum(backlog_T)/sum(p_rated)
 
 means over buses other than the substation, and over agents. reward_t is minus its share of J times T. Three more
-terms have weight 0 by default: 100 mean|V_t - V_{t-1}| would be weight 100 of ``step``, ``clock`` is the mean movement
-of the clocks as a share of their range, ``loss`` the feeder's loss as a share of its base load and the data centres'
-ratings.
+terms have weight 0 by default: ``step`` is mean|V_t - V_{t-1}|, ``clock`` the mean movement of the clocks as a share of
+their range, ``loss`` the feeder's loss as a share of its base load and the data centres' ratings.
 """
 
 from __future__ import annotations

@@ -59,7 +59,6 @@ def main(cfg: Run) -> None:
     ]
     console.print(table(scenario, records, names, cfg))
     console.print(linear_difference(scenario, seeds))
-    cfg.out.mkdir(parents=True, exist_ok=True)
     write_json(cfg.out / "results.json", {"meta": meta() | {"split": cfg.split}, "episodes": records})
     draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
     console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
