@@ -12,7 +12,7 @@ from dcgrid_env import counter, observation
 from dcgrid_env.dynamics import Exogenous
 from dcgrid_env.powerflow.threads import over_lanes
 from dcgrid_env.scenario import Scenario
-from dcgrid_env.traces import from_recordings, library, require_window
+from dcgrid_env.traces import TraceRows, from_recordings, library, require_window
 
 ROW_DURATION_S = 3600.0
 """Length of a generated trace; an episode takes a window of it."""
@@ -36,8 +36,8 @@ def window_steps(scenario: Scenario) -> int:
 
 
 @lru_cache(maxsize=1024)
-def trace_pool(scenario: Scenario) -> np.ndarray:
-    """Rows of power as a share of the rating that the scenario's split draws from, (n_row, n_step)."""
+def trace_pool(scenario: Scenario) -> TraceRows:
+    """Rows of power that the scenario's split draws from, (n_row, n_step)."""
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if isinstance(trace, str):
@@ -106,7 +106,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     else:
         at = np.tile([scenario.feeder.index(b) for b in scenario.datacenter_buses], (lanes, 1)).astype(np.int64)
     buses = np.concatenate((at, np.tile(np.array(fixed, dtype=np.int64), (lanes, 1))), axis=1)
-    rows = trace_pool(scenario)
+    rows = trace_pool(scenario).p_share
     # Sites take different rows as long as there are enough.
     row = np.argsort(counter.bits(key, counter.TRACE_ROW, len(rows)), axis=1, kind="stable")
     row = row[:, np.arange(n_dc) % len(rows)]
@@ -122,7 +122,7 @@ def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.n
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
     """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
-    return trace_pool(scenario).take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
+    return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
 
 
 def exogenous(

@@ -9,6 +9,7 @@ from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import (
     SPLITS,
     TRACE_SOURCES,
+    TraceRows,
     TraceSource,
     from_recordings,
     library,
@@ -16,8 +17,9 @@ from dcgrid_env.traces.library import (
     row_seed,
 )
 from dcgrid_env.traces.mixed import generate_mixed
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.step import generate_step
-from dcgrid_env.traces.trace import PowerTrace, TraceError
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes, TraceError
 from dcgrid_env.traces.training import TrainingParams, generate_training
 
 __all__ = [
@@ -28,7 +30,10 @@ __all__ = [
     "TRACE_SOURCES",
     "InferenceParams",
     "PowerTrace",
+    "Provenance",
+    "RequestTimes",
     "TraceError",
+    "TraceRows",
     "TraceSource",
     "TrainingParams",
     "from_recordings",

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
+from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive
 
 GRID_S = 0.1
 """Resolution of generated traces, s."""
@@ -51,13 +52,33 @@ def idle_draw(rng: np.random.Generator, n_steps: int) -> FloatArray:
     return np.repeat(IDLE_SHARE + (AWAKE_SHARE - IDLE_SHARE) * awake, block)[phase : phase + n_steps]
 
 
-def as_trace(share: FloatArray, generator: str, seed: int) -> PowerTrace:
+def as_trace(
+    share: FloatArray,
+    compute: FloatArray,
+    generator: str,
+    seed: int,
+    params: object = None,
+    requests: RequestTimes | None = None,
+    top_share: float = 1.0,
+) -> PowerTrace:
     """Trace of a (n,) share of rating on the grid; a closing sample lets the last step have its length.
 
-    Sums of shares may leave [IDLE_SHARE, 1] by rounding; they are put back.
+    `compute`, (n,), is the part of the share that does work that follows the clock. Sums of shares may leave
+    [IDLE_SHARE, top_share] by rounding; they are put back.
     """
-    share = np.clip(share, IDLE_SHARE, 1.0)
+    share = np.clip(rounded(share), IDLE_SHARE, top_share)
+    compute = np.clip(rounded(compute), 0.0, share)
     time_s = np.arange(len(share) + 1, dtype=np.float64) * GRID_S
     return PowerTrace(
-        time_s, np.append(share, share[-1]), f"{generator}-{seed}", f"generated: {generator}, seed {seed}"
+        time_s,
+        np.append(share, share[-1]),
+        f"{generator}-{seed}",
+        generated(generator, seed, params),
+        np.append(compute, compute[-1]),
+        requests,
     )
+
+
+def rounded(share: FloatArray) -> FloatArray:
+    """Shares to the nearest 2^-20, a millionth: the last bits of a platform's exponentials do not show."""
+    return np.round(share * 2.0**20) * 2.0**-20

@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, as_trace, grid_steps, idle_draw, stream
+from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
 
 # The state at time zero has forgotten the calm start this long before.
@@ -95,10 +95,12 @@ def generate_inference(duration_s: float, seed: int, params: InferenceParams | N
     rng = stream("inference", seed)
     idle = idle_draw(rng, n_steps)
     start_s, token_s = _bursts(rng, n_steps * GRID_S, params)
-    share = np.zeros(n_steps)
+    share, compute = np.zeros(n_steps), np.zeros(n_steps)
     for _ in range(params.n_servers):
-        share += _server(rng, idle, *_queries(rng, start_s, token_s, params), params)
-    return as_trace(share / params.n_servers, "inference", seed)
+        server, reading = _server(rng, idle, *_queries(rng, start_s, token_s, params), params)
+        share += server
+        compute += np.where(reading, server - IDLE_SHARE, 0.0)
+    return as_trace(share / params.n_servers, compute / params.n_servers, "inference", seed, params)
 
 
 def _bursts(rng: np.random.Generator, end_s: float, params: InferenceParams) -> tuple[FloatArray, FloatArray]:
@@ -135,8 +137,8 @@ def _queries(rng: np.random.Generator, start_s: FloatArray, token_s: FloatArray,
     return arrival_s, np.minimum(prefill_end_s, end_s), end_s
 
 
-def _server(rng, idle: FloatArray, arrival_s, prefill_end_s, end_s, params: InferenceParams) -> FloatArray:
-    """Draw (n_steps,) of one server as a share of its rating."""
+def _server(rng, idle: FloatArray, arrival_s, prefill_end_s, end_s, params: InferenceParams):
+    """Draw (n_steps,) of one server as a share of its rating, and whether it reads, (n_steps,) bool."""
     reading = _count_between(arrival_s, prefill_end_s, len(idle))
     active = _count_between(arrival_s, end_s, len(idle))
     # Follow-ups fill a server beyond its batch, but not past the top of the plateau.
@@ -144,7 +146,7 @@ def _server(rng, idle: FloatArray, arrival_s, prefill_end_s, end_s, params: Infe
     plateau = AWAKE_SHARE + (params.decode_share - AWAKE_SHARE) * rise
     plateau += rng.uniform(-params.ripple_share, params.ripple_share, len(idle))
     busy = np.where(reading > 0, params.prefill_share, np.clip(plateau, idle, params.prefill_share))
-    return np.where(active > 0, busy, idle)
+    return np.where(active > 0, busy, idle), reading > 0
 
 
 def _count_between(begin_s: FloatArray, end_s: FloatArray, n_steps: int) -> np.ndarray:

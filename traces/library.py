@@ -1,21 +1,22 @@
 """What a scenario draws from: named sources of rows of power, split into train, validation and test.
 
 A row is one site's power as a share of its rating on a grid of dt. An episode of W steps takes the window
-`rows[i, offset : offset + W]` at any offset in [0, n_steps - W].
+`rows.p_share[i, offset : offset + W]` at any offset in [0, n_steps - W].
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import index
+from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S
+from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
 from dcgrid_env.traces.inference import generate_inference
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.step import generate_step
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive, steps_in
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
 from dcgrid_env.traces.training import generate_training
 
 SPLITS = ("train", "validation", "test")
@@ -25,6 +26,18 @@ _SEEDS_PER_SPLIT = 1_000_000
 
 # Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.
 _SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
+
+
+class TraceRows(NamedTuple):
+    """Rows of power on a grid of dt; arrays are read-only."""
+
+    p_share: FloatArray
+    """Share of rating, (count, n_steps) float64."""
+    compute_share: FloatArray | None
+    """Share of the power above the idle floor that does work whose speed follows the clock, in [0, 1], (count, n_steps)
+    float64; None where nobody knows (recordings)."""
+    requests: tuple[RequestTimes, ...] = ()
+    """The requests behind each row, times from the row's beginning; () unless the source is made of requests."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +77,7 @@ def row_seed(split: str, row: int) -> int:
     return SPLITS.index(_known_split(split)) * _SEEDS_PER_SPLIT + row
 
 
-def library(source: str, split: str, dt_s: float, duration_s: float, count: int = 24) -> FloatArray:
+def library(source: str, split: str, dt_s: float, duration_s: float, count: int = 24) -> TraceRows:
     """Return generated rows of power; the same arguments always give the same bytes.
 
     Parameters
@@ -77,7 +90,7 @@ def library(source: str, split: str, dt_s: float, duration_s: float, count: int 
 
     Returns
     -------
-    (count, n_steps) float64 in [0, 1], share of rating, read-only, n_steps = floor(duration_s / dt_s)
+    TraceRows of (count, n_steps), n_steps = floor(duration_s / dt_s)
 
     Raises
     ------
@@ -101,17 +114,25 @@ def library(source: str, split: str, dt_s: float, duration_s: float, count: int 
 
 
 @lru_cache(maxsize=32)
-def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int) -> FloatArray:
+def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int) -> TraceRows:
     n_steps = steps_in(duration_s, dt_s)
-    rows = np.empty((count, n_steps))
+    power, compute = np.empty((count, n_steps)), np.zeros((count, n_steps))
+    requests = []
     for row in range(count):
         trace = TRACE_SOURCES[source].generate(duration_s, row_seed(split, row))
-        rows[row] = trace.resample(dt_s)[:n_steps]
-    rows.setflags(write=False)
-    return rows
+        power[row] = trace.resample(dt_s)[:n_steps]
+        compute_kw = trace.resample_compute(dt_s)
+        assert compute_kw is not None  # every generator tells
+        dynamic = power[row] - IDLE_SHARE
+        np.divide(compute_kw[:n_steps], dynamic, out=compute[row], where=dynamic > 0)
+        requests += [trace.requests] if trace.requests is not None else []
+    np.minimum(compute, 1.0, out=compute)
+    power.setflags(write=False)
+    compute.setflags(write=False)
+    return TraceRows(power, compute, tuple(requests))
 
 
-def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, window_s: float = 0.0) -> FloatArray:
+def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, window_s: float = 0.0) -> TraceRows:
     """Return rows of power from recordings, each as a share of its own peak.
 
     Each recording is cut in time: the first 60 % train, the next 20 % validate, the last 20 % test. A row is as long
@@ -126,7 +147,7 @@ def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, windo
 
     Returns
     -------
-    (count, n_steps) float64 in [0, 1], share of each recording's peak, read-only
+    TraceRows of (count, n_steps), shares of each recording's peak
 
     Raises
     ------
@@ -157,14 +178,14 @@ def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, windo
         rows += [part[begin : begin + n_steps] for begin in begins]
     pool = np.array(rows)
     pool.setflags(write=False)
-    return pool
+    return TraceRows(pool, None)
 
 
-def require_window(rows: FloatArray, n_steps: int, dt_s: float, name: str) -> None:
-    """Raise TraceError unless a window of `n_steps` fits into (count, n_row_steps) rows of the source `name`."""
-    if rows.shape[-1] < n_steps:
+def require_window(rows: TraceRows, n_steps: int, dt_s: float, name: str) -> None:
+    """Raise TraceError unless a window of `n_steps` fits into the rows of the source `name`."""
+    if rows.p_share.shape[-1] < n_steps:
         raise TraceError(
-            f"trace {name!r} lasts {rows.shape[-1] * dt_s:g} s but the episode needs {n_steps * dt_s:g} s "
+            f"trace {name!r} lasts {rows.p_share.shape[-1] * dt_s:g} s but the episode needs {n_steps * dt_s:g} s "
             f"({n_steps} steps of {dt_s:g} s); give a longer trace or a shorter episode"
         )
 

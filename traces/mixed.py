@@ -1,5 +1,7 @@
 """Generated power of sites of several kinds: inference, training, and both under one roof, in turn."""
 
+import numpy as np
+
 from dcgrid_env.traces.grid import as_trace, stream
 from dcgrid_env.traces.inference import generate_inference
 from dcgrid_env.traces.trace import PowerTrace
@@ -13,12 +15,11 @@ def generate_mixed(duration_s: float, seed: int) -> PowerTrace:
     """
     rng = stream("mixed", seed)
     kind = seed % 3
-    if kind == 0:
-        share = generate_inference(duration_s, seed).power_kw
-    elif kind == 1:
-        share = generate_training(duration_s, seed).power_kw
-    else:
-        training = rng.uniform(0.3, 0.7)
-        inference_kw = generate_inference(duration_s, seed).power_kw
-        share = training * generate_training(duration_s, seed).power_kw + (1 - training) * inference_kw
-    return as_trace(share[:-1], "mixed", seed)
+    training = (0.0, 1.0, rng.uniform(0.3, 0.7))[kind]
+    share = compute = 0.0
+    for weight, generate in ((1.0 - training, generate_inference), (training, generate_training)):
+        if weight:
+            part = generate(duration_s, seed)
+            assert part.compute_kw is not None
+            share, compute = share + weight * part.power_kw[:-1], compute + weight * part.compute_kw[:-1]
+    return as_trace(np.asarray(share), np.asarray(compute), "mixed", seed)

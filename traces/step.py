@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from dcgrid_env.traces.grid import IDLE_SHARE, stream
+from dcgrid_env.traces.grid import IDLE_SHARE, rounded, stream
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 
 
@@ -36,4 +37,7 @@ def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTr
     idle_s = np.arange(math.ceil(step_s), dtype=np.float64)
     idle = IDLE_SHARE * rng.uniform(0.97, 1.0, len(idle_s))
     time_s = np.concatenate([idle_s, [step_s, duration_s]])
-    return PowerTrace(time_s, np.concatenate([idle, [1.0, 1.0]]), f"step-{seed}", f"generated: step, seed {seed}")
+    share = np.concatenate([rounded(idle), [1.0, 1.0]])
+    # The step is taken for work that follows the clock, as the paper has it for all work.
+    compute = np.maximum(share - IDLE_SHARE, 0.0)
+    return PowerTrace(time_s, share, f"step-{seed}", Provenance("generator step", seed, {"step_s": step_s}), compute)

@@ -4,9 +4,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from dcgrid_env.traces.provenance import Provenance
 
 FloatArray = NDArray[np.float64]
 
@@ -28,6 +31,17 @@ def steps_in(duration_s: float, dt_s: float) -> int:
     return math.floor(duration_s / dt_s + 1e-9)
 
 
+class RequestTimes(NamedTuple):
+    """Requests behind a trace as they would be served at the top clock; arrays (n,), in the order of arrival."""
+
+    arrival_s: FloatArray
+    """s, on the time axis of the trace."""
+    first_token_s: FloatArray
+    """From arrival to the first token, s."""
+    end_s: FloatArray
+    """From arrival to the last token, s."""
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class PowerTrace:
     """Power over time; a sample holds until the next, so the last one only marks the end.
@@ -37,9 +51,12 @@ class PowerTrace:
     time_s : (n,) float64, strictly increasing, s. Need not begin at zero.
     power_kw : (n,) float64, finite, not negative, kW (or a share of rating when the rating is 1 kW).
     name : what error messages call the trace.
-    provenance : where it comes from: a file, or a generator with its seed.
+    provenance : where it comes from: a file with its hash, or a generator with its parameters and seed.
+    compute_kw : (n,) float64 in 0 to power_kw, kW, or None where nobody knows: the part of the power for work whose speed
+        follows the clock (prefill, training). What lies between it and the idle floor hardly follows it (decode).
+    requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
 
-    Both arrays are copied and made read-only.
+    The arrays are copied and made read-only.
 
     Raises
     ------
@@ -50,9 +67,19 @@ class PowerTrace:
     time_s: FloatArray
     power_kw: FloatArray
     name: str
-    provenance: str
+    provenance: Provenance
+    compute_kw: FloatArray | None
+    requests: RequestTimes | None
 
-    def __init__(self, time_s: ArrayLike, power_kw: ArrayLike, name: str = "trace", provenance: str = "") -> None:
+    def __init__(
+        self,
+        time_s: ArrayLike,
+        power_kw: ArrayLike,
+        name: str = "trace",
+        provenance: Provenance | None = None,
+        compute_kw: ArrayLike | None = None,
+        requests: RequestTimes | None = None,
+    ) -> None:
         time_s, power_kw = _column(time_s, name, "time_s"), _column(power_kw, name, "power_kw")
         if len(time_s) != len(power_kw):
             raise TraceError(
@@ -60,10 +87,28 @@ class PowerTrace:
                 "give one power for each time"
             )
         check_samples(time_s, power_kw, lambda i: f"trace {name!r}: index {i}", "time_s", ["power_kw"])
-        object.__setattr__(self, "time_s", time_s)
-        object.__setattr__(self, "power_kw", power_kw)
-        object.__setattr__(self, "name", name)
-        object.__setattr__(self, "provenance", provenance)
+        if compute_kw is not None:
+            compute_kw = _column(compute_kw, name, "compute_kw")
+            if len(compute_kw) != len(power_kw):
+                raise TraceError(
+                    f"trace {name!r}: compute_kw has {len(compute_kw)} samples, power_kw {len(power_kw)}; "
+                    "give one for each time"
+                )
+            wrong = np.flatnonzero(~((compute_kw >= 0) & (compute_kw <= power_kw)))
+            if wrong.size:
+                raise TraceError(
+                    f"trace {name!r}: index {wrong[0]}: compute_kw is {compute_kw[wrong[0]]}, not within 0 and the "
+                    f"power {power_kw[wrong[0]]:g}; it is the part of the power that follows the clock"
+                )
+        for field, value in (
+            ("time_s", time_s),
+            ("power_kw", power_kw),
+            ("name", name),
+            ("provenance", provenance or Provenance()),
+            ("compute_kw", compute_kw),
+            ("requests", requests),
+        ):
+            object.__setattr__(self, field, value)
 
     @classmethod
     def from_csv(
@@ -82,7 +127,7 @@ class PowerTrace:
         from dcgrid_env.traces.csv_file import read_csv
 
         time_s, power_kw = read_csv(path, time_column, power_columns, unit, header, delimiter)
-        return cls(time_s, power_kw, name=name or Path(path).stem, provenance=f"file {Path(path).name}")
+        return cls(time_s, power_kw, name=name or Path(path).stem, provenance=Provenance(Path(path).name))
 
     @property
     def duration_s(self) -> float:
@@ -119,7 +164,11 @@ class PowerTrace:
                 f"trace {self.name!r}: power_kw is 0 in all {len(self.power_kw)} samples and cannot be scaled to "
                 f"{rating_kw:g} kW; check the power columns"
             )
-        return replace(self, power_kw=self.power_kw / peak_kw * rating_kw)
+        # Divided first, so that the peak is exactly the rating.
+        power_kw, compute_kw = self.power_kw / peak_kw * rating_kw, self.compute_kw
+        if compute_kw is not None:
+            compute_kw = compute_kw / peak_kw * rating_kw
+        return replace(self, power_kw=power_kw, compute_kw=compute_kw)
 
     def as_share(self) -> "PowerTrace":
         """Return the trace as a share of its own highest power: a rating of 1 kW."""
@@ -140,18 +189,25 @@ class PowerTrace:
         TraceError
             If `dt_s` is not above zero, or the trace is shorter than one step.
         """
+        return self._means(self.power_kw, dt_s)
+
+    def resample_compute(self, dt_s: float) -> FloatArray | None:
+        """Mean of `compute_kw` over the steps of `resample`, (n_steps,) float64, kW; None where it is not known."""
+        return None if self.compute_kw is None else self._means(self.compute_kw, dt_s)
+
+    def _means(self, held: FloatArray, dt_s: float) -> FloatArray:
         dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
         self.require_duration(dt_s)
         time_s = self.time_s - self.time_s[0]
         edge_s = _snapped(dt_s * np.arange(steps_in(self.duration_s, dt_s) + 1, dtype=np.float64), time_s, 1e-9 * dt_s)
-        energy_kws = np.concatenate([[0.0], np.cumsum(self.power_kw[:-1] * np.diff(time_s))])
-        mean_kw = np.diff(np.interp(edge_s, time_s, energy_kws)) / dt_s
+        energy = np.concatenate([[0.0], np.cumsum(held[:-1] * np.diff(time_s))])
+        mean_kw = np.diff(np.interp(edge_s, time_s, energy)) / dt_s
         # A mean lies between the samples it is made of; cancellation in the difference may put it 1e-12 outside.
         first = np.searchsorted(time_s, edge_s[:-1], side="right") - 1
         last = np.searchsorted(time_s, edge_s[1:], side="left").clip(max=len(time_s) - 1)
         pairs = np.column_stack([first, last]).ravel()
-        lowest_kw = np.minimum.reduceat(self.power_kw, pairs)[::2]
-        highest_kw = np.maximum.reduceat(self.power_kw, pairs)[::2]
+        lowest_kw = np.minimum.reduceat(held, pairs)[::2]
+        highest_kw = np.maximum.reduceat(held, pairs)[::2]
         return np.clip(mean_kw, lowest_kw, highest_kw)
 
 

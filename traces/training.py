@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, as_trace, grid_steps, idle_draw, stream
+from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 
 
@@ -89,7 +89,7 @@ def generate_training(duration_s: float, seed: int, params: TrainingParams | Non
     kept = np.diff(edge_s, append=np.inf) > 0
     share = PowerTrace(edge_s[kept], level[kept], "training").resample(GRID_S)
     # Steps that hold any idle time take the idle draw for that part by being at least as high.
-    return as_trace(np.maximum(share, idle), "training", seed)
+    return as_trace(np.maximum(share, idle), np.maximum(share - IDLE_SHARE, 0.0), "training", seed, params)
 
 
 def _job(rng: np.random.Generator, length_s: float, begun_before: bool, params: TrainingParams):

@@ -146,7 +146,7 @@ def test_more_datacenters_than_buses_is_refused():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_splits_share_no_window_and_no_key(name):
-    pools = {split: episode.trace_pool(make_scenario(name, split=split)) for split in SPLITS}
+    pools = {split: episode.trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
     keys = {split: draw(make_scenario(name, split=split), range(500)).key for split in SPLITS}
     assert len(np.unique(np.concatenate(list(keys.values())))) == 1500
     rows = [row for pool in pools.values() for row in pool]
@@ -168,7 +168,7 @@ def test_splits_of_recordings_share_no_sample():
     pools = {
         split: episode.trace_pool(make_scenario("ieee123", trace=(trace,), split=split, horizon=20)) for split in SPLITS
     }
-    values = [set(pool.ravel().tolist()) for pool in pools.values()]
+    values = [set(pool.p_share.ravel().tolist()) for pool in pools.values()]
     assert [len(v) for v in values] == [600, 200, 200]
     assert len(set.union(*values)) == 1000
 
@@ -179,7 +179,7 @@ def test_splits_of_recordings_share_no_sample():
 @pytest.mark.parametrize("dt_s", [1.0, 0.5, 0.1])
 def test_windows_lie_within_distinct_rows(dt_s):
     scenario = make_scenario("ieee123", dt_s=dt_s, horizon=50)
-    pool = episode.trace_pool(scenario)
+    pool = episode.trace_pool(scenario).p_share
     assert pool.shape[1] == round(3600 / dt_s)
     start = draw(scenario, range(3000)).start
     row, offset = np.divmod(start, pool.shape[1])
@@ -200,13 +200,13 @@ def test_last_window_of_a_row_is_reached_but_not_passed():
     trace = recording(np.linspace(0.1, 1.0, 20))
     for horizon, places in ((10, {0}), (9, {0, 1}), (7, {0, 1, 2, 3})):
         scenario = make_scenario("toy6", trace=(trace,), trace_window="random", horizon=horizon)
-        assert episode.trace_pool(scenario).shape == (1, 12)
+        assert episode.trace_pool(scenario).p_share.shape == (1, 12)
         assert set(draw(scenario, range(300)).start.ravel().tolist()) == places
 
 
 def test_p_ref_is_the_rows_power_times_the_rating():
     scenario = make_scenario("ieee123", horizon=30, p_rated_kw=(100.0, 200.0, 300.0, 400.0, 500.0))
-    pool = episode.trace_pool(scenario)
+    pool = episode.trace_pool(scenario).p_share
     drawn = draw(scenario, [1, 2])
     row, offset = np.divmod(drawn.start, pool.shape[1])
     for step in (0, 1, 31):
@@ -221,7 +221,7 @@ def test_steps_take_the_trace_in_turn(dt_s):
     scenario = make_scenario("ieee33-weak", dt_s=dt_s, horizon=6)
     simulation = Simulation(scenario, 3)
     simulation.reset(range(3))
-    pool, rated, idle = episode.trace_pool(scenario), 1000.0, 230.0
+    pool, rated, idle = episode.trace_pool(scenario).p_share, 1000.0, 230.0
     start = simulation.now.episode.start
     for step in range(7):
         if step:
@@ -297,7 +297,7 @@ def test_recordings_are_scaled_to_the_rating():
     for site, rated in enumerate((100.0, 200.0, 300.0)):
         assert set(np.round(seen[..., site] / rated, 12).ravel()) == {0.25, 0.5, 1.0}
     # Two recordings and three sites: the third shares the first one's row, if not its window.
-    rows = simulation.now.episode.start // episode.trace_pool(scenario).shape[1]
+    rows = simulation.now.episode.start // episode.trace_pool(scenario).p_share.shape[1]
     assert np.all(rows[:, 0] != rows[:, 1])
     assert np.all(rows[:, 0] == rows[:, 2])
 
@@ -326,7 +326,7 @@ def test_a_recording_shorter_than_the_episode_is_a_clear_error(seconds, fits):
 
 def test_a_long_episode_gets_generated_rows_as_long_as_it_needs():
     scenario = make_scenario("toy6", horizon=4000)
-    assert episode.trace_pool(scenario).shape[1] >= episode.window_steps(scenario) == 4002
+    assert episode.trace_pool(scenario).p_share.shape[1] >= episode.window_steps(scenario) == 4002
 
 
 def test_unknown_trace_source_lists_those_that_exist():

@@ -23,7 +23,7 @@ def test_all_columns_but_the_time_are_summed(write):
     trace = PowerTrace.from_csv(write(TWO_GPUS))
     np.testing.assert_array_equal(trace.time_s, [0.0, 0.5, 2.0])
     np.testing.assert_allclose(trace.power_kw, [0.3, 0.32, 0.34])
-    assert (trace.name, trace.provenance) == ("site", "file site.csv")
+    assert (trace.name, trace.provenance.name) == ("site", "site.csv")
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("W", 1e-3), ("kW", 1.0), ("MW", 1e3)])

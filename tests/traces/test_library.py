@@ -22,12 +22,12 @@ from dcgrid_env.traces import (
 @pytest.mark.parametrize("source", TRACE_SOURCES)
 @pytest.mark.parametrize("split", SPLITS)
 def test_shape_bounds_and_read_only(source, split):
-    rows = library(source, split, 1.0, 150.0, count=5)
+    rows = library(source, split, 1.0, 150.0, count=5).p_share
     assert rows.shape == (5, 150)
     assert rows.dtype == np.float64
     assert rows.min() >= 0.0
     assert rows.max() <= 1.0
-    assert library(source, split, 1, 150, 5) is rows
+    assert library(source, split, 1, 150, 5).p_share is rows
     with pytest.raises(ValueError, match="read-only"):
         rows[0, 0] = 0.5
 
@@ -43,7 +43,7 @@ def test_sources_describe_themselves():
 @pytest.mark.parametrize("source", TRACE_SOURCES)
 def test_splits_and_rows_share_no_window(source):
     # 0.1 s of two windows may agree by chance; ten seconds of idle ripple or work may not.
-    rows = np.concatenate([library(source, split, 0.1, 60.0, count=6) for split in SPLITS])
+    rows = np.concatenate([library(source, split, 0.1, 60.0, count=6).p_share for split in SPLITS])
     windows = [{row[k : k + 100].tobytes() for k in range(0, 100, 10)} for row in rows]
     for i, first in enumerate(windows):
         for second in windows[i + 1 :]:
@@ -59,31 +59,31 @@ def test_splits_share_no_seed():
 
 
 def test_the_first_rows_do_not_depend_on_the_count():
-    few, many = library("mixed", "test", 1.0, 90.0, count=2), library("mixed", "test", 1.0, 90.0, count=4)
+    few, many = (library("mixed", "test", 1.0, 90.0, count).p_share for count in (2, 4))
     np.testing.assert_array_equal(many[:2], few)
 
 
 def test_another_process_draws_the_same_bytes():
     code = (
         "import hashlib; from dcgrid_env.traces import library; "
-        "print(hashlib.sha256(library('mixed', 'train', 1.0, 300.0, 6).tobytes()).hexdigest())"
+        "print(hashlib.sha256(library('mixed', 'train', 1.0, 300.0, 6).p_share.tobytes()).hexdigest())"
     )
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-    assert there == hashlib.sha256(library("mixed", "train", 1.0, 300.0, 6).tobytes()).hexdigest()
+    assert there == hashlib.sha256(library("mixed", "train", 1.0, 300.0, 6).p_share.tobytes()).hexdigest()
 
 
 def test_a_coarser_step_is_the_mean_of_the_finer():
-    fine, coarse = library("training", "train", 0.1, 120.0, 3), library("training", "train", 2.0, 120.0, 3)
+    fine, coarse = (library("training", "train", dt_s, 120.0, 3).p_share for dt_s in (0.1, 2.0))
     np.testing.assert_allclose(fine.reshape(3, 60, 20).mean(axis=2), coarse, atol=1e-9)
 
 
 def test_steps_that_do_not_divide_the_duration():
-    assert library("inference", "train", 0.7, 100.0, 1).shape == (1, 142)
-    assert library("inference", "train", 0.25, 0.26, 1).shape == (1, 1)
+    assert library("inference", "train", 0.7, 100.0, 1).p_share.shape == (1, 142)
+    assert library("inference", "train", 0.25, 0.26, 1).p_share.shape == (1, 1)
 
 
 def test_toy_step_row_is_the_papers_experiment():
-    rows = library("step", "train", 1.0, 100.0)
+    rows = library("step", "train", 1.0, 100.0).p_share
     assert rows.shape == (24, 100)
     assert (rows[:, :20] <= 0.23).all()
     assert (rows[:, 20:] == 1.0).all()
@@ -123,7 +123,7 @@ def ramp(duration_s, name="ramp", scale_kw=3.0):
 
 def test_recordings_are_cut_into_disjoint_parts():
     trace = ramp(100)
-    parts = {split: from_recordings([trace], split, 1.0) for split in SPLITS}
+    parts = {split: from_recordings([trace], split, 1.0).p_share for split in SPLITS}
     assert [parts[split].shape for split in SPLITS] == [(1, 60), (1, 20), (1, 20)]
     np.testing.assert_allclose(
         np.concatenate([parts[split][0] for split in SPLITS]), np.arange(1.0, 101.0) / 101.0, atol=1e-12
@@ -131,7 +131,7 @@ def test_recordings_are_cut_into_disjoint_parts():
 
 
 def test_a_longer_recording_gives_several_rows_that_cover_it():
-    rows = from_recordings([ramp(50, "short"), ramp(125, "long", 7.0)], "train", 1.0)
+    rows = from_recordings([ramp(50, "short"), ramp(125, "long", 7.0)], "train", 1.0).p_share
     assert rows.shape == (4, 30)
     assert rows.max() <= 1.0
     np.testing.assert_allclose(np.unique(rows[1:]), np.arange(1.0, 76.0) / 126.0)

@@ -83,7 +83,7 @@ def test_generated_windows_surround_the_recording(recording):
 
 @needs_recording
 def test_splits_of_the_recording(recording):
-    rows = from_recordings([recording], "train", 1.0, window_s=120.0)
+    rows = from_recordings([recording], "train", 1.0, window_s=120.0).p_share
     assert rows.shape == (1, 333)
     assert 0.22 < rows.min() < rows.max() <= 1.0
 

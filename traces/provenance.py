@@ -1,0 +1,41 @@
+"""Where a trace comes from, so that a result can say what it stands on."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, is_dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """A generator with its parameters and seed, or a file with its hash; a field that does not apply is left out."""
+
+    name: str = ""
+    """The generator, or the file's name without its folder."""
+    seed: int | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+    """A generator's parameters, or what a recorder noted; JSON values."""
+    sha256: str = ""
+    """Of the file's bytes, as hexadecimal."""
+    licence: str = ""
+    citation: str = ""
+
+    def record(self) -> dict[str, Any]:
+        """The fields that apply, as JSON values."""
+        return {name: value for name, value in asdict(self).items() if value not in ("", None, {})}
+
+    def __str__(self) -> str:
+        parts = [self.name or "unknown origin"]
+        if self.seed is not None:
+            parts.append(f"seed {self.seed}")
+        if self.sha256:
+            parts.append(f"sha256 {self.sha256[:12]}")
+        if self.licence:
+            parts.append(self.licence)
+        return ", ".join(parts)
+
+
+def generated(generator: str, seed: int, params: object = None) -> Provenance:
+    """Provenance of a generated trace; `params` is the generator's dataclass of parameters, if it has one."""
+    known = asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
+    return Provenance(f"generator {generator}", seed=int(seed), parameters=known)
