@@ -5,13 +5,14 @@ A row is one site's power as a share of its rating on a grid of dt. An episode o
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import index
 from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.boost import boosted
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
 from dcgrid_env.traces.inference import generate_inference
 from dcgrid_env.traces.mixed import generate_mixed
@@ -77,7 +78,9 @@ def row_seed(split: str, row: int) -> int:
     return SPLITS.index(_known_split(split)) * _SEEDS_PER_SPLIT + row
 
 
-def library(source: str, split: str, dt_s: float, duration_s: float, count: int = 24) -> TraceRows:
+def library(
+    source: str, split: str, dt_s: float, duration_s: float, count: int = 24, boost_share: float = 1.0
+) -> TraceRows:
     """Return generated rows of power; the same arguments always give the same bytes.
 
     Parameters
@@ -87,6 +90,7 @@ def library(source: str, split: str, dt_s: float, duration_s: float, count: int 
     dt_s : step, s; at least the 0.1 s at which traces are generated.
     duration_s : length of a row, s.
     count : number of rows; the first rows do not depend on it.
+    boost_share : highest short draw as a share of the rating, at least 1; see `dcgrid_env.traces.boost`.
 
     Returns
     -------
@@ -110,19 +114,23 @@ def library(source: str, split: str, dt_s: float, duration_s: float, count: int 
         raise TraceError(f"duration_s = {duration_s:g} is shorter than one step of {dt_s:g} s; give a longer one")
     if not 1 <= index(count) <= _SEEDS_PER_SPLIT:
         raise TraceError(f"count = {count!r} is not in 1 to {_SEEDS_PER_SPLIT}")
-    return _generated(source, _known_split(split), dt_s, duration_s, index(count))
+    return _generated(source, _known_split(split), dt_s, duration_s, index(count), _known_boost(boost_share))
 
 
 @lru_cache(maxsize=32)
-def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int) -> TraceRows:
+def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> TraceRows:
     n_steps = steps_in(duration_s, dt_s)
     power, compute = np.empty((count, n_steps)), np.zeros((count, n_steps))
     requests = []
     for row in range(count):
         trace = TRACE_SOURCES[source].generate(duration_s, row_seed(split, row))
+        assert trace.compute_kw is not None  # every generator tells
+        if boost_share > 1.0:
+            power_kw, compute_kw = boosted(trace.power_kw, trace.compute_kw, boost_share)
+            trace = replace(trace, power_kw=power_kw, compute_kw=compute_kw)
         power[row] = trace.resample(dt_s)[:n_steps]
         compute_kw = trace.resample_compute(dt_s)
-        assert compute_kw is not None  # every generator tells
+        assert compute_kw is not None
         dynamic = power[row] - IDLE_SHARE
         np.divide(compute_kw[:n_steps], dynamic, out=compute[row], where=dynamic > 0)
         requests += [trace.requests] if trace.requests is not None else []
@@ -132,11 +140,19 @@ def _generated(source: str, split: str, dt_s: float, duration_s: float, count: i
     return TraceRows(power, compute, tuple(requests))
 
 
-def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, window_s: float = 0.0) -> TraceRows:
+def from_recordings(
+    traces: Sequence[PowerTrace],
+    split: str,
+    dt_s: float,
+    window_s: float = 0.0,
+    boost_share: float = 1.0,
+    by: str = "time",
+) -> TraceRows:
     """Return rows of power from recordings, each as a share of its own peak.
 
-    Each recording is cut in time: the first 60 % train, the next 20 % validate, the last 20 % test. A row is as long
-    as the shortest recording's part; a longer part gives several rows that together cover it, overlapping if need be.
+    The first 60 % train, the next 20 % validate, the last 20 % test: of each recording's time, or of the recordings in
+    their order. A row is as long as the shortest part; a longer part gives several rows that together cover it,
+    overlapping if need be.
 
     Parameters
     ----------
@@ -144,10 +160,12 @@ def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, windo
     split : "train", "validation" or "test"; no two share a sample.
     dt_s : step, s.
     window_s : the longest window that will be taken, s; 0 if not known yet.
+    boost_share : the peak of each recording as a share of the rating, at least 1.
+    by : "time" cuts each recording, "recording" gives whole recordings to the splits and needs at least 3.
 
     Returns
     -------
-    TraceRows of (count, n_steps), shares of each recording's peak
+    TraceRows of (count, n_steps)
 
     Raises
     ------
@@ -160,9 +178,14 @@ def from_recordings(traces: Sequence[PowerTrace], split: str, dt_s: float, windo
     if not (np.isfinite(window_s) and window_s >= 0):
         raise TraceError(f"window_s = {window_s!r} is not a finite number of at least 0; give a length in seconds")
     needed = max(1, -steps_in(-window_s, require_positive(dt_s, "dt_s", "give a step in seconds")))
+    boost_share = _known_boost(boost_share)
+    if by == "recording":
+        traces, low, high = _whole_recordings(traces, split), 0.0, 1.0
+    elif by != "time":
+        raise TraceError(f"by = {by!r} is unknown; cut recordings by time or give them out by recording")
     parts = []
     for trace in traces:
-        share = trace.as_share().resample(dt_s)
+        share = trace.as_share().resample(dt_s) * boost_share
         part = share[round(low * len(share)) : round(high * len(share))]
         if len(part) < needed:
             raise TraceError(
@@ -188,6 +211,33 @@ def require_window(rows: TraceRows, n_steps: int, dt_s: float, name: str) -> Non
             f"trace {name!r} lasts {rows.p_share.shape[-1] * dt_s:g} s but the episode needs {n_steps * dt_s:g} s "
             f"({n_steps} steps of {dt_s:g} s); give a longer trace or a shorter episode"
         )
+
+
+def _whole_recordings(traces: Sequence[PowerTrace], split: str) -> Sequence[PowerTrace]:
+    """The recordings of a split: at least one for each, the rest in the shares of the splits, in their order."""
+    n = len(traces)
+    if n < len(SPLITS):
+        raise TraceError(
+            f"by='recording' needs at least {len(SPLITS)} recordings, one a split, and got {n}; "
+            "give more, or cut them by time"
+        )
+    test = max(1, round(0.2 * n))
+    validation = max(1, round(0.2 * n))
+    bounds = {
+        "train": (0, n - validation - test),
+        "validation": (n - validation - test, n - test),
+        "test": (n - test, n),
+    }
+    low, high = bounds[split]
+    return traces[low:high]
+
+
+def _known_boost(boost_share: float) -> float:
+    if not (np.isfinite(boost_share) and 1.0 <= boost_share <= 2.0):
+        raise TraceError(
+            f"boost_share = {boost_share!r} is not in 1 to 2; give the highest draw as a share of the rating"
+        )
+    return float(boost_share)
 
 
 def _known_split(split: str) -> str:

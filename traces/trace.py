@@ -52,8 +52,8 @@ class PowerTrace:
     power_kw : (n,) float64, finite, not negative, kW (or a share of rating when the rating is 1 kW).
     name : what error messages call the trace.
     provenance : where it comes from: a file with its hash, or a generator with its parameters and seed.
-    compute_kw : (n,) float64 in 0 to power_kw, kW, or None where nobody knows: the part of the power for work whose speed
-        follows the clock (prefill, training). What lies between it and the idle floor hardly follows it (decode).
+    compute_kw : (n,) float64 in 0 to power_kw, kW, or None where nobody knows: the part of the power for work whose
+        speed follows the clock (prefill, training). What lies between it and the idle floor hardly does (decode).
     requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
 
     The arrays are copied and made read-only.
