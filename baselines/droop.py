@@ -5,6 +5,7 @@
 
 Equations 7 and 8 of the paper read as an injection law, its text as consumption. S is the backlog: ``cumulative`` is
 all work that waits; ``one_step``, the printed form, is p_ref - P of the last step, which may be negative and forgets.
+The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.
 Inverters run the second law alone.
 """
 

@@ -4,7 +4,7 @@ import gymnasium as _gymnasium
 import pettingzoo as _pettingzoo
 
 from dcgrid_env.actions import ActionError
-from dcgrid_env.devices import LinearDvfs
+from dcgrid_env.devices import LinearDvfs, PhaseDvfs
 from dcgrid_env.env import DcgridEnv
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
 from dcgrid_env.metrics import Recorder, Series
@@ -30,6 +30,7 @@ __all__ = [
     "Feeder",
     "FeederError",
     "LinearDvfs",
+    "PhaseDvfs",
     "PowerFlowError",
     "Recorder",
     "Scenario",

@@ -1,4 +1,4 @@
-"""The command line: ``dcgrid run``, ``dcgrid list``. The one module that sees all others; it imports them lazily."""
+"""The command line: ``dcgrid run | list | traces``. The one module that sees all others; it imports them lazily."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from typing import Annotated
 
 import tyro
 
-from dcgrid_env.commands import listing, run
+from dcgrid_env.commands import listing, run, traces
 
 Command = (
     Annotated[run.Run, tyro.conf.subcommand("run", description=run.__doc__)]
     | Annotated[listing.List, tyro.conf.subcommand("list", description=listing.__doc__)]
+    | Annotated[traces.Traces, tyro.conf.subcommand("traces", description=traces.__doc__)]
 )
-_MAIN = {run.Run: run.main, listing.List: listing.main}
+_MAIN = {run.Run: run.main, listing.List: listing.main, traces.Traces: traces.main}
 
 
 def main(args: list[str] | None = None) -> None:
     """Entry point of ``dcgrid``; bad input ends with one line on standard error and status 2."""
-    command = tyro.cli(Command, args=args, prog="dcgrid", description="Voltage control of feeders with data centres.")
+    about = "Voltage control of feeders with data centres."
+    bare = (tyro.conf.OmitSubcommandPrefixes,)  # `dcgrid traces fetch`, not `traces action:fetch`
+    command = tyro.cli(Command, args=args, prog="dcgrid", description=about, config=bare)
     try:
         _MAIN[type(command)](command)
     except (ValueError, OSError) as error:

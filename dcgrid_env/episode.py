@@ -37,14 +37,16 @@ def window_steps(scenario: Scenario) -> int:
 
 @lru_cache(maxsize=1024)
 def trace_pool(scenario: Scenario) -> TraceRows:
-    """Rows of power that the scenario's split draws from, (n_row, n_step)."""
+    """Rows that the scenario's split draws from: power, (n_row, n_step), and what is known of the work behind it."""
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if isinstance(trace, str):
         # Rounding may cost a step of dt at the end, so one more is asked for.
-        rows, name = library(trace, split, dt_s, max(ROW_DURATION_S, needed_s + dt_s)), trace
+        duration_s = max(ROW_DURATION_S, needed_s + dt_s)
+        rows, name = library(trace, split, dt_s, duration_s, boost_share=scenario.boost_share), trace
     else:
-        rows, name = from_recordings(trace, split, dt_s, needed_s), ", ".join(t.name for t in trace)
+        rows = from_recordings(trace, split, dt_s, needed_s, scenario.boost_share, scenario.recording_split)
+        name = ", ".join(t.name for t in trace)
     require_window(rows, steps, dt_s, name)
     return rows
 
@@ -112,7 +114,12 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     row = row[:, np.arange(n_dc) % len(rows)]
     room = rows.shape[1] - window_steps(scenario) + 1 if scenario.trace_window == "random" else 1
     start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
-    return assemble(scenario, key, buses, row * rows.shape[1] + start)
+    window = row * rows.shape[1] + start
+    if scenario.site_correlation:
+        # The upper 53 bits make a uniform number below 1, so that a correlation of 1 leaves no site out.
+        uniform = (counter.bits(key, counter.CORRELATION, n_dc) >> np.uint64(11)) * 2.0**-53
+        window = np.where(uniform < scenario.site_correlation, window[:, :1], window)
+    return assemble(scenario, key, buses, window)
 
 
 def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray) -> Episode:
@@ -123,6 +130,16 @@ def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.n
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
     """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
     return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
+
+
+def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
+    """Compute-bound share of that power above idle, (lane, n_dc); None under a clock law of one phase."""
+    if scenario.phases == 1:
+        return None
+    known = trace_pool(scenario).compute_share
+    if known is None:
+        return np.full(episode.start.shape, float(scenario.compute_share))
+    return known.take(episode.start + step[:, None])
 
 
 def exogenous(
@@ -156,4 +173,5 @@ def exogenous(
         injection = np.zeros((len(step), scenario.n_inverters))
     else:
         injection = _schedule(scenario)[step]
-    return Exogenous(p, q, p_ref, injection, episode.placed.nodes), z
+    share = compute_share(scenario, episode, step)
+    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, share), z

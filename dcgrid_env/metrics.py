@@ -8,12 +8,20 @@
 | outside_buses_pct | share of buses ever beyond it |
 | voltage_min_pu, voltage_max_pu | over the same |
 | voltage_step_mean_pu | mean of abs(V_t - V_{t-1}), over one step of dt |
-| delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served, weighted by work |
+| delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served in each phase, weighted by work |
 | arrived_kws, unserved_kws | work that arrived, and that was still queued at the end |
 | loss_mean_kw, loss_energy_kwh | loss of the feeder |
 | q_effort_pct | mean abs(q) as a share of the apparent-power rating |
 | clock_mean_pct | mean clock as a share of the top clock |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+
+Where the trace is made of requests, over those that arrived in the episode at any site (see ``request_delay``):
+
+| metric | meaning |
+|---|---|
+| requests, requests_unfinished | number of them, and of those with work still queued at the end |
+| ttft_mean_s, _p50_s, _p95_s, _p99_s | time from arrival to the first token |
+| e2e_mean_s, _p50_s, _p95_s, _p99_s | time from arrival to the last token |
 """
 
 from __future__ import annotations
@@ -23,6 +31,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dcgrid_env.delay import fcfs_delays
+from dcgrid_env.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -43,6 +52,9 @@ class Series:
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
         self.arrived_kw = np.array([s.arrived_kw[lane] for s in states[1:]])
         self.served_kw = np.array([s.served_kw[lane] for s in states[1:]])
+        self.phase_arrived_kw = np.array([s.phase_arrived_kw[lane] for s in states[1:]])
+        self.phase_served_kw = np.array([s.phase_served_kw[lane] for s in states[1:]])
+        self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
         self.cost_j = np.array([t.cost_j[lane] for t in steps])
         self.costs = {name: np.array([getattr(t.costs, name)[lane] for t in steps]) for name in steps[0].costs._fields}
@@ -54,7 +66,9 @@ class Series:
         v = self.v_pu[1:, 1:]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
-        delays = fcfs_delays(self.arrived_kw, self.served_kw, s.dt_s)
+        arrived, served = (w.reshape(len(w), -1) for w in (self.phase_arrived_kw, self.phase_served_kw))
+        delays = fcfs_delays(arrived, served, s.dt_s)
+        requests = self._request_delays()
         ratings = np.concatenate((s.datacenter.s_rated_kva, s.inverter.s_rated_kva))
         clock = self.f_mhz.mean() / s.f_max_mhz if s.n_datacenters else 1.0
         found = {
@@ -79,8 +93,24 @@ class Series:
             "clock_mean_pct": 100.0 * clock,
             "steps": len(v),
             "power_flow_converged": self.converged,
+            **(requests._asdict() if requests else {}),
         }
         return {name: float(value) for name, value in found.items()}
+
+    def _request_delays(self) -> RequestDelays | None:
+        """Figures over the requests of all sites; None where the trace is not made of requests."""
+        from dcgrid_env import episode  # brings the compiler with it, so not on import
+
+        s = self.scenario
+        pool = episode.trace_pool(s)
+        if not (pool.requests and s.n_datacenters):
+            return None
+        row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
+        arrived, served = (w.reshape(*w.shape[:2], -1) for w in (self.phase_arrived_kw, self.phase_served_kw))
+        return request_delays(
+            serve_requests(pool.requests[row[i]], (offset[i] + 1) * s.dt_s, arrived[:, i], served[:, i], s.dt_s)
+            for i in range(s.n_datacenters)
+        )
 
 
 class Recorder:

@@ -6,14 +6,18 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 |---|---|---|---|
 | v_deviation | all | (V - 1) / band, 1 is the band's edge | -1/band .. 1/band |
 | v_change | all | V now less V one step ago, / band | the same |
-| p | all | share of the rating; an inverter's injection is negative | -1 .. 1 |
+| p | all | share of the rating; an inverter's injection is negative | -1 .. boost share |
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
 | r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. the feeder's largest |
-| p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. 1 |
-| backlog | data centres | s at the rated power | 0 .. horizon dt |
+| p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. boost share |
+| backlog | data centres | s at the rated power | 0 .. horizon dt boost share |
+| p_ref_next_compute | data centres* | compute-bound part of what p_ref_next has above idle | as p_ref_next |
+| backlog_compute | data centres* | compute-bound part of backlog | as backlog |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
+
+* Under a clock law that tells two phases of work apart.
 """
 
 from __future__ import annotations
@@ -23,13 +27,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.arrays import Array, namespace, take_at, take_last
+from dcgrid_env.arrays import Array, namespace, positive_part, take_at, take_last
 from dcgrid_env.constants import constants, inverse
 from dcgrid_env.dynamics import State, from_nodes
 from dcgrid_env.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 DATACENTER = (*COMMON, "p_ref_next", "backlog")
+TWO_PHASES = (*DATACENTER, "p_ref_next_compute", "backlog_compute")
 N_NEIGHBOURS = 3
 
 
@@ -52,23 +57,32 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
         wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
     elif scenario.observe == "feeder":
         wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[1:])
-    return {a: (*(DATACENTER if a.startswith("dc_") else COMMON), *wider) for a in scenario.agents}
+    site = _site_fields(scenario)
+    return {a: (*(site if a.startswith("dc_") else COMMON), *wider) for a in scenario.agents}
+
+
+def _site_fields(scenario: Scenario) -> tuple[str, ...]:
+    """Names of a data centre's own fields."""
+    return TWO_PHASES if scenario.phases == 2 else DATACENTER
 
 
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
     own, _ = _electrical(scenario)
+    boost = scenario.boost_share
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
-        "p": (-1.0, 1.0),
+        "p": (-1.0, boost),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
         "r": (0.0, max(float(own[:, 0].max()), 1e-6)),
         "x": (0.0, max(float(own[:, 1].max()), 1e-6)),
-        "p_ref_next": (0.0, 1.0),
-        "backlog": (0.0, scenario.horizon * scenario.dt_s),
+        "p_ref_next": (0.0, boost),
+        "backlog": (0.0, scenario.horizon * scenario.dt_s * boost),
+        "p_ref_next_compute": (0.0, boost),
+        "backlog_compute": (0.0, scenario.horizon * scenario.dt_s * boost),
     }
 
     def find(name: str) -> tuple[float, float]:
@@ -121,11 +135,14 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
         "p_ref_next": rated * scenario.preview,
         "backlog": rated,
     }
+    if scenario.phases == 2:
+        blocks |= {"p_ref_next_compute": blocks["p_ref_next"], "backlog_compute": rated}
     starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
+    site = _site_fields(scenario)
     scale = np.concatenate(list(blocks.values()))
     column = []
     for i in range(n):
-        column += [starts[name] + i for name in (DATACENTER if i < n_dc else COMMON)]
+        column += [starts[name] + i for name in (site if i < n_dc else COMMON)]
         if scenario.observe == "neighbours":
             column += range(len(scale) + 3 * near * i, len(scale) + 3 * near * (i + 1))
         elif scenario.observe == "feeder":
@@ -155,7 +172,13 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
 
 
 def observe(
-    scenario: Scenario, state: State, placed: Placement, p_ref_next_kw: Array, v_measured_pu: Array, v_before_pu: Array
+    scenario: Scenario,
+    state: State,
+    placed: Placement,
+    p_ref_next_kw: Array,
+    v_measured_pu: Array,
+    v_before_pu: Array,
+    compute_share_next: Array | None = None,
 ) -> Array:
     """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
 
@@ -170,6 +193,8 @@ def observe(
     v_measured_pu, v_before_pu
         Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
         (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
+    compute_share_next
+        Compute-bound share of the work that arrives over the coming interval, (lane, n_dc); None with one phase.
     """
     xp = namespace(state.v_pu)
     layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
@@ -187,6 +212,9 @@ def observe(
         p_ref_next_kw,
         state.backlog_kws,
     ]
+    if compute_share_next is not None:
+        coming = positive_part(p_ref_next_kw - constants(scenario, p_ref_next_kw).datacenter.p_idle_kw)
+        raw += (coming * compute_share_next, state.phase_backlog_kws[..., 0])
     if scenario.observe == "neighbours":
         known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
         trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)

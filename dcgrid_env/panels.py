@@ -143,7 +143,7 @@ class Curves:
     def _draw_datacenters(self) -> None:
         s, n = self.scenario, self.scenario.n_datacenters
         p_rated = float(s.datacenter.p_rated_kw.max())
-        self._label(2, "p drawn\n(kW)", (0.0, 1.1 * p_rated))
+        self._label(2, "p drawn\n(kW)", (0.0, 1.1 * s.boost_share * p_rated))
         self._label(3, "clock\n(MHz)", (0.0, 1.1 * s.f_max_mhz))
         self._label(4, "backlog\n(kW s)", (0.0, p_rated))
         self.axes[3].set_yticks([s.f_min_mhz, 0.5 * (s.f_min_mhz + s.f_max_mhz), s.f_max_mhz])

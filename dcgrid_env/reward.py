@@ -122,11 +122,12 @@ def largest_costs(scenario: Scenario) -> Costs:
     """An upper bound of each term, as floats: what a step is charged once the power flow has no solution.
 
     Voltage anywhere from 0 to 2 p.u., all work of the episode queued, full effort, clock and voltage swinging from end
-    to end, and twice all that is drawn lost (a feeder at its limit loses about as much as it delivers).
+    to end, and twice all that is drawn lost (a feeder at its limit loses about as much as it delivers), sites as far
+    above their ratings as the scenario lets them.
     """
     w = scenario.weights
     grid = np.linspace(0.0, 1.0, 1001)
-    queued = (1.0 - scenario.idle_share) * scenario.horizon * scenario.dt_s
+    queued = (scenario.boost_share - scenario.idle_share) * scenario.horizon * scenario.dt_s
     return Costs(
         voltage=w.voltage * float(np.max(voltage_cost(scenario.voltage_cost, grid, scenario.band_pu))),
         violation=w.violation * (1.0 - scenario.band_pu),
@@ -134,7 +135,7 @@ def largest_costs(scenario: Scenario) -> Costs:
         effort=w.effort,
         clock=w.clock,
         step=w.step,
-        loss=2.0 * w.loss,
+        loss=2.0 * w.loss * scenario.boost_share,
         leftover=w.leftover * queued,
     )
 

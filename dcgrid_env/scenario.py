@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs
+from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs, phases_of
 from dcgrid_env.feeder import BusId, Feeder
 from dcgrid_env.scenario_check import (
     ObservationScope,
     PowerFlowName,
+    RecordingSplit,
     RewardScope,
     ScenarioError,
     TraceWindow,
@@ -65,6 +66,9 @@ class Scenario:
     q_max_share: float
     """Reactive limit as a share of the rated power."""
     dvfs: Dvfs = field(default_factory=LinearDvfs)
+    """Clock law: LinearDvfs() or PhaseDvfs(), or one's own."""
+    boost_share: float = 1.0
+    """Highest short draw of a site as a share of its rating; up to 1.3 has been seen."""
 
     inverter_buses: tuple[BusId, ...] = ()
     inverter_s_kva: float | tuple[float, ...] = 0.0
@@ -78,10 +82,16 @@ class Scenario:
     trace: str | tuple[PowerTrace, ...] = "inference"
     """Source of the data centres' load: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
 
-    A recording is cut in time, the first 60 % for training, then 20 % for validation and 20 % for test, and each part
-    must be as long as an episode."""
+    The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
+    long as an episode."""
+    recording_split: RecordingSplit = "time"
+    """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     trace_window: TraceWindow = "random"
     """Where in a trace an episode begins."""
+    site_correlation: float = 0.0
+    """Probability that a site draws what the first one does; 1 for all sites in step."""
+    compute_share: float = 1.0
+    """Compute-bound share of the work where the trace does not tell (recordings), for a clock law of two phases."""
     load_sigma: float = 0.05
     """Standard deviation of the other loads' noise as a share of the load."""
     load_rho: float = 0.9
@@ -96,6 +106,7 @@ class Scenario:
     dt_s: float = 1.0
     power_flow: PowerFlowName = "distflow"
     split: str = "train"
+    """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
     weights: CostWeights = field(default_factory=CostWeights)
     band_pu: float = 0.05
     voltage_cost: VoltageCost = "l1"
@@ -140,6 +151,11 @@ class Scenario:
     def agents(self) -> tuple[str, ...]:
         """Agent ids, slots that are the same in every episode: dc_0.., then inv_0.."""
         return (*(f"dc_{i}" for i in range(self.n_datacenters)), *(f"inv_{i}" for i in range(self.n_inverters)))
+
+    @cached_property
+    def phases(self) -> int:
+        """Number of kinds of work that the clock law tells apart."""
+        return phases_of(self.dvfs)
 
     @property
     def n_agents(self) -> int:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from dcgrid_env.devices import phases_of
 from dcgrid_env.feeder import Feeder, FeederError
-from dcgrid_env.traces import SPLITS, TRACE_SOURCES, PowerTrace
+from dcgrid_env.traces import ALL_SPLITS, TRACE_SOURCES, PowerTrace
 
 if TYPE_CHECKING:
     from dcgrid_env.scenario import Scenario
@@ -19,6 +20,7 @@ VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
 RewardScope = Literal["shared", "local"]
 ObservationScope = Literal["local", "neighbours", "feeder"]
 TraceWindow = Literal["random", "start"]
+RecordingSplit = Literal["time", "recording"]
 
 _CHOICES = {
     "power_flow": get_args(PowerFlowName),
@@ -26,7 +28,8 @@ _CHOICES = {
     "reward": get_args(RewardScope),
     "observe": get_args(ObservationScope),
     "trace_window": get_args(TraceWindow),
-    "split": SPLITS,
+    "recording_split": get_args(RecordingSplit),
+    "split": ALL_SPLITS,
     "capacitors": (True, False),
     "preview": (True, False),
 }
@@ -37,6 +40,9 @@ _RANGES: dict[str, tuple[float, float | str]] = {  # a bound may be another fiel
     "q_max_share": (0.0, "s_rated_share"),
     "f_max_mhz": (1e-9, math.inf),
     "f_min_mhz": (1e-9, "f_max_mhz"),
+    "boost_share": (1.0, 2.0),
+    "site_correlation": (0.0, 1.0),
+    "compute_share": (0.0, 1.0),
     "load_sigma": (0.0, 0.3),
     "load_rho": (0.0, 0.999999),
     "voltage_noise_pu": (0.0, 1.0),
@@ -74,7 +80,9 @@ def check(s: Scenario) -> None:
         if not _is_number(value) or not 0 <= value < math.inf:
             raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
     if not callable(getattr(s.dvfs, "serve", None)):
-        _refuse(s, "dvfs", "give a clock law such as LinearDvfs()")
+        _refuse(s, "dvfs", "give a clock law such as LinearDvfs() or PhaseDvfs()")
+    if phases_of(s.dvfs) not in (1, 2):
+        _refuse(s, "dvfs", f"give a clock law of 1 or 2 phases, not {phases_of(s.dvfs)!r}")
     _check_ratings(s)
     _check_placement(s)
     _check_traces(s)

@@ -33,6 +33,8 @@ class Transition(NamedTuple):
     """(lane,)"""
     converged: np.ndarray
     """Whether the power flow has a solution, bool, (lane,)."""
+    trace_start: np.ndarray
+    """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
 
 
 class Snapshot(NamedTuple):
@@ -158,7 +160,8 @@ class Simulation:
         p_ref_next: np.ndarray,
     ) -> Transition:
         s = self.scenario
-        joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0])
+        share_next = episode.compute_share(s, drawn, step + 1)
+        joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0], share_next)
         last = step >= s.horizon
         costs = reward.charged(s, reward.team_costs(s, state, solution, last), step, solution.converged)
         cost_j = reward.total(costs)
@@ -177,6 +180,7 @@ class Simulation:
             state=state,
             loss_kw=solution.loss_kw,
             converged=solution.converged,
+            trace_start=drawn.start,
         )
 
 

@@ -1,16 +1,18 @@
-"""Power traces: recorded ones, loaded and averaged with their energy kept, and generated ones from a seed.
+"""Power of data centres over time: recordings, loaded with their energy kept, and generators that repeat from a seed.
 
 A scenario draws from `library(source, split, dt_s, duration_s)` or `from_recordings(traces, split, dt_s)`: rows of
 power as a share of the site's rating, of which an episode takes a window.
 """
 
+from dcgrid_env.traces.arrivals import Arrivals
+from dcgrid_env.traces.gpu_log import read_gpu_log
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
+from dcgrid_env.traces.hardware import GPUS, MODELS, Gpu, Model, Replica, replica
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import (
+    ALL_SPLITS,
     SPLITS,
-    TRACE_SOURCES,
     TraceRows,
-    TraceSource,
     from_recordings,
     library,
     require_window,
@@ -18,30 +20,69 @@ from dcgrid_env.traces.library import (
 )
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recorder import record
+from dcgrid_env.traces.recordings import RECORDINGS, Recording, cache_folder, fetch, load_power, load_requests
+from dcgrid_env.traces.request_log import read_request_log
+from dcgrid_env.traces.requests import Requests
+from dcgrid_env.traces.services import SERVICES, Service, TokenLaw, requests
+from dcgrid_env.traces.serving import Served, serve
+from dcgrid_env.traces.site import Site, Tenant, generate_site, generate_sites
+from dcgrid_env.traces.smoothing import PowerSmoothing
+from dcgrid_env.traces.sources import TRACE_SOURCES, TraceSource
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes, TraceError
-from dcgrid_env.traces.training import TrainingParams, generate_training
+from dcgrid_env.traces.training import generate_training
+from dcgrid_env.traces.training_params import TrainingParams
 
 __all__ = [
+    "ALL_SPLITS",
     "AWAKE_SHARE",
+    "GPUS",
     "GRID_S",
     "IDLE_SHARE",
+    "MODELS",
+    "RECORDINGS",
+    "SERVICES",
     "SPLITS",
     "TRACE_SOURCES",
+    "Arrivals",
+    "Gpu",
     "InferenceParams",
+    "Model",
+    "PowerSmoothing",
     "PowerTrace",
     "Provenance",
+    "Recording",
+    "Replica",
     "RequestTimes",
+    "Requests",
+    "Served",
+    "Service",
+    "Site",
+    "Tenant",
+    "TokenLaw",
     "TraceError",
     "TraceRows",
     "TraceSource",
     "TrainingParams",
+    "cache_folder",
+    "fetch",
     "from_recordings",
     "generate_inference",
     "generate_mixed",
+    "generate_site",
+    "generate_sites",
     "generate_step",
     "generate_training",
     "library",
+    "load_power",
+    "load_requests",
+    "read_gpu_log",
+    "read_request_log",
+    "record",
+    "replica",
+    "requests",
     "require_window",
     "row_seed",
+    "serve",
 ]

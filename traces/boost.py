@@ -11,7 +11,7 @@ allows is how such power controllers are built, not a measurement.
 import numpy as np
 
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, rounded
-from dcgrid_env.traces.trace import FloatArray
+from dcgrid_env.traces.trace import FloatArray, PowerTrace
 
 AVERAGING_S = 1.0
 """Time over which the draw is held to the rating, s."""
@@ -27,3 +27,16 @@ def boosted(share: FloatArray, compute: FloatArray, boost_share: float) -> tuple
         mean += weight * (drawn[i] - mean)
     drawn = rounded(drawn)
     return drawn, compute + np.maximum(drawn - share, 0.0)
+
+
+def boosted_trace(trace: PowerTrace, boost_share: float) -> PowerTrace:
+    """A generated trace, whose compute-bound part is known, with short draws above its rating of 1 kW."""
+    compute = trace.resample_compute(GRID_S)
+    assert compute is not None
+    # A trace may hold a level for longer than a step of the grid.
+    drawn, compute = boosted(trace.resample(GRID_S), compute, boost_share)
+    time_s = np.arange(len(drawn) + 1) * GRID_S
+    return PowerTrace(
+        time_s, np.append(drawn, drawn[-1]), trace.name, trace.provenance, np.append(compute, compute[-1]),
+        trace.requests,
+    )  # fmt: skip

@@ -21,8 +21,7 @@ def figures(trace: PowerTrace) -> dict[str, float]:
     tenth = trace.resample(0.1)
     step = np.abs(np.diff(second))
     active = second > ACTIVE_SHARE
-    change = np.diff(np.concatenate([[0], active.astype(int), [0]]))
-    burst_s = np.flatnonzero(change == -1) - np.flatnonzero(change == 1)
+    burst_s = burst_lengths_s(second)
     busy = tenth[tenth > ACTIVE_SHARE]
     nan = float("nan")
     return {
@@ -72,6 +71,46 @@ def comparison(recording: PowerTrace, n_windows: int = 200) -> dict[str, tuple[f
     }
 
 
+def distances(recording: PowerTrace, n_windows: int = 200) -> dict[str, tuple[float, float, FloatArray]]:
+    """Two-sample distances between what is recorded and all generated windows, read as the recording was.
+
+    Returns
+    -------
+    what is compared -> (Wasserstein distance, Kolmogorov-Smirnov statistic, (2,) median and 95 % of the statistic of
+    one generated window against all others: how far apart a sample as short as the recording would be by chance)
+    """
+    from scipy.stats import ks_2samp, wasserstein_distance
+
+    time_s = recording.time_s - recording.time_s[0]
+    windows = [generate_inference(recording.duration_s, seed) for seed in range(n_windows)]
+    recorded = _samples(recording.as_share())
+    single = [_samples(as_logged(window, time_s)) for window in windows]
+    found = {}
+    for name, sample in recorded.items():
+        pooled = np.concatenate([s[name] for s in single])
+        chance = [ks_2samp(s[name], pooled).statistic for s in single if s[name].size]
+        ks = float(ks_2samp(sample, pooled).statistic)
+        found[name] = (float(wasserstein_distance(sample, pooled)), ks, np.quantile(chance, [0.5, 0.95]))
+    return found
+
+
+def _samples(trace: PowerTrace) -> dict[str, FloatArray]:
+    second = trace.resample(1.0)
+    step = np.diff(second)
+    return {
+        "level, 1 s means": second,
+        "1-s ramp": step,
+        "1-s ramp beyond 5 % of the rating": step[np.abs(step) > 0.05],
+        "burst length (s)": burst_lengths_s(second).astype(np.float64),
+    }
+
+
+def burst_lengths_s(second: FloatArray) -> np.ndarray:
+    """Lengths of the runs above ACTIVE_SHARE in means over seconds (n,), s."""
+    change = np.diff(np.concatenate([[0], (second > ACTIVE_SHARE).astype(int), [0]]))
+    return np.flatnonzero(change == -1) - np.flatnonzero(change == 1)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison as a Markdown table; return the exit status."""
     if len(arguments) != 1:
@@ -88,6 +127,10 @@ def main(arguments: Sequence[str]) -> int:
         digits = 1 if "(s)" in name or "hour" in name else 3
         cells = (f"{x:.{digits}f}" for x in (recorded, middle, low, high, mean))
         print("| {} | {} | {} ({} .. {}) | {} |".format(name, *cells))
+    print("\n| distribution | Wasserstein distance | Kolmogorov-Smirnov statistic | by chance, median (95 %) |")
+    print("|---|---|---|---|")
+    for name, (wasserstein, ks, (middle, high)) in distances(recording).items():
+        print(f"| {name} | {wasserstein:.4f} | {ks:.3f} | {middle:.3f} ({high:.3f}) |")
     return 0
 
 

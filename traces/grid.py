@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive
 
 GRID_S = 0.1
@@ -55,28 +55,19 @@ def idle_draw(rng: np.random.Generator, n_steps: int) -> FloatArray:
 def as_trace(
     share: FloatArray,
     compute: FloatArray,
-    generator: str,
-    seed: int,
-    params: object = None,
+    name: str,
+    provenance: Provenance,
     requests: RequestTimes | None = None,
-    top_share: float = 1.0,
 ) -> PowerTrace:
     """Trace of a (n,) share of rating on the grid; a closing sample lets the last step have its length.
 
-    `compute`, (n,), is the part of the share that does work that follows the clock. Sums of shares may leave
-    [IDLE_SHARE, top_share] by rounding; they are put back.
+    `compute`, (n,), is the part of the share that does work that follows the clock; it lies above the idle floor. Sums
+    of shares may leave [IDLE_SHARE, 1] by rounding; they are put back.
     """
-    share = np.clip(rounded(share), IDLE_SHARE, top_share)
-    compute = np.clip(rounded(compute), 0.0, share)
+    share = np.clip(rounded(share), IDLE_SHARE, 1.0)
+    compute = np.clip(rounded(compute), 0.0, share - IDLE_SHARE)
     time_s = np.arange(len(share) + 1, dtype=np.float64) * GRID_S
-    return PowerTrace(
-        time_s,
-        np.append(share, share[-1]),
-        f"{generator}-{seed}",
-        generated(generator, seed, params),
-        np.append(compute, compute[-1]),
-        requests,
-    )
+    return PowerTrace(time_s, np.append(share, share[-1]), name, provenance, np.append(compute, compute[-1]), requests)
 
 
 def rounded(share: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
+from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
 
 # The state at time zero has forgotten the calm start this long before.
@@ -100,7 +101,9 @@ def generate_inference(duration_s: float, seed: int, params: InferenceParams | N
         server, reading = _server(rng, idle, *_queries(rng, start_s, token_s, params), params)
         share += server
         compute += np.where(reading, server - IDLE_SHARE, 0.0)
-    return as_trace(share / params.n_servers, compute / params.n_servers, "inference", seed, params)
+    return as_trace(
+        share / params.n_servers, compute / params.n_servers, f"inference-{seed}", generated("inference", seed, params)
+    )
 
 
 def _bursts(rng: np.random.Generator, end_s: float, params: InferenceParams) -> tuple[FloatArray, FloatArray]:

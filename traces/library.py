@@ -1,26 +1,27 @@
-"""What a scenario draws from: named sources of rows of power, split into train, validation and test.
+"""What a scenario draws from: rows of power of a named source, split into train, validation and test.
+
+The splits of a source share no seed, and those made of requests no day. A fourth, `ood`, is out of distribution:
+another GPU type or service. Recordings are cut in time, or given out whole.
 
 A row is one site's power as a share of its rating on a grid of dt. An episode of W steps takes the window
 `rows.p_share[i, offset : offset + W]` at any offset in [0, n_steps - W].
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from functools import lru_cache
 from operator import index
 from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.traces.boost import boosted
-from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
-from dcgrid_env.traces.inference import generate_inference
-from dcgrid_env.traces.mixed import generate_mixed
-from dcgrid_env.traces.step import generate_step
+from dcgrid_env.traces.boost import boosted_trace
+from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, grid_steps
+from dcgrid_env.traces.sources import TRACE_SOURCES
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
-from dcgrid_env.traces.training import generate_training
 
 SPLITS = ("train", "validation", "test")
+OUT_OF_DISTRIBUTION = "ood"
+ALL_SPLITS = (*SPLITS, OUT_OF_DISTRIBUTION)
 
 # Seeds of a split begin here; a library has fewer rows than the distance, so splits share no seed.
 _SEEDS_PER_SPLIT = 1_000_000
@@ -41,41 +42,9 @@ class TraceRows(NamedTuple):
     """The requests behind each row, times from the row's beginning; () unless the source is made of requests."""
 
 
-@dataclass(frozen=True)
-class TraceSource:
-    """A named generator: `generate(duration_s, seed)` gives a trace in share of rating."""
-
-    name: str
-    description: str
-    generate: Callable[[float, int], PowerTrace]
-
-
-TRACE_SOURCES: dict[str, TraceSource] = {
-    source.name: source
-    for source in (
-        TraceSource(
-            "inference",
-            "LLM inference: idle, and bursts of some 25 s near the rating, like the recording of Chen and Zhang",
-            generate_inference,
-        ),
-        TraceSource(
-            "training",
-            "LLM training: near the rating with exchanges near idle at 0.2 to 3 Hz, checkpoints, starts and stops",
-            generate_training,
-        ),
-        TraceSource("mixed", "sites of inference, of training, and of both, one in three each", generate_mixed),
-        TraceSource(
-            "step",
-            "idle until 20 s after the row begins, then full: take windows at offset 0 (Chen and Zhang, Fig. 3)",
-            generate_step,
-        ),
-    )
-}
-
-
 def row_seed(split: str, row: int) -> int:
     """Return the generator seed of a row of a split; no two splits share one."""
-    return SPLITS.index(_known_split(split)) * _SEEDS_PER_SPLIT + row
+    return ALL_SPLITS.index(_known_split(split)) * _SEEDS_PER_SPLIT + row
 
 
 def library(
@@ -86,7 +55,7 @@ def library(
     Parameters
     ----------
     source : one of TRACE_SOURCES.
-    split : "train", "validation" or "test"; no two share a seed.
+    split : "train", "validation" or "test", of which no two share a seed, or "ood".
     dt_s : step, s; at least the 0.1 s at which traces are generated.
     duration_s : length of a row, s.
     count : number of rows; the first rows do not depend on it.
@@ -119,15 +88,20 @@ def library(
 
 @lru_cache(maxsize=32)
 def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> TraceRows:
-    n_steps = steps_in(duration_s, dt_s)
+    n_steps, n_grid = steps_in(duration_s, dt_s), grid_steps(duration_s)
+    generate = TRACE_SOURCES[source].generate
+    if split == OUT_OF_DISTRIBUTION:
+        shifted = TRACE_SOURCES[source].shifted
+        if shifted is None:
+            raise TraceError(f"trace source {source!r} has no split {split!r}; choose one of {', '.join(SPLITS)}")
+        generate = shifted
     power, compute = np.empty((count, n_steps)), np.zeros((count, n_steps))
     requests = []
     for row in range(count):
-        trace = TRACE_SOURCES[source].generate(duration_s, row_seed(split, row))
+        trace = generate(n_grid * GRID_S, row_seed(split, row))
         assert trace.compute_kw is not None  # every generator tells
         if boost_share > 1.0:
-            power_kw, compute_kw = boosted(trace.power_kw, trace.compute_kw, boost_share)
-            trace = replace(trace, power_kw=power_kw, compute_kw=compute_kw)
+            trace = boosted_trace(trace, boost_share)
         power[row] = trace.resample(dt_s)[:n_steps]
         compute_kw = trace.resample_compute(dt_s)
         assert compute_kw is not None
@@ -172,7 +146,11 @@ def from_recordings(
     TraceError
         If there is no recording, or a recording's part of the split is shorter than one step or `window_s`.
     """
-    low, high = _SPLIT_BOUNDS[_known_split(split)]
+    if _known_split(split) == OUT_OF_DISTRIBUTION:
+        raise TraceError(
+            "recordings have no split 'ood'; give recordings of another GPU or service as the trace instead"
+        )
+    low, high = _SPLIT_BOUNDS[split]
     if not traces:
         raise TraceError("from_recordings got no trace; give at least one PowerTrace")
     if not (np.isfinite(window_s) and window_s >= 0):
@@ -241,6 +219,6 @@ def _known_boost(boost_share: float) -> float:
 
 
 def _known_split(split: str) -> str:
-    if split not in SPLITS:
-        raise TraceError(f"split {split!r} is unknown; choose one of {', '.join(SPLITS)}")
+    if split not in ALL_SPLITS:
+        raise TraceError(f"split {split!r} is unknown; choose one of {', '.join(ALL_SPLITS)}")
     return split

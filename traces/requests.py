@@ -72,9 +72,10 @@ class Requests:
 
 def _tokens(name: str, field_name: str, values: ArrayLike | Any) -> IntArray:
     counts = np.asarray(values)
-    wrong = np.flatnonzero(~((counts >= 1) & (counts == np.floor(counts))))
+    wrong = np.flatnonzero(~(np.isfinite(counts) & (counts >= 1) & (counts == np.floor(counts))))
     if wrong.size:
+        count = counts.flat[wrong[0]]
         raise TraceError(
-            f"requests {name!r}: index {wrong[0]}: {field_name} is {counts[wrong[0]]}; give whole numbers of at least 1"
+            f"requests {name!r}: index {wrong[0]}: {field_name} is {count}; give whole numbers of at least 1"
         )
     return counts.astype(np.int64)

@@ -40,4 +40,5 @@ def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTr
     share = np.concatenate([rounded(idle), [1.0, 1.0]])
     # The step is taken for work that follows the clock, as the paper has it for all work.
     compute = np.maximum(share - IDLE_SHARE, 0.0)
-    return PowerTrace(time_s, share, f"step-{seed}", Provenance("generator step", seed, {"step_s": step_s}), compute)
+    provenance = Provenance("generator step", int(seed), {"step_s": step_s})
+    return PowerTrace(time_s, share, f"step-{seed}", provenance, compute)

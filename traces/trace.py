@@ -117,17 +117,31 @@ class PowerTrace:
         *,
         time_column: int | str = 0,
         power_columns: Sequence[int | str] | None = None,
-        unit: str = "W",
+        unit: str | None = None,
         header: bool | None = None,
         delimiter: str = ",",
+        max_gap_s: float | None = None,
+        gaps: str = "error",
+        limit_kw: float = 1e6,
         name: str | None = None,
     ) -> "PowerTrace":
         """Read a trace from a text file; see `dcgrid_env.traces.csv_file.read_csv`."""
         # Imported late because csv_file builds on this module's checks.
         from dcgrid_env.traces.csv_file import read_csv
+        from dcgrid_env.traces.text_file import stem
 
-        time_s, power_kw = read_csv(path, time_column, power_columns, unit, header, delimiter)
-        return cls(time_s, power_kw, name=name or Path(path).stem, provenance=Provenance(Path(path).name))
+        time_s, power_kw, provenance = read_csv(
+            path,
+            time_column,
+            power_columns,
+            unit,
+            header,
+            delimiter,
+            max_gap_s=max_gap_s,
+            gaps=gaps,
+            limit_kw=limit_kw,
+        )
+        return cls(time_s, power_kw, name=name or stem(path), provenance=provenance)
 
     @property
     def duration_s(self) -> float:

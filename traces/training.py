@@ -1,51 +1,22 @@
-"""Generated power of a site that trains one large model at a time, all GPUs in step.
+"""Generated power of a site that trains large models: a few jobs side by side, all GPUs of a job in step.
 
-A job is a row of iterations. Each computes near the rating and then exchanges gradients near idle, at 0.2 to 3 Hz
-(arXiv 2508.14318); every some minutes an exchange is prolonged by the writing of a checkpoint. A job begins with the
-loading of data and ends at once; between jobs the site idles. Levels, shares and lengths that the source does not
-give are choices, not measurements; they stand in `TrainingParams`.
+The site is cut into slots. Each runs one job after another with idle time between; a job may fail, which drops it to
+idle at once, and goes on after a restart. A job computes near the rating and exchanges gradients near idle, at 0.2 to
+3 Hz (arXiv 2508.14318). The waveform stands in `training_job.py`, the numbers and their sources in
+`training_params.py`. No recording was at hand to calibrate against.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
-from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
-
-
-@dataclass(frozen=True)
-class TrainingParams:
-    """What training jobs are like; pairs are the range from which each job draws, shares are of the rating.
-
-    A field that is out of its range raises TraceError.
-    """
-
-    job_mean_s: float = 1800.0
-    gap_mean_s: float = 180.0
-    loading_s: tuple[float, float] = (5.0, 30.0)
-    iteration_hz: tuple[float, float] = (0.2, 3.0)  # drawn evenly in its logarithm
-    exchange_fraction: tuple[float, float] = (0.1, 0.3)  # of an iteration
-    compute_share: tuple[float, float] = (0.9, 1.0)
-    exchange_share: tuple[float, float] = (0.28, 0.4)
-    checkpoint_every_s: tuple[float, float] = (200.0, 600.0)
-    checkpoint_s: tuple[float, float] = (3.0, 15.0)
-    iteration_spread: float = 0.02  # standard deviation of an iteration's length over its mean
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, tuple):
-                low, high = value
-                ceiling = 1.0 if field.name.endswith(("_share", "_fraction")) else np.inf
-                if not 0 < low <= high <= ceiling:
-                    raise TraceError(
-                        f"TrainingParams.{field.name} = {value} is not a rising pair above 0 and at most {ceiling:g}"
-                    )
-        for name in ("job_mean_s", "gap_mean_s"):
-            require_positive(getattr(self, name), f"TrainingParams.{name}", "give a time in seconds")
-        if not 0 <= self.iteration_spread <= 0.2:
-            raise TraceError(f"TrainingParams.iteration_spread = {self.iteration_spread} is not in 0 to 0.2")
+from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.smoothing import smoothed
+from dcgrid_env.traces.trace import FloatArray, PowerTrace
+from dcgrid_env.traces.training_job import TrainingJob, draw_job, run_edges
+from dcgrid_env.traces.training_params import TrainingParams
 
 
 def generate_training(duration_s: float, seed: int, params: TrainingParams | None = None) -> PowerTrace:
@@ -68,49 +39,77 @@ def generate_training(duration_s: float, seed: int, params: TrainingParams | Non
     """
     params = params or TrainingParams()
     n_steps = grid_steps(duration_s)
-    end_s = n_steps * GRID_S
     rng = stream("training", seed)
     idle = idle_draw(rng, n_steps)
-    # Lengths of jobs and gaps are exponential, so a trace may begin in the middle of either.
-    in_job = rng.random() < params.job_mean_s / (params.job_mean_s + params.gap_mean_s)
-    time_s, begun_before = 0.0, True
+    low, high = params.n_slots
+    n_slots = int(rng.integers(low, high + 1))
+    sizes = rng.dirichlet(np.full(n_slots, params.slot_evenness))
+    share, compute = np.zeros(n_steps), np.zeros(n_steps)
+    for size, slot_rng in zip(sizes, rng.spawn(n_slots), strict=True):
+        slot_share, slot_compute = _slot(slot_rng, idle, params)
+        share += size * slot_share
+        compute += size * slot_compute
+    return as_trace(share, compute, f"training-{seed}", generated("training", seed, params))
+
+
+class _Run(NamedTuple):
+    """A stretch of time in which a job runs without a failure."""
+
+    begin_s: float
+    end_s: float
+    job: TrainingJob
+    under_way: bool
+
+
+def _slot(rng: np.random.Generator, idle: FloatArray, params: TrainingParams) -> tuple[FloatArray, FloatArray]:
+    """Draw of a slot and its compute part, (n_steps,) each, share of the slot's rating."""
+    n_steps = len(idle)
+    runs = list(_runs(rng, n_steps * GRID_S, params))
+    pieces = [run_edges(rng, run.job, run.end_s - run.begin_s, run.under_way, params) for run in runs]
     edges, levels = [], []
+    for run, (edge_s, level) in zip(runs, pieces, strict=True):
+        edges += [run.begin_s + edge_s, [run.end_s]]
+        levels += [level, [0.0]]
+    drawn = _means(edges, levels, n_steps)
+    running = _means([run[:2] for run in runs], [(1.0, 0.0)] * len(runs), n_steps)
+    share, compute = drawn + (1.0 - running) * idle, drawn - running * IDLE_SHARE
+    if params.smoothing is not None:
+        share = smoothed(share, running > 0, params.smoothing)
+        # What the floor adds does no work.
+        compute = np.minimum(compute, share - IDLE_SHARE)
+    return share, compute
+
+
+def _runs(rng: np.random.Generator, end_s: float, params: TrainingParams) -> Iterator[_Run]:
+    """Runs of a slot's jobs one after another, within 0 to end_s.
+
+    Running time, gaps and times between failures are exponential, so time zero may fall in the middle of any.
+    """
+    down_s = sum(params.restart_s) / 2
+    job_s = params.job_mean_s * (1 + down_s / params.failure_mean_s)
+    time_s, under_way = 0.0, False
+    if rng.random() >= job_s / (job_s + params.gap_mean_s):
+        time_s = rng.exponential(params.gap_mean_s)
+    elif rng.random() < down_s / (down_s + params.failure_mean_s):
+        time_s = rng.random() * rng.uniform(*params.restart_s)
+    else:
+        under_way = True
     while time_s < end_s:
-        length_s = rng.exponential(params.job_mean_s if in_job else params.gap_mean_s)
-        if in_job:
-            edge_s, level = _job(rng, min(length_s, end_s - time_s), begun_before, params)
-            edges.append(time_s + edge_s)
-            levels.append(level)
-        else:
-            edges.append([time_s])
-            levels.append([0.0])
-        time_s, in_job, begun_before = time_s + length_s, not in_job, False
-    edge_s, level = np.append(np.concatenate(edges), end_s), np.append(np.concatenate(levels), 0.0)
+        job, left_s = draw_job(rng, params), rng.exponential(params.job_mean_s)
+        while left_s > 0 and time_s < end_s:
+            run_s = min(left_s, rng.exponential(params.failure_mean_s))
+            yield _Run(time_s, min(time_s + run_s, end_s), job, under_way)
+            time_s, left_s, under_way = time_s + run_s, left_s - run_s, False
+            if left_s > 0:
+                time_s += rng.uniform(*params.restart_s)
+        time_s += rng.exponential(params.gap_mean_s)
+
+
+def _means(edges: list, levels: list, n_steps: int) -> FloatArray:
+    """Exact means (n_steps,) on the grid of pieces of edges, s, and the levels that they begin; 0 before the first."""
+    end_s = n_steps * GRID_S
+    edge_s = np.concatenate([[0.0], *edges, [end_s]]).clip(max=end_s)
+    level = np.concatenate([[0.0], *levels, [0.0]])
+    # Of edges at one time, the last holds.
     kept = np.diff(edge_s, append=np.inf) > 0
-    share = PowerTrace(edge_s[kept], level[kept], "training").resample(GRID_S)
-    # Steps that hold any idle time take the idle draw for that part by being at least as high.
-    return as_trace(np.maximum(share, idle), np.maximum(share - IDLE_SHARE, 0.0), "training", seed, params)
-
-
-def _job(rng: np.random.Generator, length_s: float, begun_before: bool, params: TrainingParams):
-    """Edges (n,), s from the job's start, and the level (n,) that each begins, share of rating."""
-    low_hz, high_hz = np.log(params.iteration_hz)
-    period_s = float(np.exp(-rng.uniform(low_hz, high_hz)))
-    exchange = rng.uniform(*params.exchange_fraction)
-    compute_share, exchange_share = rng.uniform(*params.compute_share), rng.uniform(*params.exchange_share)
-    loading_s = 0.0 if begun_before else rng.uniform(*params.loading_s)
-    every = max(1, round(rng.uniform(*params.checkpoint_every_s) / period_s))
-
-    n = int(length_s / (period_s * (1 - 4 * params.iteration_spread))) + 2
-    step_s = period_s * (1 + params.iteration_spread * rng.standard_normal(n).clip(-4, 4))
-    computing_s = (1 - exchange) * step_s
-    saved = (np.arange(n) + rng.integers(every)) % every == every - 1
-    step_s = step_s + np.where(saved, rng.uniform(*params.checkpoint_s, n), 0.0)
-    begin_s = loading_s + np.concatenate([[0.0], np.cumsum(step_s[:-1])])
-
-    edge_s = np.column_stack([begin_s, begin_s + computing_s]).ravel()
-    level = np.tile([compute_share, exchange_share], n)
-    if loading_s:
-        edge_s, level = np.append(0.0, edge_s), np.append(exchange_share, level)
-    within = edge_s < length_s
-    return edge_s[within], level[within]
+    return PowerTrace(edge_s[kept], level[kept], "training").resample(GRID_S)

@@ -18,6 +18,7 @@ def main(cfg: List) -> None:
     from dcgrid_env import FEEDERS, IDS, PRESETS
     from dcgrid_env.baselines import CONTROLLERS
     from dcgrid_env.traces import TRACE_SOURCES
+    from dcgrid_env.traces.recordings import RECORDINGS
 
     id_of = {scenario: name for name, scenario in IDS.items()}
     tables = {
@@ -25,6 +26,7 @@ def main(cfg: List) -> None:
         "feeder": FEEDERS,
         "controller": {name: text for name, (text, _) in CONTROLLERS.items()},
         "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
+        "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
     }
     console = Console()
     for kind, rows in tables.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.commands.results import meta, write_json
 
@@ -24,7 +24,11 @@ class Run:
     """Episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0
     split: str = "test"
-    """Which episodes the seeds mean: train, validation or test."""
+    """Which episodes the seeds mean: train, validation, test, or ood (another GPU or service)."""
+    trace: str | None = None
+    """Load of the data centres instead of the scenario's: a generator, or recordings and files separated by commas."""
+    dvfs: Literal["linear", "phase"] = "linear"
+    """How the clock acts: on all work alike, or by phase (prefill and training follow it, decode hardly does)."""
     out: Path = Path("results/run")
     """Folder for results.json and figure.png; made if it is not there."""
 
@@ -34,12 +38,11 @@ def main(cfg: Run) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from dcgrid_env import make_scenario
     from dcgrid_env.baselines import make_controller, rollout
 
     if cfg.episodes < 1 or cfg.seed < 0:
         raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
-    scenario = make_scenario(cfg.scenario, split=cfg.split)
+    scenario = _scenario(cfg)
     names = list(dict.fromkeys(name.strip() for name in cfg.controllers.split(",") if name.strip()))
     controllers = {name: make_controller(name) for name in names}
     if not controllers:
@@ -59,9 +62,32 @@ def main(cfg: Run) -> None:
     ]
     console.print(table(scenario, records, names, cfg))
     console.print(linear_difference(scenario, seeds))
-    write_json(cfg.out / "results.json", {"meta": meta() | {"split": cfg.split}, "episodes": records})
+    about = meta() | {"split": cfg.split, "trace": _origin(scenario)}
+    write_json(cfg.out / "results.json", {"meta": about, "episodes": records})
     draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
     console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
+
+
+def _scenario(cfg: Run) -> Scenario:
+    from dcgrid_env import PhaseDvfs, make_scenario
+    from dcgrid_env.traces import TRACE_SOURCES
+    from dcgrid_env.traces.named import recorded_trace
+
+    chosen: dict[str, Any] = {"split": cfg.split}
+    if cfg.dvfs == "phase":
+        chosen["dvfs"] = PhaseDvfs()
+    if cfg.trace in TRACE_SOURCES:
+        chosen["trace"] = cfg.trace
+    elif cfg.trace is not None:
+        chosen["trace"] = tuple(recorded_trace(name.strip()) for name in cfg.trace.split(","))
+    return make_scenario(cfg.scenario, **chosen)
+
+
+def _origin(scenario: Scenario) -> list[dict[str, Any]]:
+    """Where the data centres' load comes from, with licence and citation of recordings."""
+    if isinstance(scenario.trace, str):
+        return [{"name": f"generator {scenario.trace}"}]
+    return [trace.provenance.record() for trace in scenario.trace]
 
 
 ROWS = (
@@ -76,6 +102,10 @@ ROWS = (
     ("mean delay", "s", "delay_mean_s", 1.0, 2, "mean"),
     ("95 % of work within", "s", "delay_p95_s", 1.0, 1, "mean"),
     ("99 % of work within", "s", "delay_p99_s", 1.0, 1, "mean"),
+    ("time to first token, mean", "s", "ttft_mean_s", 1.0, 2, "mean"),
+    ("time to first token, 99 %", "s", "ttft_p99_s", 1.0, 2, "mean"),
+    ("end to end, mean", "s", "e2e_mean_s", 1.0, 2, "mean"),
+    ("end to end, 99 %", "s", "e2e_p99_s", 1.0, 2, "mean"),
     ("unserved at the end", "kW s", "unserved_kws", 1.0, 1, "mean"),
     ("mean loss", "kW", "loss_mean_kw", 1.0, 1, "mean"),
 )
@@ -96,6 +126,8 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     for name in names:
         made.add_column(name, justify="right")
     for label, unit, key, factor, decimals, how in ROWS:
+        if key not in records[0]:
+            continue  # of requests, where the load is made of them
         cells = []
         for name in names:
             values = [factor * r[key] for r in records if r["controller"] == name]

@@ -5,15 +5,18 @@
     p       = min(p_ref, p_idle) + power(f, ...)    drawn from the grid
     backlog' = backlog + (a - d) dt                 kW s of nominal work
 
-After arXiv 2507.06416, section II, with work that cannot be served before it arrives. The converter's reactive side is
-in ``converter``.
+After arXiv 2507.06416, section II, with work that cannot be served before it arrives. A law of two phases has a, d and
+backlog for each, with a in the proportion in which the work arrives. Where p_ref may exceed the rating for a moment
+(boost), the law is given max(p_rated - p_idle, a) for the site's dynamic power: what arrives above the rating is served
+at once at the top clock, while a backlog is worked off at the rating only. The converter's reactive side is in
+``converter``.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.arrays import Array, namespace, positive_part
+from dcgrid_env.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.devices.dvfs import Dvfs
 from dcgrid_env.devices.params import DataCenterParams
 
@@ -27,18 +30,54 @@ class DataCenterStep(NamedTuple):
     served_kw: Array
     p_kw: Array
     """Draw from the grid, kW."""
+    phase_backlog_kws: Array
+    """The first three by phase, (..., n_dc, 2); with one phase, the very same arrays as above."""
+    phase_arrived_kw: Array
+    phase_served_kw: Array
 
 
 def step(
-    params: DataCenterParams, dvfs: Dvfs, backlog_kws: Array, p_ref_kw: Array, f_mhz: Array, dt_s: float
+    params: DataCenterParams,
+    dvfs: Dvfs,
+    phase_backlog_kws: Array,
+    p_ref_kw: Array,
+    f_mhz: Array,
+    dt_s: float,
+    compute_share: Array | None = None,
+    *,
+    boost: bool = False,
 ) -> DataCenterStep:
-    """Advance the data centres by one interval; arrays of shape (..., n_dc), ``f_mhz`` already within its limits."""
-    arrived = positive_part(p_ref_kw - params.p_idle_kw)
-    served, dynamic = dvfs.serve(params, f_mhz, arrived + backlog_kws / dt_s)
-    return DataCenterStep(
-        # The positive part takes off no more than the rounding of a queue that has just run empty.
-        backlog_kws=positive_part(backlog_kws + (arrived - served) * dt_s),
-        arrived_kw=arrived,
-        served_kw=served,
-        p_kw=namespace(p_ref_kw).minimum(p_ref_kw, params.p_idle_kw) + dynamic,
-    )
+    """Advance the data centres by one interval.
+
+    Parameters
+    ----------
+    params, dvfs
+        Ratings and clock law.
+    phase_backlog_kws
+        Work queued at the beginning, kW s, (..., n_dc), or (..., n_dc, 2) under a law of two phases.
+    p_ref_kw
+        Draw at the top clock with nothing queued, kW, (..., n_dc).
+    f_mhz
+        Clock, within its limits, MHz, (..., n_dc).
+    dt_s
+        Length of the interval, s.
+    compute_share
+        Compute-bound share of the arriving work, (..., n_dc), for a law of two phases; None for one of one.
+    boost
+        Whether ``p_ref_kw`` may exceed the rating.
+    """
+    xp = namespace(p_ref_kw)
+    arrived = phase_arrived = positive_part(p_ref_kw - params.p_idle_kw)
+    if boost:
+        params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
+    if compute_share is not None:
+        compute = arrived * compute_share
+        phase_arrived = xp.concat((compute[..., None], (arrived - compute)[..., None]), axis=-1)
+    phase_served, dynamic = dvfs.serve(params, f_mhz, phase_arrived + phase_backlog_kws / dt_s)
+    # The positive part takes off no more than the rounding of a queue that has just run empty.
+    phase_backlog = positive_part(phase_backlog_kws + (phase_arrived - phase_served) * dt_s)
+    served, backlog = phase_served, phase_backlog
+    if compute_share is not None:
+        served, backlog = sum_last(phase_served), sum_last(phase_backlog)
+    p = xp.minimum(p_ref_kw, params.p_idle_kw) + dynamic
+    return DataCenterStep(backlog, arrived, served, p, phase_backlog, phase_arrived, phase_served)

@@ -1,9 +1,13 @@
-"""How a GPU clock turns queued work into speed and power (dynamic voltage and frequency scaling)."""
+"""How a GPU clock turns queued work into speed and power (dynamic voltage and frequency scaling).
+
+A law may tell apart two kinds of work, its phases: compute-bound (prefill, training) and memory-bound (decode). It says
+so with an attribute ``phases = 2``; without one it has a single phase.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 from dcgrid_env.arrays import Array, namespace
 from dcgrid_env.devices.params import DataCenterParams
@@ -22,19 +26,27 @@ class Dvfs(Protocol):
         f_mhz
             Clock, MHz, shape (..., n_dc).
         work_kw
-            Work at hand (arriving and queued), as the dynamic power that would serve all of it within the interval, kW.
+            Work at hand (arriving and queued), as the dynamic power that would serve all of it within the interval at
+            the top clock, kW: (..., n_dc), or with two phases (..., n_dc, 2), compute-bound first.
 
         Returns
         -------
         work_rate_kw, power_kw
-            Work served, at most ``work_kw``, and dynamic power above idle, kW, both (..., n_dc).
+            Work served, of the shape of ``work_kw`` and at most that, and dynamic power above idle, (..., n_dc), kW.
         """
         ...
+
+
+def phases_of(dvfs: Any) -> int:
+    """Number of kinds of work that a clock law tells apart."""
+    return getattr(dvfs, "phases", 1)
 
 
 @dataclass(frozen=True)
 class LinearDvfs:
     """Speed and dynamic power both proportional to the clock (arXiv 2507.06416, eq. 4)."""
+
+    phases: ClassVar[int] = 1
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """See :class:`Dvfs`: what is served is what is drawn."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, make_scenario, parallel_env
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, PhaseDvfs, make_scenario, parallel_env
 from dcgrid_env.baselines import CONTROLLERS, Controller, Droop, Local, LocalController, make_controller, rollout
 
 
@@ -80,10 +80,11 @@ def test_inverters_only_leaves_the_data_centres_alone():
     assert q == pytest.approx([0.0, 20.0, 20.0])
 
 
+@pytest.mark.parametrize("law", [{}, {"dvfs": PhaseDvfs(), "boost_share": 1.3}], ids=["linear", "phases"])
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_one_object_drives_every_interface(name):
+def test_one_object_drives_every_interface(name, law):
     """Joined, per agent and batched observations lead to the same course of the same episode."""
-    scenario = make_scenario("ieee123", horizon=15)
+    scenario = make_scenario("ieee123", horizon=15, **law)
     controller = make_controller(name)
     assert isinstance(controller, Controller)
     recorder = rollout(scenario, controller, [21, 22, 23])

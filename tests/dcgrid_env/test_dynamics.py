@@ -8,8 +8,21 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PRESETS, Scenario, Solution, distflow, dynamics, episode, lindistflow, make_scenario, reward
+from dcgrid_env import (
+    PRESETS,
+    PhaseDvfs,
+    Scenario,
+    Solution,
+    distflow,
+    dynamics,
+    episode,
+    lindistflow,
+    make_scenario,
+    reward,
+)
 from dcgrid_env.dynamics import Exogenous, State
+
+LAWS: dict[str, dict[str, Any]] = {"linear": {}, "phases": {"dvfs": PhaseDvfs(), "boost_share": 1.3}}
 
 
 class Outside(NamedTuple):
@@ -20,15 +33,17 @@ class Outside(NamedTuple):
 
 
 def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, seed: int = 0) -> Outside:
-    """``full``: every site is asked for 60 to 100 % of its rating, so that the clocks matter."""
+    """``full``: every site is asked for 60 % of its rating or more, so that the clocks matter, of either phase."""
     drawn = episode.draw(scenario, np.arange(lanes, dtype=np.uint64) + np.uint64(seed), np.zeros(lanes, np.uint64))
     rng, noise, found = np.random.default_rng(seed), np.zeros((lanes, scenario.feeder.n_bus)), []
     for k in range(steps + 1):
         step = np.full(lanes, k)
         p_ref = episode.p_ref_kw(scenario, drawn, step)
         if full:
-            p_ref = rng.uniform(0.6, 1.0, p_ref.shape) * scenario.datacenter.p_rated_kw
+            p_ref = rng.uniform(0.6, scenario.boost_share, p_ref.shape) * scenario.datacenter.p_rated_kw
         exogenous, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
+        if full and exogenous.compute_share is not None:
+            exogenous = exogenous._replace(compute_share=rng.uniform(0.0, 1.0, p_ref.shape))
         found.append(exogenous)
     return Outside(found, drawn.buses)
 
@@ -40,7 +55,7 @@ def random_actions(scenario: Scenario, lanes: int, steps: int, seed: int = 0) ->
 
 def as_torch(fields: Any) -> Any:
     """A tuple of arrays as one of tensors that share nothing with them."""
-    return type(fields)._make(torch.tensor(np.asarray(a)) for a in fields)
+    return type(fields)._make(a if a is None else torch.tensor(np.asarray(a)) for a in fields)
 
 
 def run(scenario: Scenario, given: list[Exogenous], actions: Any) -> list[tuple[State, Solution]]:
@@ -66,11 +81,12 @@ def assert_alike(tensors: State, arrays: State, tolerance: float) -> None:
 # --- NumPy and torch -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("power_flow", ["distflow", "lindistflow"])
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.usefixtures("exact")
-def test_numpy_and_torch_take_the_same_steps(name, power_flow):
-    scenario = make_scenario(name, power_flow=power_flow)
+def test_numpy_and_torch_take_the_same_steps(name, power_flow, law):
+    scenario = make_scenario(name, power_flow=power_flow, **LAWS[law])
     given = outside(scenario, 6, 6, full=True)
     actions = random_actions(scenario, 6, 6)
     arrays = run(scenario, given.steps, actions)
@@ -92,7 +108,7 @@ def test_numpy_and_torch_agree_within_the_default_tolerance(name):
         same = state_t._replace(current_sq_pu=torch.tensor(state.current_sq_pu))
         assert_alike(same, state, 1e-8)  # what the solver promises of its voltages
         np.testing.assert_allclose(state_t.current_sq_pu.numpy(), state.current_sq_pu, rtol=1e-6, atol=1e-9)
-        for field in ("backlog_kws", "f_mhz", "arrived_kw", "served_kw", "p_kw", "q_kvar", "q_limit_kvar"):
+        for field in ("phase_backlog_kws", "f_mhz", "arrived_kw", "served_kw", "p_kw", "q_kvar", "q_limit_kvar"):
             np.testing.assert_allclose(getattr(state_t, field).numpy(), getattr(state, field), rtol=1e-12, atol=1e-9)
 
 
@@ -109,11 +125,17 @@ def team_cost(scenario: Scenario, given: list[Exogenous], actions: Any, start: S
     return cost
 
 
-@pytest.mark.parametrize("cost", ["l1", "l2", "bump"])
-@pytest.mark.parametrize("name", ["toy6", "ieee33-weak"])
+@pytest.mark.parametrize(
+    ("name", "cost", "law"),
+    [
+        *((name, cost, "linear") for name in ("toy6", "ieee33-weak") for cost in ("l1", "l2", "bump")),
+        ("toy6", "l1", "phases"),
+        ("ieee33-weak", "l2", "phases"),
+    ],
+)
 @pytest.mark.usefixtures("exact")
-def test_gradient_through_three_steps_matches_finite_differences(name, cost):
-    scenario = make_scenario(name, voltage_cost=cost)
+def test_gradient_through_three_steps_matches_finite_differences(name, cost, law):
+    scenario = make_scenario(name, voltage_cost=cost, **LAWS[law])
     given = outside(scenario, 2, 3, full=True, seed=1)
     # Within (-0.8, 0.8): away from the ends, where the derivative has no one value.
     actions = 0.8 * random_actions(scenario, 2, 3, seed=1)
@@ -159,9 +181,10 @@ def test_a_lane_without_solution_spoils_no_derivative():
 # --- purity --------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("collapse", [False, True])
-def test_step_writes_to_nothing_that_it_is_given(collapse):
-    scenario = make_scenario("ieee33-weak")
+def test_step_writes_to_nothing_that_it_is_given(collapse, law):
+    scenario = make_scenario("ieee33-weak", **LAWS[law])
     given = outside(scenario, 3, 1).steps
     first = given[1]
     if collapse:
@@ -170,24 +193,26 @@ def test_step_writes_to_nothing_that_it_is_given(collapse):
     action = 2.0 * random_actions(scenario, 3, 1)[0]
 
     for arrays in (state, first, (action,)):
-        for array in arrays:
+        for array in (a for a in arrays if a is not None):
             array.flags.writeable = False  # a write would raise
     after, _ = dynamics.step(scenario, state, action, first)
     for array in after:
         assert not np.shares_memory(array, state.v_pu) or array is after.v_last_pu
 
     tensors = as_torch(state), torch.tensor(action), as_torch(first)
-    before = [t.clone() for t in (*tensors[0], tensors[1], *tensors[2])]
+    every = [t for t in (*tensors[0], tensors[1], *tensors[2]) if t is not None]
+    before = [t.clone() for t in every]
     dynamics.step(scenario, *tensors)
-    for a, b in zip(before, (*tensors[0], tensors[1], *tensors[2]), strict=True):
+    for a, b in zip(before, every, strict=True):
         assert torch.equal(a, b)
     again, _ = dynamics.step(scenario, state, action, first)
     for a, b in zip(after, again, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_lanes_do_not_touch_each_other():
-    scenario = make_scenario("ieee123")
+@pytest.mark.parametrize("law", LAWS)
+def test_lanes_do_not_touch_each_other(law):
+    scenario = make_scenario("ieee123", **LAWS[law])
     given = outside(scenario, 5, 3, full=True)
     actions = random_actions(scenario, 5, 3)
     together = run(scenario, given.steps, actions)
@@ -195,7 +220,11 @@ def test_lanes_do_not_touch_each_other():
     for lane in range(5):
         cut = slice(lane, lane + 1)
         alone_given = [
-            Exogenous(*(a[cut] for a in e[:4]), nodes=e.nodes[cut] - lane * n_bus)  # type: ignore[arg-type]
+            Exogenous(
+                *(a[cut] for a in e[:4]),  # type: ignore[arg-type]
+                nodes=e.nodes[cut] - lane * n_bus,
+                compute_share=None if e.compute_share is None else e.compute_share[cut],
+            )
             for e in given.steps
         ]
         alone = run(scenario, alone_given, actions[:, cut])
@@ -333,10 +362,11 @@ def test_reactive_power_is_cut_after_the_active_power_is_known():
     np.testing.assert_allclose(after.served_kw, [[770.0, 770.0, 385.0]])
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
 @pytest.mark.parametrize("name", PRESETS)
-def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind):
-    scenario = make_scenario(name)
+def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, law):
+    scenario = make_scenario(name, **LAWS[law])
     given = outside(scenario, 3, 0, full=True).steps[0]
     state, solution = dynamics.initial_state(scenario, given if kind == "numpy" else as_torch(given))
     state = State(*(np.asarray(a) for a in state))
@@ -344,7 +374,8 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind):
     assert np.all(state.f_mhz == scenario.f_max_mhz)
     assert np.all(state.f_last_mhz == scenario.f_max_mhz)
     assert np.all(state.q_kvar == 0.0)
-    assert np.all(state.backlog_kws == 0.0)
+    np.testing.assert_allclose(state.backlog_kws, 0.0, atol=1e-9)
+    assert state.phase_backlog_kws.shape == ((3, n_dc, 2) if law == "phases" else (3, n_dc))
     np.testing.assert_allclose(state.p_kw[:, :n_dc], given.p_ref_kw)
     np.testing.assert_array_equal(state.v_last_pu, state.v_pu)
     np.testing.assert_array_equal(state.v_agent_last_pu, state.v_agent_pu)
@@ -355,9 +386,10 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind):
     assert bool(solution.converged.all())
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n_dc", [0, 1])
-def test_no_datacenter_or_no_inverter_at_all(n_dc):
-    scenario = make_scenario("toy6", n_datacenters=n_dc, datacenter_buses=(4,) * n_dc)
+def test_no_datacenter_or_no_inverter_at_all(n_dc, law):
+    scenario = make_scenario("toy6", n_datacenters=n_dc, datacenter_buses=(4,) * n_dc, **LAWS[law])
     if n_dc:
         scenario = scenario.replace(inverter_buses=())
     given = outside(scenario, 2, 2).steps
@@ -367,6 +399,53 @@ def test_no_datacenter_or_no_inverter_at_all(n_dc):
     ):
         for a, b in zip(arrays[0], tensors[0], strict=True):
             np.testing.assert_allclose(b.numpy(), a, rtol=1e-9, atol=1e-9)
+
+
+# --- phases and boost ----------------------------------------------------------------------------
+
+
+def test_one_phase_has_the_same_arrays_by_phase_and_in_total():
+    scenario = make_scenario("ieee33-weak")
+    given = outside(scenario, 2, 1, full=True).steps
+    state = run(scenario, given, random_actions(scenario, 2, 1))[1][0]
+    assert state.phase_backlog_kws is state.backlog_kws
+    assert state.phase_arrived_kw is state.arrived_kw
+    assert state.phase_served_kw is state.served_kw
+    assert given[1].compute_share is None
+
+
+def test_composition_decides_speed_and_draw():
+    # One site all compute-bound, one all memory-bound, one half and half, all full at half the clock: see PhaseDvfs.
+    scenario = make_scenario("ieee33-weak", f_min_mhz=705.0, dvfs=PhaseDvfs(0.1, 0.2, 0.4))
+    given = outside(scenario, 1, 1).steps
+    state, _ = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.full((1, 3), 230.0)))
+    full = given[1]._replace(p_ref_kw=np.full((1, 3), 1000.0), compute_share=np.array([[1.0, 0.0, 0.5]]))
+    low = np.array([[-1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    state, _ = dynamics.step(scenario, state, low, full)
+    # Speeds 1/2 and 1/1.1; tau 2, 1.1 and 1.55; busy power 0.4/2 + 0.6/8 = 0.275 and 0.2 + 0.8/8 = 0.3.
+    served = np.array([[[1 / 2, 0.0], [0.0, 1 / 1.1], [0.5 / 1.55, 0.5 / 1.55]]])
+    np.testing.assert_allclose(state.phase_served_kw, 770.0 * served)
+    np.testing.assert_allclose(state.served_kw, 770.0 * served.sum(-1))
+    np.testing.assert_allclose(state.phase_arrived_kw, [[[770.0, 0.0], [0.0, 770.0], [385.0, 385.0]]])
+    np.testing.assert_allclose(state.phase_backlog_kws, state.phase_arrived_kw - state.phase_served_kw)
+    np.testing.assert_allclose(state.backlog_kws, state.phase_backlog_kws.sum(-1))
+    busy = [0.275, 0.3, (0.5 * 2 * 0.275 + 0.5 * 1.1 * 0.3) / 1.55]
+    np.testing.assert_allclose(state.p_kw[:, :3], [230.0 + 770.0 * np.array(busy)])
+
+
+@pytest.mark.parametrize("law", ["linear", "phases"])
+def test_a_short_draw_above_the_rating_is_served_at_once_and_leaves_no_reactive_power(law):
+    scenario = make_scenario("ieee33-weak", **(LAWS[law] | {"boost_share": 1.3}))
+    given = outside(scenario, 1, 1).steps
+    state, _ = dynamics.initial_state(scenario, given[0])
+    above = given[1]._replace(p_ref_kw=np.array([[1300.0, 1010.0, 900.0]]))
+    after, _ = dynamics.step(scenario, state, np.ones((1, 10)), above)
+    np.testing.assert_allclose(after.p_kw[0, :3], [1300.0, 1010.0, 900.0])
+    np.testing.assert_allclose(after.backlog_kws, 0.0, atol=1e-9)
+    # s is 1020 kVA.
+    np.testing.assert_allclose(after.q_limit_kvar[0, :3], [0.0, np.sqrt(1020.0**2 - 1010.0**2), 330.0])
+    np.testing.assert_allclose(after.q_kvar[0, :3], after.q_limit_kvar[0, :3])
+    assert np.isfinite(after.v_pu).all()
 
 
 # --- a device at several nodes -------------------------------------------------------------------

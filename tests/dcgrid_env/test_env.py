@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3_env
 
 import dcgrid_env
-from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, ScenarioError
+from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, PhaseDvfs, ScenarioError
 from dcgrid_env.traces import PowerTrace, TraceError
 
 
@@ -96,8 +96,9 @@ def test_info_keys_are_constant():
         assert list(info) == keys
 
 
-def test_save_and_restore_round_trip_exactly():
-    env = DcgridEnv("ieee123")
+@pytest.mark.parametrize("extra", [{}, {"dvfs": PhaseDvfs(), "boost_share": 1.3}], ids=["linear", "phases"])
+def test_save_and_restore_round_trip_exactly(extra):
+    env = DcgridEnv("ieee123", **extra)
     env.reset(seed=3)
     env.action_space.seed(3)
     actions = [env.action_space.sample() for _ in range(20)]
@@ -106,7 +107,7 @@ def test_save_and_restore_round_trip_exactly():
     saved = env.save()
     course = [env.step(action) for action in actions[7:]]
     env.restore(saved)
-    other = DcgridEnv("ieee123")
+    other = DcgridEnv("ieee123", **extra)
     other.restore(saved)
     clone = pickle.loads(pickle.dumps(env))
     copied = copy.deepcopy(env)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, Scenario, ScenarioError, episode, make_scenario
+from dcgrid_env import PRESETS, PhaseDvfs, Scenario, ScenarioError, episode, make_scenario
 from dcgrid_env.simulation import Simulation
 from dcgrid_env.traces import SPLITS, PowerTrace, TraceError
 
@@ -278,6 +278,79 @@ def test_loads_are_the_feeders_own_times_the_noise_less_capacitors():
     base = feeder.q_load_kvar * (1 + 0.05 * z)
     np.testing.assert_allclose(outside[off].q_load_kvar, base, rtol=1e-13)
     np.testing.assert_allclose(outside[on].q_load_kvar, base - feeder.capacitor_kvar, rtol=1e-13, atol=1e-12)
+
+
+# --- sites in step -------------------------------------------------------------------------------
+
+
+def test_sites_take_the_first_ones_window_as_often_as_asked():
+    lanes = 4000
+    apart, half, together = (
+        draw(make_scenario("ieee123", site_correlation=c), range(lanes)).start for c in (0.0, 0.5, 1.0)
+    )
+    np.testing.assert_array_equal(together, np.repeat(apart[:, :1], 5, axis=1))
+    follows = half == half[:, :1]
+    np.testing.assert_array_equal(half, np.where(follows, apart[:, :1], apart))
+    np.testing.assert_allclose(follows[:, 1:].mean(axis=0), 0.5, atol=5 * 0.5 / np.sqrt(lanes))
+    # Each site on its own: 4 of them, as a binomial.
+    counts = np.bincount(follows[:, 1:].sum(axis=1), minlength=5) / lanes
+    np.testing.assert_allclose(counts, np.array([1, 4, 6, 4, 1]) / 16, atol=0.03)
+    # And each as in any company.
+    alone = draw(make_scenario("ieee123", site_correlation=0.5), [17])
+    assert alone.start[0].tolist() == half[17].tolist()
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_correlation_needs_no_other_site(n):
+    scenario = make_scenario("toy6", n_datacenters=n, datacenter_buses=(4,) * n, site_correlation=1.0)
+    assert draw(scenario, range(3)).start.shape == (3, n)
+
+
+# --- composition of the work, and boost ------------------------------------------------------------
+
+
+def test_composition_is_the_rows_own():
+    scenario = make_scenario("ieee33-weak", dvfs=PhaseDvfs(), trace="mixed", horizon=30)
+    pool, drawn = episode.trace_pool(scenario), draw(scenario, [1, 2])
+    assert pool.compute_share is not None
+    row, offset = np.divmod(drawn.start, pool.p_share.shape[1])
+    found = episode.compute_share(scenario, drawn, np.array([3, 31]))
+    assert found is not None
+    for lane, step in enumerate((3, 31)):
+        wanted = [pool.compute_share[row[lane, i], offset[lane, i] + step] for i in range(3)]
+        assert found[lane].tolist() == wanted
+    assert episode.compute_share(make_scenario("ieee33-weak"), drawn, np.array([3, 31])) is None
+
+
+def test_recordings_have_the_scenarios_composition():
+    trace = recording(np.linspace(0.3, 1.0, 100))
+    scenario = make_scenario("toy6", dvfs=PhaseDvfs(), trace=trace, horizon=5, compute_share=0.25)
+    simulation = Simulation(scenario, 2)
+    simulation.reset([0, 1])
+    for _ in range(5):
+        state = simulation.step(actions(scenario, 2)).state
+        np.testing.assert_allclose(state.phase_arrived_kw, state.arrived_kw[..., None] * [0.25, 0.75])
+
+
+def test_boost_reaches_the_traces():
+    plain, boosted = (
+        episode.trace_pool(make_scenario("ieee123", trace="training", boost_share=b)).p_share for b in (1.0, 1.3)
+    )
+    assert plain.max() <= 1.0 < boosted.max() <= 1.3
+    trace = recording(np.linspace(0.1, 1.0, 300))
+    pool = episode.trace_pool(make_scenario("ieee123", trace=trace, boost_share=1.2, split="test", horizon=20))
+    assert pool.p_share.max() == pytest.approx(1.2)
+
+
+def test_whole_recordings_for_each_split():
+    traces = tuple(recording(np.full(50, level), str(level)) for level in (1.0, 2.0, 3.0))
+    with pytest.raises(TraceError, match=r"needs at least 3 recordings.*got 2"):
+        Simulation(make_scenario("toy6", trace=traces[:2], recording_split="recording", horizon=20), 1)
+    for split in SPLITS:
+        scenario = make_scenario("toy6", trace=traces, recording_split="recording", split=split, horizon=45)
+        assert episode.trace_pool(scenario).p_share.shape == (1, 50)
+    with pytest.raises(TraceError, match="shorter episode"):
+        Simulation(make_scenario("toy6", trace=traces, horizon=45), 1)
 
 
 # --- recordings and schedules --------------------------------------------------------------------

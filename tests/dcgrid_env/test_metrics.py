@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, Recorder, Scenario, make_scenario
+from dcgrid_env import PRESETS, PhaseDvfs, Recorder, Scenario, episode, make_scenario
 from dcgrid_env.metrics import Series
+from dcgrid_env.request_delay import RequestDelays
 from dcgrid_env.reward import Costs
 from dcgrid_env.simulation import Simulation, Transition
+from dcgrid_env.traces import RequestTimes, TraceRows
 
 NAMES = {
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
@@ -48,14 +50,14 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[lane], ratings, strict=True)]
     clocks = [f / scenario.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
     loss = [float(t.loss_kw[lane]) for t in steps]
-    # Work, parcel by parcel.
+    # Work, parcel by parcel, each phase of a site in its own queue.
     waits: list[tuple[float, float]] = []
     unserved = 0.0
-    for site in range(scenario.n_datacenters):
+    for own in range(scenario.n_datacenters * scenario.phases):
         queue: list[list[float]] = []
         for k, t in enumerate(steps):
-            queue.append([k, float(t.state.arrived_kw[lane, site]) * scenario.dt_s])
-            budget = float(t.state.served_kw[lane, site]) * scenario.dt_s
+            queue.append([k, float(t.state.phase_arrived_kw[lane].flat[own]) * scenario.dt_s])
+            budget = float(t.state.phase_served_kw[lane].flat[own]) * scenario.dt_s
             while queue and budget > 1e-9:
                 taken = min(budget, queue[0][1])
                 waits.append(((k - queue[0][0]) * scenario.dt_s, taken))
@@ -102,10 +104,11 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     }
 
 
+@pytest.mark.parametrize("extra", [{}, {"dvfs": PhaseDvfs(), "trace": "mixed"}], ids=["linear", "phases"])
 @pytest.mark.parametrize("dt_s", [1.0, 0.5])
 @pytest.mark.parametrize("name", PRESETS)
-def test_metrics_of_a_short_episode(name, dt_s):
-    scenario = make_scenario(name, horizon=45, dt_s=dt_s)
+def test_metrics_of_a_short_episode(name, dt_s, extra):
+    scenario = make_scenario(name, horizon=45, dt_s=dt_s, **extra)
     lanes = 3
     recorder, course = record(scenario, lanes, random_action(scenario, lanes))
     found = recorder.metrics()
@@ -149,7 +152,7 @@ def test_series_has_the_reset_as_its_first_row():
             np.testing.assert_array_equal(series.v_pu[k], t.state.v_pu[lane])
             np.testing.assert_array_equal(series.backlog_kws[k], t.state.backlog_kws[lane])
         for k, t in enumerate(course[1:]):
-            for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw"):
+            for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw", "phase_arrived_kw", "phase_served_kw"):
                 np.testing.assert_array_equal(getattr(series, field)[k], getattr(t.state, field)[lane])
             assert series.loss_kw[k] == t.loss_kw[lane]
             assert series.cost_j[k] == t.cost_j[lane]
@@ -172,6 +175,82 @@ def test_work_is_conserved_in_an_episode():
         # Little's law, as the episode's own backlog has it.
         waited = series.backlog_kws[1:].sum() * scenario.dt_s
         assert found["delay_mean_s"] * found["arrived_kws"] == pytest.approx(waited, rel=1e-6)
+
+
+# --- requests --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> TraceRows:
+    """Four rows of 200 s of noisy load with requests of every length, which every scenario draws from."""
+    rng = np.random.default_rng(0)
+    arrival = np.sort(rng.uniform(0.0, 200.0, (4, 3000)), axis=1)
+    first = rng.uniform(0.01, 2.0, arrival.shape)
+    rows = TraceRows(
+        p_share=rng.uniform(0.2, 1.0, (4, 200)),
+        compute_share=rng.uniform(0.0, 1.0, (4, 200)),
+        requests=tuple(map(RequestTimes, arrival, first, first + rng.uniform(0.0, 20.0, arrival.shape))),
+    )
+    monkeypatch.setattr(episode, "trace_pool", lambda scenario: rows)
+    return rows
+
+
+def in_episode(pool: TraceRows, start: np.ndarray, steps: int) -> RequestTimes:
+    """Requests of all sites that arrive within an episode's steps of a second, one after another."""
+    found = []
+    for position in start.tolist():
+        row, offset = divmod(position, 200)
+        times = np.array(pool.requests[row])
+        found.append(times[:, (times[0] >= offset + 1) & (times[0] < offset + 1 + steps)])
+    return RequestTimes(*np.concatenate(found, axis=1))
+
+
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PhaseDvfs()}], ids=["linear", "phases"])
+def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
+    scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
+    recorder, course = record(scenario, 3, lambda k: np.ones((3, 10)))
+    for lane, found in enumerate(recorder.metrics()):
+        assert set(found) == NAMES | set(RequestDelays._fields)
+        taken = in_episode(pool, course[0].trace_start[lane], 30)
+        assert found["requests"] == len(taken.arrival_s) > 500
+        assert found["requests_unfinished"] == 0.0
+        assert found["ttft_mean_s"] == pytest.approx(taken.first_token_s.mean(), rel=1e-12)
+        assert found["e2e_mean_s"] == pytest.approx(taken.end_s.mean(), rel=1e-12)
+        assert found["ttft_p50_s"] in taken.first_token_s
+        assert (taken.end_s <= found["e2e_p95_s"]).mean() == pytest.approx(0.95, abs=2e-3)
+        assert found["delay_mean_s"] == 0.0
+
+
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PhaseDvfs()}], ids=["linear", "phases"])
+def test_requests_of_a_throttled_site_wait(pool, dvfs):
+    scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
+    recorder, course = record(scenario, 3, lambda k: np.tile([-0.5, 0.0] * 3 + [0.0] * 4, (3, 1)))
+    for lane, found in enumerate(recorder.metrics()):
+        taken = in_episode(pool, course[0].trace_start[lane], 30)
+        assert found["requests"] == len(taken.arrival_s)
+        assert found["requests_unfinished"] > 100
+        assert found["ttft_mean_s"] > taken.first_token_s.mean() + 0.3
+        assert found["ttft_p50_s"] <= found["ttft_p95_s"] <= found["ttft_p99_s"]
+        assert found["e2e_mean_s"] > taken.end_s.mean()
+        assert found["e2e_p50_s"] <= found["e2e_p95_s"] <= found["e2e_p99_s"]
+        assert all(math.isfinite(value) for value in found.values())
+
+
+def test_requests_of_a_lane_that_was_reset_are_its_new_episodes(pool):
+    scenario = make_scenario("ieee33-weak", horizon=10)
+    simulation = Simulation(scenario, 2)
+    simulation.reset([0, 1])
+    for _ in range(3):
+        simulation.step(np.ones((2, 10)))
+    begun = simulation.reset([5, 5], np.array([True, False]))
+    fresh = Simulation(scenario, 1).reset([5])
+    np.testing.assert_array_equal(begun.trace_start[0], fresh.trace_start[0])
+    np.testing.assert_array_equal(begun.trace_start, simulation.now.episode.start)
+
+
+def test_no_site_has_no_requests(pool):
+    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
+    assert set(record(scenario, 1, random_action(scenario, 1))[0].metrics()[0]) == NAMES
 
 
 def collapse() -> tuple[Scenario, Any]:

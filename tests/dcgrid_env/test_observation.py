@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PRESETS, Scenario, field_names, make_scenario, observation
+from dcgrid_env import PRESETS, PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
 from dcgrid_env.dynamics import State
 from dcgrid_env.observation import Placement
 from dcgrid_env.simulation import Simulation, Transition
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 SITE = (*COMMON, "p_ref_next", "backlog")
+LAWS: dict[str, dict[str, Any]] = {"linear": {}, "phases": {"dvfs": PhaseDvfs(), "boost_share": 1.3, "trace": "mixed"}}
+TWO_PHASES = (*SITE, "p_ref_next_compute", "backlog_compute")
 
 
 def named(scenario: Scenario, joint: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
@@ -58,6 +60,22 @@ def test_fields_and_their_order():
     assert len(field_names(make_scenario("ieee123", observe="feeder"))["inv_0"]) == 7 + 122
 
 
+def test_two_phases_add_their_fields_after_the_backlog():
+    names = field_names(make_scenario("ieee33-weak", dvfs=PhaseDvfs(), observe="neighbours"))
+    assert names["dc_1"][:11] == TWO_PHASES
+    assert names["dc_1"][11] == "neighbour0_v_deviation"
+    assert names["inv_0"][:8] == (*COMMON, "neighbour0_v_deviation")
+
+
+def test_a_boost_widens_what_it_may_exceed():
+    plain, wide = (make_scenario("toy6", horizon=30, dvfs=PhaseDvfs(), boost_share=b) for b in (1.0, 1.3))
+    (low, high), (low_wide, high_wide) = (observation.bounds(s)["dc_0"] for s in (plain, wide))
+    np.testing.assert_array_equal(low, low_wide)
+    grown = {name for name, a, b in zip(TWO_PHASES, high, high_wide, strict=True) if b != a}
+    assert grown == {"p", "p_ref_next", "backlog", "p_ref_next_compute", "backlog_compute"}
+    assert dict(zip(TWO_PHASES, high_wide.tolist(), strict=True))["backlog"] == pytest.approx(39.0)
+
+
 def test_bounds_of_the_fields():
     scenario = make_scenario("toy6", horizon=30, dt_s=2.0, band_pu=0.04)
     low, high = observation.bounds(scenario)["dc_0"]
@@ -96,6 +114,9 @@ def hand_made(lanes: int = 1) -> dict[str, Any]:
         "v_agent_last_pu": [1.01, 0.98, 1.04],
         "current_sq_pu": [0.0] * 5,
         "backlog_kws": [5000.0],
+        "phase_backlog_kws": [5000.0],
+        "phase_arrived_kw": [0.0],
+        "phase_served_kw": [0.0],
         "f_mhz": [1410.0],
         "f_last_mhz": [1410.0],
         "arrived_kw": [0.0],
@@ -162,6 +183,24 @@ def test_no_preview_hides_the_power_to_come():
     inputs["p_ref_next_kw"] = np.array([[575.0]])
     two = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("preview", [True, False])
+def test_compute_bound_parts_of_what_comes_and_waits(preview):
+    # 2000 kW less 575 idle, 0.4 of it compute-bound; 1500 of the 5000 kW s.
+    scenario = make_scenario("toy6", dvfs=PhaseDvfs(), preview=preview)
+    inputs = hand_made()
+    inputs["state"] = inputs["state"]._replace(phase_backlog_kws=np.array([[[1500.0, 3500.0]]]))
+    share = np.array([[0.4]])
+    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), compute_share_next=share, **inputs)
+    found = {k: float(v[0]) for k, v in named(scenario, joint)["dc_0"].items()}
+    seen = {"p_ref_next": 0.8, "p_ref_next_compute": 0.4 * 1425.0 / 2500.0}
+    seen = seen if preview else dict.fromkeys(seen, 0.0)
+    assert found == pytest.approx({**WANTED["dc_0"], **seen, "backlog_compute": 0.6}, abs=1e-12)
+    # Below the floor no work comes.
+    inputs["p_ref_next_kw"] = np.array([[500.0]])
+    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), compute_share_next=share, **inputs)
+    assert named(scenario, joint)["dc_0"]["p_ref_next_compute"].tolist() == [0.0]
 
 
 def test_neighbours_are_the_electrically_nearest_in_turn():
@@ -272,16 +311,18 @@ def test_nothing_is_near_unless_it_is_observed():
 
 def raw(simulation: Simulation) -> np.ndarray:
     """The observation of the current step before it is cut to its bounds."""
-    now = simulation.now
+    s, now = simulation.scenario, simulation.now
+    share = episode.compute_share(s, now.episode, now.step + 1)
     return observation.observe(
-        simulation.scenario, now.state, now.episode.placed, now.p_ref_next_kw, now.measured[1], now.measured[0]
+        s, now.state, now.episode.placed, now.p_ref_next_kw, now.measured[1], now.measured[0], share
     )
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scope", ["local", "neighbours", "feeder"])
 @pytest.mark.parametrize("name", PRESETS)
-def test_everything_lies_within_its_bounds_by_itself(name, scope):
-    scenario = make_scenario(name, observe=scope, horizon=40)
+def test_everything_lies_within_its_bounds_by_itself(name, scope, law):
+    scenario = make_scenario(name, observe=scope, horizon=40, **LAWS[law])
     low, high = observation.joint_bounds(scenario)
     simulation, transitions = play(scenario, 12, 40)
     for t in transitions:
@@ -386,13 +427,15 @@ def test_a_delayed_measurement_is_that_of_so_many_steps_ago(delay, noise):
 # --- NumPy and torch -------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scope", ["local", "neighbours", "feeder"])
 @pytest.mark.parametrize("name", PRESETS)
-def test_numpy_and_torch_observe_alike(name, scope):
-    scenario = make_scenario(name, observe=scope, voltage_noise_pu=0.01, measurement_delay=1)
+def test_numpy_and_torch_observe_alike(name, scope, law):
+    scenario = make_scenario(name, observe=scope, voltage_noise_pu=0.01, measurement_delay=1, **LAWS[law])
     simulation, transitions = play(scenario, 4, 6)
     for _ in transitions:
         now = simulation.now
+        share = episode.compute_share(scenario, now.episode, now.step + 1)
         found = observation.observe(
             scenario,
             State(*map(torch.tensor, now.state)),
@@ -400,6 +443,7 @@ def test_numpy_and_torch_observe_alike(name, scope):
             torch.tensor(now.p_ref_next_kw),
             torch.tensor(now.measured[1]),
             torch.tensor(now.measured[0]),
+            None if share is None else torch.tensor(share),
         )
         assert found.dtype == torch.float64
         np.testing.assert_allclose(found.numpy(), raw(simulation), rtol=1e-12, atol=1e-12)

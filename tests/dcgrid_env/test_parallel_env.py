@@ -10,7 +10,7 @@ import pytest
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test
 
 import dcgrid_env
-from dcgrid_env import ActionError, DcgridEnv, parallel_env
+from dcgrid_env import ActionError, DcgridEnv, PhaseDvfs, field_names, parallel_env
 
 
 @pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
@@ -95,6 +95,20 @@ def test_global_state_shows_every_bus():
     assert state.shape == (5 + 2 * 3 + 2 * 1 + 1,)
     np.testing.assert_allclose(state[:5], (v - 1.0) / 0.05, rtol=1e-5)
     assert state[-1] == 0.0
+
+
+def test_global_state_shows_both_phases():
+    env = parallel_env("ieee33-weak", dvfs=PhaseDvfs(), trace="mixed")
+    observations, _ = env.reset(seed=0)
+    for _ in range(8):
+        observations, *_ = env.step({a: -np.ones_like(env.action_space(a).sample()) for a in env.agents})
+    state, names = env.state(), field_names(env.scenario)
+    assert env.state_space.contains(state)
+    assert state.shape == (32 + 2 * 7 + 4 * 3 + 1,)
+    fields = ("p_ref_next", "backlog", "p_ref_next_compute", "backlog_compute")
+    seen = [observations[f"dc_{i}"][names["dc_0"].index(field)] for field in fields for i in range(3)]
+    np.testing.assert_allclose(state[32 + 14 : -1], seen, rtol=1e-6)
+    assert np.count_nonzero(seen[-3:]) > 0
 
 
 def test_save_restore_copy_and_pickle():

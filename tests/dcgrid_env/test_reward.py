@@ -26,6 +26,9 @@ def hand_made_state(**changes: Any) -> State:
         "v_agent_last_pu": [0.95, 1.06, 1.02],
         "current_sq_pu": [0.0] * 5,
         "backlog_kws": [500.0],
+        "phase_backlog_kws": [500.0],
+        "phase_arrived_kw": [0.0],
+        "phase_served_kw": [0.0],
         "f_mhz": [810.0],
         "f_last_mhz": [1410.0],
         "arrived_kw": [0.0],
@@ -357,6 +360,15 @@ def test_largest_costs_worked_by_hand():
     bound = largest_costs(scenario)
     # A voltage of 0 or 2, 0.77 of the rating queued for 80 s, everything else at its end.
     assert bound == pytest.approx(Costs(100.0, 950.0, 0.3 * 0.77 * 80, 0.02, 2.0, 50.0, 6.0, 9 * 0.77 * 80))
+
+
+def test_a_boost_may_queue_and_lose_more():
+    plain, wide = (largest_costs(make_scenario("toy6", weights=EVERY, horizon=40, boost_share=b)) for b in (1.0, 1.3))
+    assert wide.backlog == pytest.approx(plain.backlog * 1.07 / 0.77)
+    assert wide.leftover == pytest.approx(plain.leftover * 1.07 / 0.77)
+    assert wide.loss == pytest.approx(plain.loss * 1.3)
+    same = ("voltage", "violation", "effort", "clock", "step")
+    assert [getattr(wide, name) for name in same] == [getattr(plain, name) for name in same]
 
 
 def test_the_largest_backlog_is_reached():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import CostWeights, Feeder, LinearDvfs, Scenario, ScenarioError, load_feeder, make_scenario
+from dcgrid_env import CostWeights, Feeder, LinearDvfs, PhaseDvfs, Scenario, ScenarioError, load_feeder, make_scenario
 from dcgrid_env.simulation import Simulation
 
 
@@ -42,6 +42,8 @@ def test_defaults_are_the_designs():
     assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0)
     assert s.weights._fields == ("voltage", "violation", "backlog", "effort", "leftover", "clock", "step", "loss")
     assert isinstance(s.dvfs, LinearDvfs)
+    assert s.phases == 1
+    assert (s.boost_share, s.site_correlation, s.compute_share, s.recording_split) == (1.0, 0.0, 1.0, "time")
     assert s.datacenter_buses is None
     assert s.inverter_trace is None
 
@@ -149,6 +151,9 @@ RANGES = {
     "q_max_share": ((-0.1, 1.11), "0, s_rated_share = 1.1"),
     "f_min_mhz": ((0.0, -1.0, 1411.0), "1e-09, f_max_mhz = 1410"),
     "f_max_mhz": ((float("inf"),), "1e-09, inf"),
+    "boost_share": ((0.99, 2.1, None), "1, 2"),
+    "site_correlation": ((-0.1, 1.1), "0, 1"),
+    "compute_share": ((-0.1, 1.1, True), "0, 1"),
     "load_sigma": ((-0.01, 0.31), "0, 0.3"),
     "load_rho": ((-0.1, 1.5), "0, 0.999999"),
     "voltage_noise_pu": ((-0.001, 2.0), "0, 1"),
@@ -215,6 +220,7 @@ def test_a_numpy_integer_is_a_count():
         ("reward", ["shared", "local"]),
         ("observe", ["local", "neighbours", "feeder"]),
         ("trace_window", ["random", "start"]),
+        ("recording_split", ["time", "recording"]),
         ("split", ["train", "validation", "test"]),
     ],
 )
@@ -241,6 +247,39 @@ def test_ratings_that_cannot_be_are_refused(field, value):
         ScenarioError, match=rf"'mine': {field} is .*; give one positive number, or one for each of the 2"
     ):
         scenario_of_ones_own(inverter_buses=(3, 1), **{field: value})
+
+
+class _ThreePhases(LinearDvfs):
+    phases = 3
+
+    def __repr__(self) -> str:
+        return "three"
+
+
+class _NobodysLaw:
+    """A law of one's own that says nothing of phases."""
+
+    def serve(self, params, f_mhz, work_kw):
+        return work_kw, work_kw
+
+
+def test_a_clock_law_has_one_phase_or_two():
+    assert scenario_of_ones_own(dvfs=_NobodysLaw()).phases == 1
+    assert scenario_of_ones_own(dvfs=PhaseDvfs()).phases == 2
+    with pytest.raises(ScenarioError, match=r"'mine': dvfs is three; give a clock law of 1 or 2 phases, not 3"):
+        scenario_of_ones_own(dvfs=_ThreePhases())
+    with pytest.raises(
+        ScenarioError, match=r"dvfs is 'fast'; give a clock law such as LinearDvfs\(\) or PhaseDvfs\(\)"
+    ):
+        scenario_of_ones_own(dvfs="fast")
+
+
+def test_clock_laws_are_told_apart():
+    s = scenario_of_ones_own(dvfs=PhaseDvfs())
+    assert s.difference(scenario_of_ones_own(dvfs=PhaseDvfs())) is None
+    assert s.difference(scenario_of_ones_own(dvfs=PhaseDvfs(decode_clock_share=0.1))) == "dvfs"
+    assert s.difference(scenario_of_ones_own()) == "dvfs"
+    assert pickle.loads(pickle.dumps(s)).dvfs == PhaseDvfs()
 
 
 def test_a_feeder_must_be_one():

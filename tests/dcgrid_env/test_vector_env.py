@@ -7,15 +7,18 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
-from dcgrid_env import DcgridEnv, DcgridVectorEnv
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, PhaseDvfs
 from dcgrid_env.traces import PowerTrace
 
+PHASES = {"dvfs": PhaseDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
 
+
+@pytest.mark.parametrize("extra", [{}, PHASES], ids=["linear", "phases"])
 @pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
-def test_lanes_are_the_single_environments_bit_for_bit(scenario):
+def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
     lanes, horizon = 70, 6  # more lanes than two threads' share, and three episodes each
-    batch = DcgridVectorEnv(lanes, scenario, horizon=horizon)
-    singles = {i: DcgridEnv(scenario, horizon=horizon) for i in (0, 1, 33, 69)}
+    batch = DcgridVectorEnv(lanes, scenario, horizon=horizon, **extra)
+    singles = {i: DcgridEnv(scenario, horizon=horizon, **extra) for i in (0, 1, 33, 69)}
     seen, _ = batch.reset(seed=100)
     for i, single in singles.items():
         np.testing.assert_array_equal(single.reset(seed=100 + i)[0], seen[i])
@@ -64,10 +67,11 @@ def test_conventions_agree_with_gymnasiums_own_vector_environment():
             assert my_info["final_info"].keys() == other_info["final_info"].keys()
 
 
-def test_reset_mask_and_seed_lists():
-    env = DcgridVectorEnv(4, "ieee123")
+@pytest.mark.parametrize("extra", [{}, PHASES], ids=["linear", "phases"])
+def test_reset_mask_and_seed_lists(extra):
+    env = DcgridVectorEnv(4, "ieee123", **extra)
     first, _ = env.reset(seed=[7, 8, 9, 10])
-    np.testing.assert_array_equal(first, DcgridVectorEnv(4, "ieee123").reset(seed=7)[0])
+    np.testing.assert_array_equal(first, DcgridVectorEnv(4, "ieee123", **extra).reset(seed=7)[0])
     env.step(env.action_space.sample())
     before = env.transition.observation.copy()
     mask = np.array([True, False, False, True])
@@ -76,7 +80,7 @@ def test_reset_mask_and_seed_lists():
     np.testing.assert_array_equal(after[~mask], before[~mask])
     np.testing.assert_array_equal(infos["_cost"], mask)
     after, *_ = env.step(np.zeros((4, 17)))
-    alone = DcgridEnv("ieee123")
+    alone = DcgridEnv("ieee123", **extra)
     alone.reset(seed=10)
     np.testing.assert_array_equal(after[3], alone.step(np.zeros(17))[0])
 

@@ -1,9 +1,16 @@
 """Reading traces from text files, and the errors that name line and column."""
 
+import gzip
+import hashlib
+import tracemalloc
+from unittest import mock
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from dcgrid_env.traces import PowerTrace, TraceError
+from dcgrid_env.traces import PowerTrace, TraceError, text_file
 
 
 @pytest.fixture
@@ -58,6 +65,32 @@ def test_other_delimiter(write):
         ("0,1\n", {}, r"site.csv: has 1 samples; give at least 2"),
         ("t,p\n", {}, r"site.csv: has 0 samples; give at least 2"),
         (TWO_GPUS, {"unit": "GW"}, r"unit 'GW' is unknown; choose one of W, kW, MW"),
+        (TWO_GPUS, {"delimiter": "::"}, r"delimiter = '::' is not one character"),
+        (TWO_GPUS, {"limit_kw": 0.0}, r"limit_kw = 0.0 is not a finite number above 0"),
+        (
+            TWO_GPUS,
+            {"limit_kw": 0.21},
+            r"line 3: column 2 is 220, which is 0.22 kW and above limit_kw = 0.21; is the unit",
+        ),
+        (
+            TWO_GPUS.replace("210", "3e9"),
+            {},
+            r"line 2: column 2 is 3e\+09, which is 3e\+06 kW and above limit_kw = 1e\+06",
+        ),
+        (TWO_GPUS, {"gaps": "zero"}, r"gaps = 'zero' is unknown; choose one of error, hold, linear"),
+        (TWO_GPUS, {"gaps": "linear"}, r"gaps = 'linear' needs max_gap_s"),
+        (TWO_GPUS, {"max_gap_s": -1.0}, r"max_gap_s = -1.0 is not a finite number above 0"),
+        (TWO_GPUS, {"max_gap_s": 1.0}, r"site.csv, line 3: comes 1.5 s after .* max_gap_s = 1; raise .* gaps='hold'"),
+        (TWO_GPUS, {"max_gap_s": 1e-7, "gaps": "linear"}, r"line 3: .* more than 1000000 samples .*check the clock"),
+        ("t,p [BTU]\n0,1\n1,1\n", {}, r"site.csv, line 1: 'p \[BTU\]' names the unit 'BTU', which is none of W"),
+        ("t,p [mw]\n0,1\n1,1\n", {}, r"names the unit 'mw', which is none of"),
+        ("# a\nt,p [W]\n0,1\n1,1\n", {"unit": "kW"}, r"line 2: 'p \[W\]' names the unit W, but unit = 'kW' is given"),
+        ("t,p [W],q\n0,1,1\n1,1,1\n", {}, r"line 1: 'q' names no unit, other columns do; pass unit="),
+        ("t [ms],p\n0,1\n1,1\n", {}, r"line 1: the time column 't \[ms\]' is not in seconds; convert it"),
+        ("# one\n# two\n", {}, r"site.csv: is empty"),
+        ("# dcgrid trace {1\n0,1\n1,1\n", {}, r"site.csv, line 1: what follows .* is not JSON"),
+        ("# dcgrid trace [1]\n0,1\n1,1\n", {}, r"site.csv, line 1: what follows .* is \[1\]; give a JSON object"),
+        ('0,1\n1,"1\n2,1\n', {}, r"site.csv, line 2: a quoted cell does not end"),
         (TWO_GPUS, {"time_column": 3}, r"column 3 is unknown; columns are 0 to 2"),
         (TWO_GPUS, {"power_columns": [-1]}, r"column -1 is unknown"),
         (TWO_GPUS, {"power_columns": ["gpu0"]}, r"'gpu0' is asked for by name, but there is no header"),
@@ -95,3 +128,136 @@ def test_a_file_that_is_not_text_is_named(tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
         PowerTrace.from_csv(tmp_path / "absent.csv")
+
+
+def test_units_are_told_by_the_header(write):
+    path = write("time [s],a [W],b [kW],c (mW)\n0,100,2,3e6\n1,100,2,3e6\n")
+    np.testing.assert_allclose(PowerTrace.from_csv(path).power_kw, [5.1, 5.1])
+    np.testing.assert_allclose(PowerTrace.from_csv(path, power_columns=[2]).power_kw, [2.0, 2.0])
+    assert PowerTrace.from_csv(write("t,p [Watts]\n0,9\n1,9\n")).power_kw == pytest.approx([0.009, 0.009])
+    # What is no unit, or is overruled by the caller, does not count.
+    for header in ("t,gpu[0]", "t,p (left)", "t,p"):
+        assert PowerTrace.from_csv(write(f"{header}\n0,9\n1,9\n")).power_kw == pytest.approx([0.009, 0.009])
+    assert PowerTrace.from_csv(write("t,p [BTU]\n0,9\n1,9\n"), unit="kW").power_kw.tolist() == [9.0, 9.0]
+
+
+def test_gaps_are_accepted_held_or_filled(write):
+    path = write("0,10\n1,20\n2,10\n5,40\n6,10\n")
+    held = PowerTrace.from_csv(path, unit="kW", max_gap_s=1.0, gaps="hold")
+    np.testing.assert_array_equal(held.time_s, [0, 1, 2, 5, 6])
+    filled = PowerTrace.from_csv(path, unit="kW", max_gap_s=1.0, gaps="linear")
+    np.testing.assert_allclose(filled.time_s, [0, 1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose(filled.power_kw, [10, 20, 10, 20, 30, 40, 10])
+
+
+def test_first_lines_and_the_hash_go_to_the_provenance(write):
+    text = '# dcgrid trace {"gpu": "A100", "period_s": 0.1}\n# made by hand\ntime,p\n0,1\n1,2\n'
+    path = write(text)
+    origin = PowerTrace.from_csv(path).provenance
+    assert origin.parameters == {"gpu": "A100", "period_s": 0.1}
+    assert origin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert PowerTrace.from_csv(write("# dcgrid trace\n# dcgrid trace {}\n0,1\n1,2\n")).provenance.parameters == {}
+
+
+def test_gzip_is_read_and_hashed_as_stored(tmp_path):
+    path = tmp_path / "site.csv.gz"
+    path.write_bytes(gzip.compress(TWO_GPUS.encode()))
+    trace = PowerTrace.from_csv(path)
+    np.testing.assert_allclose(trace.power_kw, [0.3, 0.32, 0.34])
+    assert (trace.name, trace.provenance.name) == ("site", "site.csv.gz")
+    assert trace.provenance.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-12], lambda b: b[:-8] + b"\0" * 8, lambda b: b + b"x"])
+def test_a_damaged_gzip_is_named(tmp_path, damage):
+    path = tmp_path / "site.csv.gz"
+    path.write_bytes(damage(gzip.compress(TWO_GPUS.encode())))
+    with pytest.raises(TraceError, match=r"site.csv.gz: cannot be unpacked .*fetch or compress it again"):
+        PowerTrace.from_csv(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_encodings_and_line_ends(tmp_path, encoding, end):
+    path = tmp_path / "site.csv"
+    path.write_bytes(("t,p\n" + TWO_GPUS.replace(",2", "")).replace("\n", end).encode(encoding))
+    assert PowerTrace.from_csv(path, power_columns=["p"]).time_s.tolist() == [0.0, 0.5, 2.0]
+
+
+def test_lines_that_need_a_closer_look(write):
+    # Blank lines, quotes, a name over two lines, text in columns that are not asked for.
+    text = '"time\n(s)",gpu,"power"\n0,"a, b",1\n\n ,,\n1,c,"2"\n \n3,,1_0\n'
+    trace = PowerTrace.from_csv(write(text), power_columns=["power"], unit="kW")
+    assert trace.power_kw.tolist() == [1.0, 2.0, 10.0]
+    with pytest.raises(TraceError, match=r"line 5: has 4 cells, the first line 3"):
+        PowerTrace.from_csv(write("t,gpu,power\n0,a,1\n\n1,c,2\n2,b,c,2\n"), power_columns=["power"])
+
+
+def test_a_line_without_end_is_named(write):
+    with pytest.raises(TraceError, match=r"site.csv, line 2: is longer than 1048576 characters"):
+        PowerTrace.from_csv(write("0,1\n" + "1" * (6 << 20)))
+
+
+TABLES = st.lists(
+    st.tuples(st.floats(1e-3, 1e3), st.lists(st.floats(0, 1e6), min_size=3, max_size=3)), min_size=2, max_size=30
+)
+
+
+@given(TABLES, st.sampled_from([1, 7, 64]), st.booleans(), st.sampled_from(["hold", "linear"]))
+def test_what_is_written_is_read_whatever_the_block(tmp_path_factory, table, block_chars, header, gaps):
+    time_s = np.cumsum([step for step, _ in table])
+    cells = np.array([row for _, row in table])
+    lines = ["# note", "t,a,b,c"] if header else []
+    lines += [",".join(map(repr, row)) for row in np.column_stack([time_s, cells]).tolist()]
+    path = tmp_path_factory.mktemp("tables") / "site.csv"
+    path.write_text("\n\n".join(lines), encoding="utf-8")
+    with mock.patch.object(text_file, "BLOCK_CHARS", block_chars):
+        trace = PowerTrace.from_csv(path)
+        filled = PowerTrace.from_csv(path, max_gap_s=100.0, gaps=gaps)
+    np.testing.assert_array_equal(trace.time_s, time_s)
+    np.testing.assert_allclose(trace.power_kw, cells.sum(axis=1) * 1e-3, rtol=1e-14)
+    whole = PowerTrace.from_csv(path, max_gap_s=100.0, gaps=gaps)
+    np.testing.assert_array_equal(filled.time_s, whole.time_s)
+    np.testing.assert_array_equal(filled.power_kw, whole.power_kw)
+    assert np.isin(time_s, filled.time_s).all()
+    if gaps == "linear":
+        assert np.diff(filled.time_s).max() <= 100.0 * (1 + 1e-9)
+        at = np.interp(filled.time_s, time_s, trace.power_kw)
+        np.testing.assert_allclose(filled.power_kw, at, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("block_chars", [1, 8, 1 << 22])
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("4.5,1,nan", r"line 6: column 2 is nan"),
+        ("4.5,1,-1", r"line 6: column 2 is -1"),
+        ("4.5,1,x", r"line 6: column 2 is 'x'"),
+        ("4,1,1", r"line 6: column 0 4.0 repeats 4.0"),
+        ("3,1,1", r"line 6: column 0 3.0 comes after 4.0"),
+        ("4.5,1", r"line 6: has 2 cells"),
+        ("5,1e11,1", r"line 6: column 1 is 1e\+11"),
+        ("7,1,1", r"line 6: comes 3 s after the sample before"),
+    ],
+)
+def test_lines_are_named_whatever_the_block(write, block_chars, line, message):
+    path = write(f"# note\n2,1,1\n3,1,1\n\n4,1,1\n{line}\n8,1,1\n")
+    with mock.patch.object(text_file, "BLOCK_CHARS", block_chars), pytest.raises(TraceError, match=message):
+        PowerTrace.from_csv(path, max_gap_s=2.5)
+
+
+def test_memory_is_bounded_by_what_is_kept(tmp_path):
+    # 12 MB of 9 columns; 16 bytes a line are kept, and twice that while the trace takes its own copy.
+    path, lines = tmp_path / "site.csv", 200_000
+    with path.open("w", encoding="utf-8") as file:
+        file.writelines(f"{i / 10:.9f},123.45,123.45,123.45,123.45,123.45,123.45,123.45,123.45\n" for i in range(lines))
+    assert path.stat().st_size > 12e6
+    with mock.patch.object(text_file, "BLOCK_CHARS", 1 << 16):
+        tracemalloc.start()
+        try:
+            trace = PowerTrace.from_csv(path)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    assert len(trace.time_s) == lines
+    assert peak < 50 * lines + 2e6

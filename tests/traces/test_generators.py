@@ -10,7 +10,6 @@ from dcgrid_env.traces import (
     IDLE_SHARE,
     InferenceParams,
     TraceError,
-    TrainingParams,
     generate_inference,
     generate_mixed,
     generate_step,
@@ -108,48 +107,6 @@ def test_decode_rises_with_the_active_queries():
 def test_bad_inference_parameters_are_named(options, message):
     with pytest.raises(TraceError, match=message):
         InferenceParams(**options)
-
-
-def test_training_alternates_at_its_frequency():
-    params = TrainingParams(
-        job_mean_s=1e9, iteration_hz=(0.5, 0.5), iteration_spread=0.0, exchange_fraction=(0.25, 0.25)
-    )
-    trace = generate_training(200.0, 1, params)
-    tenth = trace.resample(0.1)
-    assert tenth.max() >= 0.9
-    assert tenth.min() <= 0.4
-    # Two seconds an iteration: power falls once in each, but for at most one checkpoint that delays it.
-    falls = np.count_nonzero((tenth[:-1] > 0.8) & (tenth[1:] <= 0.8))
-    assert 90 <= falls <= 100
-    assert 0.6 < np.mean(tenth > 0.8) <= 0.78
-
-
-def test_training_has_checkpoints_starts_and_stops():
-    params = TrainingParams(job_mean_s=600.0, gap_mean_s=120.0)
-    dips, idles = 0, 0
-    for seed in range(6):
-        second = generate_training(3600.0, seed, params).resample(1.0)
-        low = np.diff(np.flatnonzero(np.diff((second < 0.45).astype(int)))) >= 3
-        dips += np.count_nonzero(low)
-        idles += np.count_nonzero(second < 0.28)
-        # Within an hour, compute holds the longest share.
-        assert np.median(second) > 0.5
-    assert dips >= 20
-    assert idles >= 600
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"iteration_hz": (3.0, 0.2)}, r"TrainingParams.iteration_hz = \(3.0, 0.2\)"),
-        ({"compute_share": (0.9, 1.1)}, r"TrainingParams.compute_share"),
-        ({"job_mean_s": 0.0}, r"TrainingParams.job_mean_s = 0.0"),
-        ({"iteration_spread": 0.9}, r"TrainingParams.iteration_spread = 0.9"),
-    ],
-)
-def test_bad_training_parameters_are_named(options, message):
-    with pytest.raises(TraceError, match=message):
-        TrainingParams(**options)
 
 
 def test_mixed_holds_all_three_kinds():

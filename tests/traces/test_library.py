@@ -1,49 +1,90 @@
-"""Rows that scenarios draw from: shape, splits, determinism, recordings cut in time."""
+"""Rows that scenarios draw from: shape, splits, determinism, recordings cut in time or given out whole."""
 
 import hashlib
+import json
 import subprocess
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dcgrid_env.traces import (
+    ALL_SPLITS,
+    IDLE_SHARE,
+    SERVICES,
     SPLITS,
     TRACE_SOURCES,
     PowerTrace,
     TraceError,
     from_recordings,
     library,
+    requests,
     require_window,
     row_seed,
 )
 
+# Made of requests; a seed is an hour of a day.
+SERVED = ("chat", "code", "site", "llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
+DRAWN = [(source, split) for source in TRACE_SOURCES for split in ALL_SPLITS if (source, split) != ("step", "ood")]
+HASHES = Path(__file__).parents[1] / "cases" / "trace_hashes.json"
 
-@pytest.mark.parametrize("source", TRACE_SOURCES)
-@pytest.mark.parametrize("split", SPLITS)
+
+@pytest.mark.parametrize(("source", "split"), DRAWN)
 def test_shape_bounds_and_read_only(source, split):
-    rows = library(source, split, 1.0, 150.0, count=5).p_share
-    assert rows.shape == (5, 150)
-    assert rows.dtype == np.float64
-    assert rows.min() >= 0.0
-    assert rows.max() <= 1.0
-    assert library(source, split, 1, 150, 5).p_share is rows
-    with pytest.raises(ValueError, match="read-only"):
-        rows[0, 0] = 0.5
+    rows = library(source, split, 1.0, 150.0, count=5)
+    assert rows.compute_share is not None
+    for values in (rows.p_share, rows.compute_share):
+        assert values.shape == (5, 150)
+        assert values.dtype == np.float64
+        assert values.min() >= 0.0
+        assert values.max() <= 1.0
+        with pytest.raises(ValueError, match="read-only"):
+            values[0, 0] = 0.5
+    assert library(source, split, 1, 150, 5).p_share is rows.p_share
 
 
-def test_sources_describe_themselves():
-    assert list(TRACE_SOURCES) == ["inference", "training", "mixed", "step"]
-    for name, source in TRACE_SOURCES.items():
-        assert source.name == name
-        assert source.description
-        assert "\n" not in source.description
+@pytest.mark.parametrize(("source", "split"), DRAWN)
+def test_requests_of_each_row(source, split):
+    rows = library(source, split, 1.0, 150.0, count=5)
+    assert len(rows.requests) == (5 if source in SERVED else 0)
+    for times in rows.requests:
+        assert np.isfinite(np.stack(times)).all()
+        assert (np.diff(times.arrival_s) >= 0).all()
+        assert times.arrival_s.min(initial=0.0) >= 0.0
+        assert times.arrival_s.max(initial=0.0) < 150.0
+        assert (times.first_token_s > 0).all()
+        assert (times.end_s >= times.first_token_s).all()
+    # A service that bursts may be silent in one row, but not in all.
+    assert not rows.requests or sum(len(times.arrival_s) for times in rows.requests) > 50
+
+
+def digest(*arrays):
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+
+
+def test_the_bytes_are_those_of_every_platform():
+    found = {}
+    for source in TRACE_SOURCES:
+        rows = library(source, "train", 1.0, 120.0, count=3)
+        found[source] = digest(rows.p_share, rows.compute_share)
+    for service in SERVICES:
+        made = requests(service, hours=1, seed=0)
+        found[f"requests {service}"] = digest(made.arrival_s, made.context_tokens, made.generated_tokens)
+    known = json.loads(HASHES.read_text(encoding="utf-8"))
+    wrong = sorted(name for name in found.keys() | known.keys() if found.get(name) != known.get(name))
+    assert not wrong, (
+        f"{', '.join(wrong)} differ from {HASHES.name}. If a generator was changed on purpose, say so in the changelog "
+        f"and write there:\n{json.dumps(found, indent=2)}"
+    )
 
 
 @pytest.mark.parametrize("source", TRACE_SOURCES)
 def test_splits_and_rows_share_no_window(source):
     # 0.1 s of two windows may agree by chance; ten seconds of idle ripple or work may not.
-    rows = np.concatenate([library(source, split, 0.1, 60.0, count=6).p_share for split in SPLITS])
+    splits = [split for split in ALL_SPLITS if (source, split) in DRAWN]
+    rows = np.concatenate([library(source, split, 0.1, 60.0, count=6).p_share for split in splits])
     windows = [{row[k : k + 100].tobytes() for k in range(0, 100, 10)} for row in rows]
     for i, first in enumerate(windows):
         for second in windows[i + 1 :]:
@@ -51,11 +92,37 @@ def test_splits_and_rows_share_no_window(source):
 
 
 def test_splits_share_no_seed():
-    seeds = {split: {row_seed(split, row) for row in (0, 1, 23, 999_999)} for split in SPLITS}
-    assert not seeds["train"] & seeds["validation"]
-    assert not seeds["train"] & seeds["test"]
-    assert not seeds["validation"] & seeds["test"]
-    assert max(seeds["train"]) < min(seeds["validation"]) <= max(seeds["validation"]) < min(seeds["test"])
+    seeds = {split: {row_seed(split, row) for row in (0, 1, 23, 999_999)} for split in ALL_SPLITS}
+    for lower, higher in pairwise(ALL_SPLITS):
+        assert max(seeds[lower]) < min(seeds[higher])
+
+
+@pytest.mark.parametrize("source", SERVED)
+def test_rows_made_of_requests_are_hours_and_splits_days(source):
+    days = {}
+    for split in SPLITS:
+        made = [TRACE_SOURCES[source].generate(1.0, row_seed(split, row)).provenance.parameters for row in range(24)]
+        assert sorted(known["hour"] for known in made) == list(range(24))
+        days[split] = {known["day"] for known in made}
+    assert not days["train"] & days["validation"]
+    assert not days["train"] & days["test"]
+    assert not days["validation"] & days["test"]
+
+
+@pytest.mark.parametrize("source", [source for source, split in DRAWN if split == "ood"])
+def test_ood_is_drawn_from_the_shifted_generator(source):
+    shifted = TRACE_SOURCES[source].shifted
+    assert shifted is not None
+    rows = library(source, "ood", 1.0, 60.0, 2)
+    for row, p_share in enumerate(rows.p_share):
+        np.testing.assert_array_equal(p_share, shifted(60.0, row_seed("ood", row)).resample(1.0))
+
+
+def test_a_source_without_a_shifted_one_is_named():
+    with pytest.raises(TraceError, match=r"'step' has no split 'ood'; choose one of train, validation, test"):
+        library("step", "ood", 1.0, 60.0)
+    with pytest.raises(TraceError, match=r"recordings have no split 'ood'; give recordings of another GPU or service"):
+        from_recordings([ramp(100)], "ood", 1.0)
 
 
 def test_the_first_rows_do_not_depend_on_the_count():
@@ -72,9 +139,15 @@ def test_another_process_draws_the_same_bytes():
     assert there == hashlib.sha256(library("mixed", "train", 1.0, 300.0, 6).p_share.tobytes()).hexdigest()
 
 
-def test_a_coarser_step_is_the_mean_of_the_finer():
-    fine, coarse = (library("training", "train", dt_s, 120.0, 3).p_share for dt_s in (0.1, 2.0))
-    np.testing.assert_allclose(fine.reshape(3, 60, 20).mean(axis=2), coarse, atol=1e-9)
+@pytest.mark.parametrize("source", TRACE_SOURCES)
+def test_a_coarser_step_holds_the_same_energy(source):
+    fine, coarse = (library(source, "train", dt_s, 120.0, 3) for dt_s in (0.1, 1.0))
+    np.testing.assert_allclose(fine.p_share.reshape(3, 120, 10).mean(axis=2), coarse.p_share, atol=1e-9)
+    # So does the part that follows the clock.
+    assert fine.compute_share is not None
+    assert coarse.compute_share is not None
+    work = [fine.compute_share * (fine.p_share - IDLE_SHARE), coarse.compute_share * (coarse.p_share - IDLE_SHARE)]
+    np.testing.assert_allclose(work[0].reshape(3, 120, 10).mean(axis=2), work[1], atol=1e-9)
 
 
 def test_steps_that_do_not_divide_the_duration():
@@ -93,7 +166,7 @@ def test_toy_step_row_is_the_papers_experiment():
     ("arguments", "message"),
     [
         (("solar", "train", 1.0, 60.0), r"source 'solar' is unknown; choose one of inference, training, mixed, step"),
-        (("mixed", "exam", 1.0, 60.0), r"split 'exam' is unknown; choose one of train, validation, test"),
+        (("mixed", "exam", 1.0, 60.0), r"split 'exam' is unknown; choose one of train, validation, test, ood"),
         (("mixed", "train", 0.0, 60.0), r"dt_s = 0.0 is not a finite number above 0"),
         (("mixed", "train", -1.0, 60.0), r"dt_s = -1.0"),
         (("mixed", "train", float("nan"), 60.0), r"dt_s = nan"),
@@ -154,3 +227,26 @@ def test_recordings_that_do_not_serve_are_named():
         from_recordings([ramp(200, "a"), ramp(100, "b")], "test", 1.0, window_s=30.0)
     with pytest.raises(TraceError, match="'dark': power_kw is 0"):
         from_recordings([PowerTrace([0, 9], [0, 0], "dark")], "train", 1.0)
+    with pytest.raises(TraceError, match="by = 'day' is unknown; cut recordings by time or give them out by recording"):
+        from_recordings([ramp(100)], "train", 1.0, by="day")
+    with pytest.raises(TraceError, match=r"by='recording' needs at least 3 recordings, one a split, and got 2"):
+        from_recordings([ramp(100), ramp(100)], "train", 1.0, by="recording")
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(3, (1, 1, 1)), (5, (3, 1, 1)), (10, (6, 2, 2)), (12, (8, 2, 2))])
+def test_whole_recordings_go_to_the_splits_in_their_order(n, sizes):
+    # Each has a peak of its own second, by which it is known again.
+    traces = [PowerTrace(np.arange(31.0), 1.0 + (np.arange(31.0) == k), f"r{k}") for k in range(n)]
+    parts = [from_recordings(traces, split, 1.0, by="recording").p_share for split in SPLITS]
+    assert tuple(map(len, parts)) == sizes
+    np.testing.assert_array_equal(np.concatenate(parts).argmax(axis=1), np.arange(n))
+    assert all(part.shape[1] == 30 for part in parts)
+    assert from_recordings(traces, "train", 1.0, by="recording").compute_share is None
+    assert from_recordings(traces, "train", 1.0, by="recording").requests == ()
+
+
+def test_a_whole_recording_that_is_too_short_is_named():
+    traces = [ramp(100, name) for name in ("a", "b", "c")]
+    assert from_recordings(traces, "test", 1.0, window_s=100.0, by="recording").p_share.shape == (1, 100)
+    with pytest.raises(TraceError, match=r"'c' lasts 100 s, of which the test split has 100 s, but 101 s are needed"):
+        from_recordings(traces, "test", 1.0, window_s=101.0, by="recording")

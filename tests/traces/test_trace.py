@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dcgrid_env.traces import PowerTrace, TraceError
+from dcgrid_env.traces import PowerTrace, Provenance, RequestTimes, TraceError
 
 
 def hand_trace():
@@ -144,3 +144,68 @@ def test_bad_scaling_is_named():
     for rating_kw in (0.0, -1.0, np.nan):
         with pytest.raises(TraceError, match="rating_kw"):
             hand_trace().scaled_to(rating_kw)
+
+
+def worked_trace():
+    # As by hand, of which 4, 20 and 0 kW follow the clock.
+    times = RequestTimes(np.array([0.5]), np.array([0.1]), np.array([2.0]))
+    base = hand_trace()
+    return PowerTrace(base.time_s, base.power_kw, "worked", Provenance("x", seed=1), [4.0, 20.0, 0.0, 50.0], times)
+
+
+def test_a_trace_may_know_its_compute_and_requests():
+    trace = worked_trace()
+    assert trace.compute_kw is not None
+    means_kw = trace.resample_compute(1.0)
+    assert means_kw is not None
+    np.testing.assert_allclose(means_kw, [4.0, 12.0, 10.0, 0.0, 0.0], atol=1e-12)
+    assert trace.requests is not None
+    assert trace.requests.end_s.tolist() == [2.0]
+    assert str(trace.provenance) == "x, seed 1"
+    with pytest.raises(ValueError, match="read-only"):
+        trace.compute_kw[0] = 3.0
+
+
+def test_scaling_keeps_what_a_trace_knows():
+    trace, scaled = worked_trace(), worked_trace().scaled_to(500.0)
+    assert scaled.compute_kw is not None
+    np.testing.assert_allclose(scaled.compute_kw, np.array([4.0, 20.0, 0.0, 50.0]) * 500.0 / 99.0)
+    assert scaled.compute_kw.max() <= scaled.power_kw.max()
+    assert scaled.requests is not None
+    assert scaled.requests.arrival_s.tolist() == [0.5]
+    assert scaled.provenance == trace.provenance
+
+
+def test_other_traces_do_not_know_them():
+    trace = hand_trace()
+    assert trace.compute_kw is None
+    assert trace.requests is None
+    assert trace.resample_compute(1.0) is None
+    assert trace.scaled_to(500.0).compute_kw is None
+    assert trace.provenance == Provenance()
+
+
+@pytest.mark.parametrize(
+    ("compute_kw", "message"),
+    [
+        ([1, 1], r"'bad': compute_kw has 2 samples, power_kw 3; give one for each time"),
+        ([1, -1, 0], r"'bad': index 1: compute_kw is -1.0, not within 0 and the power 2; it is the part of the power"),
+        ([1, 2, 4], r"'bad': index 2: compute_kw is 4.0, not within 0 and the power 3"),
+        ([np.nan, 2, 3], r"'bad': index 0: compute_kw is nan"),
+        ([[1, 2, 3]], r"'bad': compute_kw has shape \(1, 3\)"),
+        (["a", "b", "c"], r"'bad': compute_kw is not a list of numbers"),
+    ],
+)
+def test_bad_compute_is_named(compute_kw, message):
+    with pytest.raises(TraceError, match=message):
+        PowerTrace([0, 1, 2], [1, 2, 3], "bad", compute_kw=compute_kw)
+
+
+@given(samples=held_samples, steps=st.integers(1, 50), part=st.floats(0.0, 1.0))
+def test_compute_is_averaged_like_power(samples, steps, part):
+    power_kw = np.array([power for _, power in samples])
+    trace = PowerTrace(np.cumsum([gap for gap, _ in samples]), power_kw, compute_kw=part * power_kw)
+    dt_s = trace.duration_s / steps
+    compute_kw = trace.resample_compute(dt_s)
+    assert compute_kw is not None
+    np.testing.assert_allclose(compute_kw, part * trace.resample(dt_s), rtol=1e-9, atol=1e-9)

@@ -1,0 +1,143 @@
+"""Fetch, show and record power traces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from dcgrid_env.traces import PowerTrace
+
+
+@dataclass(frozen=True)
+class Fetch:
+    """Download a published recording into the user's cache and verify it; interrupted, the same command resumes."""
+
+    name: tyro.conf.Positional[str]
+    """Name of the recording (dcgrid list)."""
+    cache: Path | None = None
+    """Folder for it instead of the user's cache folder (or of the one that DCGRID_CACHE names)."""
+
+
+@dataclass(frozen=True)
+class Show:
+    """Plot a trace: power, ramps, spectrum and duration curve."""
+
+    name: tyro.conf.Positional[str]
+    """A generator or a fetched recording (dcgrid list), or a file: power trace, nvidia-smi log or request log."""
+    against: str | None = None
+    """Another one to draw over it."""
+    duration_s: float = 600.0
+    """Length of a generated trace, s."""
+    seed: int = 0
+    """Seed of a generated trace."""
+    dt_s: float = 1.0
+    """Step of the averages, s."""
+    out: Path = Path("results/trace.png")
+    """The picture; folders are made."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record the power of this machine's GPUs through NVML; no setting is changed. Ctrl-C ends it and keeps it."""
+
+    out: tyro.conf.Positional[Path]
+    """The trace file, compressed if its name ends in .gz."""
+    hz: float = 10.0
+    """Samples a second, at most 20."""
+    duration_s: float | None = None
+    """Length, s; by default until Ctrl-C."""
+    gpus: tuple[int, ...] = ()
+    """Indices as nvidia-smi shows them; by default all."""
+    overwrite: bool = False
+    """Replace a file that is there."""
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Fetch, show and record power traces."""
+
+    action: (
+        Annotated[Fetch, tyro.conf.subcommand("fetch", description=Fetch.__doc__)]
+        | Annotated[Show, tyro.conf.subcommand("show", description=Show.__doc__)]
+        | Annotated[Record, tyro.conf.subcommand("record", description=Record.__doc__)]
+    )
+
+
+def main(cfg: Traces) -> None:
+    """Do what was asked."""
+    if isinstance(cfg.action, Fetch):
+        fetch(cfg.action)
+    elif isinstance(cfg.action, Show):
+        show(cfg.action)
+    else:
+        record(cfg.action)
+
+
+def fetch(cfg: Fetch) -> None:
+    """Download and say under which licence, and what to cite."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+
+    from dcgrid_env.traces.recordings import RECORDINGS
+    from dcgrid_env.traces.recordings import fetch as download
+
+    console = Console()
+    with Progress(TextColumn(cfg.name), BarColumn(), DownloadColumn(), console=console, transient=True) as progress:
+        task = progress.add_task(cfg.name, total=None)
+        path = download(cfg.name, cfg.cache, lambda have, size: progress.update(task, completed=have, total=size))
+    recording = RECORDINGS[cfg.name]
+    console.print(f"{path}\n{recording.description}", highlight=False)
+    console.print(f"licence: {recording.licence}\ncite:    {recording.citation}", highlight=False)
+
+
+def show(cfg: Show) -> None:
+    """Draw and say what was drawn."""
+    from rich.console import Console
+
+    from dcgrid_env.traces.figure import trace_figure
+
+    names = [cfg.name, *([cfg.against] if cfg.against else [])]
+    traces = {name: _find(name, cfg) for name in names}
+    cfg.out.parent.mkdir(parents=True, exist_ok=True)
+    trace_figure(traces, cfg.dt_s).savefig(cfg.out, dpi=130)
+    console = Console()
+    for name, trace in traces.items():
+        console.print(f"{name}: {trace.duration_s:g} s, {trace.provenance}", highlight=False)
+    console.print(f"wrote {cfg.out}", highlight=False)
+
+
+def _find(name: str, cfg: Show) -> PowerTrace:
+    from dcgrid_env.traces import TRACE_SOURCES
+    from dcgrid_env.traces.named import recorded_trace
+
+    if name in TRACE_SOURCES:
+        return TRACE_SOURCES[name].generate(cfg.duration_s, cfg.seed)
+    return recorded_trace(name)
+
+
+def record(cfg: Record) -> None:
+    """Record, with the power on one line as it comes."""
+    from rich.console import Console
+
+    from dcgrid_env.traces.recorder import record as sample
+
+    console = Console()
+    with console.status("recording, Ctrl-C to end") as status:
+        noted = sample(
+            cfg.out,
+            cfg.hz,
+            cfg.duration_s,
+            list(cfg.gpus) or None,
+            progress=lambda time_s, watt: status.update(f"{time_s:.1f} s, {watt:.0f} W, Ctrl-C to end"),
+            overwrite=cfg.overwrite,
+        )
+    jitter = noted["jitter_s"]
+    console.print(
+        f"wrote {cfg.out}: {noted['samples']} samples of {len(noted['gpus'])} GPUs, {noted['missed']} missed, "
+        f"jitter mean {1e3 * jitter['mean']:.1f} ms, 99 % {1e3 * jitter['p99']:.1f} ms",
+        highlight=False,
+    )

@@ -1,0 +1,108 @@
+"""Delays of single requests, from the fluid queue that stands for their work.
+
+A request's times are known at the top clock: arrival, first token and last token. A phase's work that would have been
+done at time tau is done when the cumulative served work S reaches the cumulative arrived work A, both linear within a
+step, first come first served:
+
+    D(tau) = max(S^-1(A(tau)) - tau, 0)
+
+    time to first token = first token + D_c(arrival + first token)
+    end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token))
+
+D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one phase they are the same.
+What is never served counts as done at the end of the episode, and an instant beyond the end has the delay of the end:
+such delays are cut short, and ``requests_unfinished`` says how many requests still had work queued at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.traces import RequestTimes
+
+
+class Served(NamedTuple):
+    """Requests of one site over an episode, arrays (n,)."""
+
+    ttft_s: np.ndarray
+    """Time to first token, s."""
+    e2e_s: np.ndarray
+    """End to end, s."""
+    unfinished: np.ndarray
+    """Whether work of the request is still queued at the end, bool."""
+
+
+class RequestDelays(NamedTuple):
+    """Figures over requests; delays are 0 where there are none."""
+
+    requests: int
+    requests_unfinished: int
+    ttft_mean_s: float
+    ttft_p50_s: float
+    ttft_p95_s: float
+    ttft_p99_s: float
+    e2e_mean_s: float
+    e2e_p50_s: float
+    e2e_p95_s: float
+    e2e_p99_s: float
+
+
+def serve_requests(
+    requests: RequestTimes, begin_s: float, arrived_kw: np.ndarray, served_kw: np.ndarray, dt_s: float
+) -> Served:
+    """Delays of the requests that arrive during an episode of one site.
+
+    Parameters
+    ----------
+    requests
+        Those of the site's whole trace, in the order of arrival.
+    begin_s
+        Where on the trace's time axis the first step begins, s.
+    arrived_kw, served_kw
+        Work that arrived and was served in each step, (n_step, n_phase), compute-bound first.
+    dt_s
+        Length of a step, s.
+    """
+    first, last = np.searchsorted(requests.arrival_s, (begin_s, begin_s + len(arrived_kw) * dt_s))
+    taken = RequestTimes(*(times[first:last] for times in requests))
+    arrival_s = taken.arrival_s - begin_s
+    prefill_s, prefill_left = _delay(arrival_s + taken.first_token_s, arrived_kw[:, 0], served_kw[:, 0], dt_s)
+    decode_s, decode_left = _delay(arrival_s + taken.end_s, arrived_kw[:, -1], served_kw[:, -1], dt_s)
+    return Served(
+        ttft_s=taken.first_token_s + prefill_s,
+        e2e_s=taken.end_s + np.maximum(prefill_s, decode_s),
+        unfinished=prefill_left | decode_left,
+    )
+
+
+def request_delays(sites: Iterable[Served]) -> RequestDelays:
+    """Figures over the requests of all sites; the q-quantile is the least delay that the share q does not exceed."""
+    ttft_s, e2e_s, unfinished = (np.concatenate(columns) for columns in zip(*sites, strict=True))
+    return RequestDelays(len(unfinished), int(unfinished.sum()), *_figures(ttft_s), *_figures(e2e_s))
+
+
+def _delay(tau_s: np.ndarray, arrived_kw: np.ndarray, served_kw: np.ndarray, dt_s: float) -> tuple[np.ndarray, ...]:
+    """D at the instants ``tau_s`` after the first step begins, s, and whether that work is still queued at the end."""
+    edge_s = dt_s * np.arange(len(arrived_kw) + 1)
+    arrived, served = (np.concatenate(([0.0], np.cumsum(work))) for work in (arrived_kw, served_kw))
+    tau_s = np.minimum(tau_s, edge_s[-1])
+    # Without the rounding of the sums, work just served might seem to wait for the next that is.
+    level = np.interp(tau_s, edge_s, arrived) - 1e-9 * arrived[-1]
+    after = np.searchsorted(served, level)  # the first edge by which it has been served; none if beyond the last
+    left = after == len(served)
+    before = np.clip(after - 1, 0, len(served) - 2)
+    step = served[before + 1] - served[before]
+    part = np.divide(level - served[before], step, out=np.zeros_like(level), where=step > 0)
+    done_s = edge_s[before] + dt_s * np.clip(part, 0.0, 1.0)
+    return np.where(left, edge_s[-1] - tau_s, np.maximum(done_s - tau_s, 0.0)), left
+
+
+def _figures(delay_s: np.ndarray) -> tuple[float, ...]:
+    """Mean, p50, p95 and p99."""
+    if not delay_s.size:
+        return (0.0,) * 4
+    quantiles = np.quantile(delay_s, (0.5, 0.95, 0.99), method="inverted_cdf")
+    return (float(delay_s.mean()), *quantiles.tolist())

@@ -1,0 +1,121 @@
+"""The published recordings: their entries, fetching by name, and loading with licence and citation."""
+
+import hashlib
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dcgrid_env.traces import TraceError
+from dcgrid_env.traces.recordings import RECORDINGS, cache_folder, fetch, load_power, load_requests
+
+# The recordings are not shipped; where the folder `shared` beside the checkout is absent, their tests are skipped.
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "traces"
+FILES = {
+    "chen-zhang-2025-inference": SHARED / "chen_zhang_2025_gpu_inference.csv",
+    "azure-2023-conversation": SHARED / "azure_2023_conversation.csv",
+    "azure-2023-code": SHARED / "azure_2023_code.csv",
+}
+
+POWER = b"0,100,200\n0.5,110,210\n2,120,220\n"
+LOG = b"TIMESTAMP,ContextTokens,GeneratedTokens\n2023-11-16 18:17:03.97996,4808,10\n2023-11-16 18:17:04.03196,3180,8\n"
+
+
+def entry(name, content):
+    return replace(RECORDINGS[name], sha256=hashlib.sha256(content).hexdigest(), size_bytes=len(content))
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCGRID_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def test_entries_are_pinned_and_credited():
+    assert set(RECORDINGS) == set(FILES)
+    for name, recording in RECORDINGS.items():
+        assert recording.name == name
+        assert re.fullmatch(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/.+\.csv", recording.url)
+        assert re.fullmatch("[0-9a-f]{64}", recording.sha256)
+        assert recording.licence
+        assert recording.citation
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_entries_fit_the_files(name):
+    if not FILES[name].exists():
+        pytest.skip(f"the recording {FILES[name].name} is not in ../shared/traces beside the checkout")
+    content = FILES[name].read_bytes()
+    assert entry(name, content) == RECORDINGS[name]
+    if RECORDINGS[name].kind == "power":
+        trace = load_power(name, FILES[name])
+        assert (trace.name, trace.provenance.sha256) == (name, RECORDINGS[name].sha256)
+    else:
+        requests = load_requests(name, FILES[name])
+        assert len(requests) == {"azure-2023-conversation": 19_366, "azure-2023-code": 8_819}[name]
+
+
+def test_the_cache_folder_is_the_user_s_own_unless_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("DCGRID_CACHE", "~/data")
+    assert cache_folder() == Path("~/data").expanduser()
+    monkeypatch.delenv("DCGRID_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder().name == "dcgrid"
+
+
+def test_fetch_uses_what_is_in_the_cache(cache, tmp_path):
+    recording = entry("chen-zhang-2025-inference", POWER)
+    for folder, options in ((cache, {}), (tmp_path / "other", {"cache": tmp_path / "other"})):
+        folder.mkdir(exist_ok=True)
+        path = folder / "chen-zhang-2025-inference.csv"
+        path.write_bytes(POWER)
+        assert fetch(recording, **options) == path
+
+
+def test_power_is_loaded_with_its_credit(cache):
+    recording = entry("chen-zhang-2025-inference", POWER)
+    (cache / recording.file_name).write_bytes(POWER)
+    trace = load_power(recording)
+    assert trace.power_kw.tolist() == pytest.approx([0.3, 0.32, 0.34])
+    assert trace.provenance.record() == {
+        "name": "chen-zhang-2025-inference",
+        "sha256": recording.sha256,
+        "licence": "MIT",
+        "citation": 'Y. Chen and B. Zhang, "Voltage Regulation in Distribution Systems with Data Center Loads", '
+        "arXiv 2507.06416",
+    }
+
+
+def test_requests_are_loaded_with_their_credit(cache):
+    recording = entry("azure-2023-code", LOG)
+    (cache / recording.file_name).write_bytes(LOG)
+    requests = load_requests(recording)
+    assert requests.context_tokens.tolist() == [4808, 3180]
+    assert requests.name == "azure-2023-code"
+    assert requests.provenance.sha256 == recording.sha256
+    assert requests.provenance.licence == "CC-BY 4.0"
+    assert "Splitwise" in requests.provenance.citation
+
+
+@pytest.mark.parametrize("use", [fetch, load_power, load_requests])
+def test_an_unknown_name_is_told_the_known_ones(use):
+    with pytest.raises(TraceError, match=r"'azure' is unknown; choose one of chen-zhang-2025-inference, azure"):
+        use("azure")
+
+
+def test_the_other_kind_is_told_its_loader():
+    with pytest.raises(TraceError, match=r"one of requests; use load_requests"):
+        load_power("azure-2023-code")
+    with pytest.raises(TraceError, match=r"one of power; use load_power"):
+        load_requests("chen-zhang-2025-inference")
+
+
+def test_a_file_that_is_not_there_or_not_it(cache):
+    remedy = "get it with `dcgrid traces fetch chen-zhang-2025-inference`"
+    with pytest.raises(TraceError, match=rf"there is no file .*inference\.csv; {remedy}"):
+        load_power("chen-zhang-2025-inference")
+    (cache / "mine.csv").write_bytes(POWER)
+    found, known = hashlib.sha256(POWER).hexdigest(), RECORDINGS["chen-zhang-2025-inference"].sha256
+    with pytest.raises(TraceError, match=rf"mine\.csv is not it: its SHA-256 is {found}, not {known}; {remedy}"):
+        load_power("chen-zhang-2025-inference", cache / "mine.csv")

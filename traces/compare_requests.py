@@ -1,0 +1,85 @@
+"""Compare generated requests with what is published: `python -m dcgrid_env.traces.compare_requests [LOG ...]`.
+
+Each LOG is a request log (Azure's format) whose own figures stand beside the published ones.
+"""
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from dcgrid_env.traces.requests import Requests
+from dcgrid_env.traces.services import SERVICES, requests
+from dcgrid_env.traces.trace import TraceError
+
+FIGURES = (
+    "rate (1/s)",
+    "distance, coefficient of variation",
+    "Fano factor at 1 s",
+    "Fano factor at 60 s",
+    "context tokens, 50 %",
+    "context tokens, 90 %",
+    "context tokens, 99 %",
+    "generated tokens, 50 %",
+    "generated tokens, 90 %",
+    "generated tokens, 99 %",
+)
+
+PUBLISHED: dict[str, tuple[float, ...]] = {
+    "chat": (5.53, 1.09, 1.39, 20.6, 1020, 2734, 4142, 129, 424, 601),
+    "code": (2.57, 13.2, 13.2, 161, 1469, 5186, 7436, 13, 55, 249),
+}
+"""Read off the hour of each service in the Azure LLM inference trace 2023 (CC-BY 4.0, P. Patel et al., ISCA 2024)."""
+
+TOLERANCE = (0.03, 0.08, 0.08, 0.10, *(0.15,) * 6)
+"""Relative, of the mean over seeds of 24 h."""
+
+
+def figures(made: Requests) -> np.ndarray:
+    """FIGURES of requests, (10,) float64."""
+    distance_s = np.diff(made.arrival_s)
+    tokens = [np.quantile(counts, [0.5, 0.9, 0.99]) for counts in (made.context_tokens, made.generated_tokens)]
+    return np.array(
+        [
+            len(made) / made.duration_s,
+            distance_s.std() / distance_s.mean(),
+            fano(made, 1.0),
+            fano(made, 60.0),
+            *tokens[0],
+            *tokens[1],
+        ]
+    )
+
+
+def fano(made: Requests, window_s: float) -> float:
+    """Variance over mean of the number of arrivals in windows; an incomplete last window is left out."""
+    n = int(made.duration_s / window_s + 1e-9)
+    counts = np.bincount((made.arrival_s / window_s).astype(np.int64), minlength=n)[:n]
+    return float(counts.var() / counts.mean())
+
+
+def main(arguments: Sequence[str], seeds: int = 10) -> int:
+    """Print a Markdown table for each service and for each log; return the exit status."""
+    for name in SERVICES:
+        drawn = np.array([figures(requests(name, 24.0, seed)) for seed in range(seeds)])
+        print(f"\n| `{name}` | published | generated, mean of {seeds} days | least .. most | off by | tolerance |")
+        print("|---|---|---|---|---|---|")
+        rows = zip(FIGURES, PUBLISHED[name], drawn.mean(0), drawn.min(0), drawn.max(0), TOLERANCE, strict=True)
+        for figure, known, mean, low, high, tolerance in rows:
+            numbers = (f"{x:.0f}" if "tokens" in figure else f"{x:.2f}" for x in (known, mean, low, high))
+            cells = "| {} | {} | {} | {} .. {} |".format(figure, *numbers)
+            print(f"{cells} {100 * (mean / known - 1):+.0f} % | {100 * tolerance:.0f} % |")
+    from dcgrid_env.traces.request_log import read_request_log
+
+    for path in arguments:
+        try:
+            log = read_request_log(path)
+        except (TraceError, OSError) as error:
+            print(error, file=sys.stderr)
+            return 1
+        print(f"\n{log.name}: " + ", ".join(f"{f} {x:.4g}" for f, x in zip(FIGURES, figures(log), strict=True)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,57 @@
+"""Four models on the same GPUs under the same waves of queries: `python -m dcgrid_env.traces.compare_tasks`.
+
+A counterpart of Fig. 2 of Chen and Zhang (arXiv 2507.06416), whose recordings are not published. The paper says of
+its four tasks: ramps of 10 to 20 % dominate, the models of middle size swing most, and valleys and peaks repeat with a
+long period.
+"""
+
+import numpy as np
+
+from dcgrid_env.traces.sources import TRACE_SOURCES
+from dcgrid_env.traces.trace import FloatArray
+
+TASKS = ("llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
+FIGURES = (
+    "mean level",
+    "standard deviation",
+    "1-s ramps: 99 %",
+    "steepest 1-s ramp",
+    "of the ramps beyond 5 %: in 10 to 20 %",
+    "of the ramps beyond 5 %: beyond 20 %",
+    "strongest period (s)",
+)
+
+
+def figures(second: FloatArray) -> FloatArray:
+    """FIGURES of means over seconds (n,), shares of the rating."""
+    ramp = np.abs(np.diff(second))
+    large = ramp[ramp > 0.05]
+    spectrum = np.abs(np.fft.rfft(second - second.mean()))
+    smooth = np.convolve(spectrum**2, np.ones(9) / 9, mode="same")
+    return np.array(
+        [
+            second.mean(),
+            second.std(),
+            np.quantile(ramp, 0.99),
+            ramp.max(),
+            ((large > 0.1) & (large <= 0.2)).mean(),
+            (large > 0.2).mean(),
+            len(second) / (1 + np.argmax(smooth[1:])),
+        ]
+    )
+
+
+def main(seeds: int = 8) -> None:
+    """Print a Markdown table, means over half hours."""
+    print("| | " + " | ".join(TASKS) + " |\n|---|" + "---|" * len(TASKS))
+    columns = []
+    for task in TASKS:
+        traces = [TRACE_SOURCES[task].generate(1800.0, seed).resample(1.0) for seed in range(seeds)]
+        columns.append(np.mean([figures(trace) for trace in traces], axis=0))
+    for name, row in zip(FIGURES, np.transpose(columns), strict=True):
+        digits = 0 if "(s)" in name else 3
+        print(f"| {name} | " + " | ".join(f"{x:.{digits}f}" for x in row) + " |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""Power logs of `nvidia-smi --query-gpu=timestamp,power.draw[,index,...] --format=csv -l N`, as people have them."""
+
+import os
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from dcgrid_env.traces.gaps import GapRule
+from dcgrid_env.traces.gpu_columns import QUERY, GpuColumns, find_columns, split
+from dcgrid_env.traces.power_unit import KW_PER_UNIT, require_unit
+from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.text_file import Block, open_text, stem
+from dcgrid_env.traces.timestamps import nanoseconds
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
+
+EARLY_READINGS = 1000
+"""Readings at the beginning of a log in which rounds of several GPUs are looked for."""
+
+
+def read_gpu_log(
+    path: str | os.PathLike[str],
+    *,
+    columns: str | Sequence[str] | None = None,
+    unit: str | None = None,
+    gpus: int | None = None,
+    max_gap_s: float | None = 15.0,
+    gaps: str = "error",
+    limit_w: float = 2000.0,
+    name: str | None = None,
+) -> PowerTrace:
+    """Read the power of all GPUs of a log, summed.
+
+    Each GPU's reading holds until its next. The sum is taken on the union of all their times, from the first instant
+    at which every GPU has reported, which becomes time 0, to the last reading of any. A missing reading (`[N/A]`,
+    `[Not Supported]`, `ERR!`) is none, so it makes the gap between its GPU's readings longer. GPUs are told apart by
+    a column uuid, index, pci.bus_id or serial. Of several power columns power.draw.instant is preferred. The header
+    may be repeated where the logger was started again. A last line without a line end that cannot be read was cut
+    short and is dropped, and so is one of a GPU that no other line names. In memory 16 bytes are held for each
+    reading, and some 50 for each while they are summed.
+
+    Parameters
+    ----------
+    path : text file, UTF-8 or UTF-16, plain or gzip.
+    columns : for a log without header: what was queried, for example "timestamp,index,power.draw". Without it the
+        time, the power with its unit and a uuid or bus id are told from their cells.
+    unit : of readings without one (`nounits`): "W", "kW", "MW" or "mW"; needed if the header does not name it.
+    gpus : number of GPUs; needed if no column tells them apart, and then the lines of a round must be complete and in
+        the same order.
+    max_gap_s, gaps : what to do where readings of a GPU are more than max_gap_s apart, see
+        `dcgrid_env.traces.gaps.GapRule`. The same limit holds for the time before a GPU's first reading and after its
+        last; where gaps are filled the log begins when all have reported, and a last reading holds to the end.
+    limit_w : highest reading in W that is believed.
+    name : of the trace; by default the file's name without suffix.
+
+    Raises
+    ------
+    TraceError
+        With the file and the line, for a line that cannot be read, a power that is negative or above the limit, a
+        unit that is not told or contradicts another, times of a GPU that repeat or step back, a gap, several GPUs
+        that nothing tells apart, a GPU that never reports, and an empty log.
+    """
+    rule = GapRule(max_gap_s, gaps)
+    require_positive(limit_w, "limit_w", "give the highest reading of a GPU in W")
+    if gpus is not None and gpus < 1:
+        raise TraceError(f"gpus = {gpus!r} is below 1; give the number of GPUs in the log")
+    with open_text(path) as file:
+        require_unit(file.name, unit)
+        found, read = find_columns(file, columns, unit)
+        log = _Log(file.name, found, rule, limit_w * 1e-3, gpus)
+        for block in chain(read, file.blocks()):
+            log.add(block)
+        sha256 = file.sha256()
+    time_s, power_kw, began = log.total()
+    parameters = {"began": began, "gpus": len(log.series), "column": found.power_name}
+    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+
+
+@dataclass
+class _Series:
+    """Readings of one GPU."""
+
+    gpu: str
+    first_line: int
+    time_s: array = field(default_factory=lambda: array("d"))
+    power_kw: array = field(default_factory=lambda: array("d"))
+    early: list[tuple[int, float]] = field(default_factory=list)
+    """Line and time of the first EARLY_READINGS readings."""
+    last_line: int = 0
+
+
+class _Log:
+    """Readings of the blocks so far."""
+
+    def __init__(self, name: str, columns: GpuColumns, rule: GapRule, limit_kw: float, gpus: int | None) -> None:
+        self.series: dict[str, _Series] = {}
+        self._name, self._columns, self._rule, self._limit_kw, self._gpus = name, columns, rule, limit_kw, gpus
+        self._origin_ns: int | None = None
+        self._match = columns.pattern().fullmatch
+        self._in_order = gpus if columns.gpu is None else None
+        self._line_in_round = 0
+        known = {columns.unit: KW_PER_UNIT[columns.unit]} if columns.unit else KW_PER_UNIT
+        self._kw: dict[str | None, float] = {**known}
+        if columns.unit:
+            self._kw[None] = KW_PER_UNIT[columns.unit]
+
+    def add(self, block: Block) -> None:
+        """Read, check and append the lines of a block."""
+        numbers: list[int] = []
+        times: list[str] = []
+        power: list[float] = []
+        rows: dict[str, list[int]] = {}
+        for number, line in block.lines():
+            found = self._match(line)
+            if found is None:
+                if self._is_header(line):
+                    self._line_in_round = 0
+                elif not self._is_cut(block, line):
+                    raise self._unreadable(number, line)
+                continue
+            time, gpu, value, unit = found.group("time", "gpu", "power", "unit")
+            if self._in_order:
+                gpu = str(self._line_in_round % self._in_order)
+                self._line_in_round += 1
+            if gpu not in self.series:
+                if self.series and self._is_cut(block, line):
+                    continue  # What names the GPU may be what was cut.
+                self.series[gpu] = _Series(gpu, number)
+            if value is not None:
+                rows.setdefault(gpu, []).append(len(times))
+                power.append(self._in_kw(number, value, unit))
+                numbers.append(number)
+                times.append(time)
+        if times:
+            at_ns = nanoseconds(times, lambda i: f"{self._name}, line {numbers[i]}")
+            if self._origin_ns is None:
+                self._origin_ns = int(at_ns[0])
+            time_s, power_kw = (at_ns - self._origin_ns) / 1e9, np.array(power)
+            for gpu, of_gpu in rows.items():
+                self._append(self.series[gpu], time_s[of_gpu], power_kw[of_gpu], [numbers[i] for i in of_gpu])
+
+    def total(self) -> tuple[FloatArray, FloatArray, str]:
+        """Times from 0, the sum of all GPUs in kW, and the log's clock at time 0."""
+        series = list(self.series.values())
+        self._require_readings(series)
+        if self._gpus is None:
+            for s in series:
+                self._require_one_gpu(s)
+        begin_s, end_s = max(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
+        log_begin_s = min(s.time_s[0] for s in series)
+        for s in series:
+            if self._rule.refuses(s.time_s[0] - log_begin_s):
+                raise self._edge(s.early[0][0], s.gpu, "first", s.time_s[0] - log_begin_s, "after the first GPU")
+            if self._rule.refuses(end_s - s.time_s[-1]):
+                raise self._edge(s.last_line, s.gpu, "last", end_s - s.time_s[-1], "before the end")
+        time_s = np.unique(np.concatenate([np.frombuffer(s.time_s) for s in series]))
+        time_s = time_s[time_s >= begin_s]
+        if len(time_s) < 2:
+            raise TraceError(
+                f"{self._name}: {len(time_s)} readings from when all {len(series)} GPUs have reported; give at least 2"
+            )
+        power_kw = np.zeros_like(time_s)
+        for s in series:
+            held = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
+            power_kw += np.frombuffer(s.power_kw)[held]
+        began = np.datetime64((self._origin_ns or 0) + round(begin_s * 1e9), "ns").astype("datetime64[ms]")
+        return time_s - begin_s, power_kw, str(began)
+
+    def _append(self, series: _Series, time_s: FloatArray, power_kw: FloatArray, lines: list[int]) -> None:
+        known = 1 if series.time_s else 0
+        if known:
+            time_s = np.append(series.time_s[-1], time_s)
+            power_kw = np.append(series.power_kw[-1], power_kw)
+        back = np.flatnonzero(np.diff(time_s) <= 0)
+        if back.size:
+            raise self._out_of_order(lines[int(back[0]) + 1 - known], series.gpu, time_s[back[0] : back[0] + 2])
+        early = slice(EARLY_READINGS - len(series.early))
+        series.early += zip(lines[early], time_s[known:][early].tolist(), strict=True)
+        series.last_line = lines[-1]
+        time_s, power_kw = self._rule.apply(
+            time_s, power_kw, lambda i: f"{self._name}, line {lines[i - known]}{self._of(series.gpu)}"
+        )
+        series.time_s.frombytes(time_s[known:].tobytes())
+        series.power_kw.frombytes(power_kw[known:].tobytes())
+
+    def _in_kw(self, number: int, value: str, unit: str | None) -> float:
+        if unit not in self._kw:
+            fault = f"its unit {unit!r} is unknown"
+            if unit is None:
+                fault = "has no unit, and no header names one"
+            elif unit in KW_PER_UNIT:
+                fault = f"the header or unit= says {self._columns.unit}"
+            raise TraceError(
+                f"{self._name}, line {number}: {self._columns.power_name} is {' '.join(filter(None, (value, unit)))}: "
+                f"{fault}; pass unit= for readings without one (one of {', '.join(KW_PER_UNIT)}), or repair the line"
+            )
+        power_kw = float(value) * self._kw[unit]
+        if not 0 <= power_kw <= self._limit_kw:
+            remedy = "power is consumption and not negative: repair the line"
+            if power_kw > 0:
+                remedy = f"above limit_w = {self._limit_kw * 1e3:g}; is the unit right? If so, raise limit_w"
+            raise TraceError(
+                f"{self._name}, line {number}: {self._columns.power_name} is {power_kw * 1e3:g} W, {remedy}"
+            )
+        return power_kw
+
+    def _is_header(self, line: str) -> bool:
+        return self._columns.header is not None and split(line) == self._columns.header
+
+    def _is_cut(self, block: Block, line: str) -> bool:
+        return not block.text.endswith("\n") and block.text.endswith(line)
+
+    def _unreadable(self, number: int, line: str) -> TraceError:
+        cells, columns = split(line), self._columns
+        fault = f"has {len(cells)} cells, not {columns.width}"
+        if len(cells) == columns.width:
+            fault = f"has the time {cells[columns.time][:40]!r} and the power {cells[columns.power][:40]!r}"
+            if "timestamp" in cells:
+                fault = f"is another header than {', '.join(columns.header or ('none',))}"
+        return TraceError(f"{self._name}, line {number}: {fault}; repair or remove the line, or cut the file there")
+
+    def _of(self, gpu: str) -> str:
+        return f": GPU {gpu}" if self._columns.gpu is not None or self._in_order else ""
+
+    def _out_of_order(self, number: int, gpu: str, pair_s: FloatArray) -> TraceError:
+        where = f"{self._name}, line {number}{self._of(gpu)}"
+        if pair_s[0] == pair_s[1]:
+            return TraceError(
+                f"{where}: the time repeats the one before; log with `{QUERY}` so that a column tells GPUs apart, "
+                "or pass gpus= if the lines of each round are complete and in order"
+            )
+        several = "" if self._of(gpu) else f" (if several GPUs report by turns, log with `{QUERY}`)"
+        return TraceError(
+            f"{where}: the time steps back by {pair_s[0] - pair_s[1]:g} s; the clock was set or went off summer time: "
+            f"cut the file there, or log with TZ=UTC{several}"
+        )
+
+    def _require_readings(self, series: list[_Series]) -> None:
+        if not series:
+            raise TraceError(f"{self._name}: holds no reading; give a log of `{QUERY}`")
+        for s in series:
+            if not s.time_s:
+                raise TraceError(
+                    f"{self._name}, line {s.first_line}{self._of(s.gpu)}: has no reading in the whole log; leave the "
+                    "GPU out of the log (nvidia-smi -i) or remove its lines"
+                )
+        if self._gpus not in (None, len(series)):
+            raise TraceError(f"{self._name}: holds {len(series)} GPUs, but gpus = {self._gpus}; correct gpus")
+
+    def _require_one_gpu(self, s: _Series) -> None:
+        """Refuse rounds of several GPUs: many readings follow the one before at once, and then comes a pause."""
+        distance_s = np.diff([time_s for _, time_s in s.early])
+        if len(distance_s) < 3:
+            return
+        at_once = distance_s < 0.1 * np.quantile(distance_s, 0.95)
+        if np.mean(at_once) > 0.3:
+            i = int(np.argmax(at_once))
+            raise TraceError(
+                f"{self._name}, line {s.early[i + 1][0]}{self._of(s.gpu)}: comes {distance_s[i]:g} s after the reading "
+                f"before, as if several GPUs reported together; log with `{QUERY}` so that a column tells them apart, "
+                "or pass gpus= (1 if it is one GPU)"
+            )
+
+    def _edge(self, number: int, gpu: str, which: str, distance_s: float, than: str) -> TraceError:
+        return TraceError(
+            f"{self._name}, line {number}{self._of(gpu)}: its {which} reading comes {distance_s:g} s {than}, more than "
+            f"max_gap_s = {self._rule.max_gap_s:g}; raise max_gap_s, cut the file there, or pass gaps='hold'"
+        )

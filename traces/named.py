@@ -1,0 +1,54 @@
+"""A trace by name: a generator, a recording in the user's cache, or a file."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from dcgrid_env.traces.gpu_log import read_gpu_log
+from dcgrid_env.traces.hardware import replica
+from dcgrid_env.traces.recordings import RECORDINGS, load_power, load_requests
+from dcgrid_env.traces.request_log import read_request_log
+from dcgrid_env.traces.requests import Requests
+from dcgrid_env.traces.serving import serve
+from dcgrid_env.traces.sources import TRACE_SOURCES
+from dcgrid_env.traces.text_file import open_text
+from dcgrid_env.traces.trace import PowerTrace, TraceError
+
+LOAD = 0.35
+"""Requests without a site of their own are served by as many replicas of Llama 3 70B on H100 as have this load."""
+
+
+def recorded_trace(name: str) -> PowerTrace:
+    """A recording by name (`RECORDINGS`), or a file: a power trace, a log of nvidia-smi, or a request log.
+
+    Requests become power by being served (`LOAD`). TraceError for what is neither, or cannot be read.
+    """
+    if name in RECORDINGS:
+        if RECORDINGS[name].kind == "power":
+            return load_power(name)
+        return served(load_requests(name))
+    path = Path(name)
+    if not path.is_file():
+        raise TraceError(
+            f"trace {name!r} is neither a file nor known; there are {', '.join((*TRACE_SOURCES, *RECORDINGS))}"
+        )
+    first = _first_line(path).lower()
+    if "contexttokens" in first:
+        return served(read_request_log(path))
+    if "power.draw" in first or first.count("/") >= 2:
+        return read_gpu_log(path)
+    return PowerTrace.from_csv(path)
+
+
+def served(requests: Requests) -> PowerTrace:
+    """Draw of a site that answers requests, as a share of its rating."""
+    unit = replica("H100", "llama3-70b")
+    mean = [float(tokens.mean()) for tokens in (requests.context_tokens, requests.generated_tokens)]
+    busy_s = unit.busy_s(*mean)
+    return serve(requests, unit, math.ceil(len(requests) / requests.duration_s * busy_s / LOAD)).trace
+
+
+def _first_line(path: Path) -> str:
+    with open_text(path) as file:
+        return file.readline()
