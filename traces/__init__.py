@@ -4,35 +4,27 @@ A scenario draws from `library(source, split, dt_s, duration_s)` or `from_record
 power as a share of the site's rating, of which an episode takes a window.
 """
 
-from dcgrid_env.traces.arrivals import Arrivals
-from dcgrid_env.traces.gpu_log import read_gpu_log
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
-from dcgrid_env.traces.hardware import GPUS, MODELS, Gpu, Model, Replica, replica
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
-from dcgrid_env.traces.library import (
-    ALL_SPLITS,
-    SPLITS,
-    TraceRows,
-    from_recordings,
-    library,
-    require_window,
-    row_seed,
-)
+from dcgrid_env.traces.library import library, row_seed
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recorded_rows import from_recordings
 from dcgrid_env.traces.recorder import record
 from dcgrid_env.traces.recordings import RECORDINGS, Recording, cache_folder, fetch, load_power, load_requests
-from dcgrid_env.traces.request_log import read_request_log
-from dcgrid_env.traces.requests import Requests
-from dcgrid_env.traces.services import SERVICES, Service, TokenLaw, requests
-from dcgrid_env.traces.serving import Served, serve
-from dcgrid_env.traces.site import Site, Tenant, generate_site, generate_sites
-from dcgrid_env.traces.smoothing import PowerSmoothing
+from dcgrid_env.traces.rows import ALL_SPLITS, SPLITS, TraceRows, require_window
+from dcgrid_env.traces.serving.arrivals import Arrivals
+from dcgrid_env.traces.serving.hardware import GPUS, MODELS, Gpu, Model, Replica, replica
+from dcgrid_env.traces.serving.pool import Served, serve
+from dcgrid_env.traces.serving.requests import Requests
+from dcgrid_env.traces.serving.services import SERVICES, Service, TokenLaw, requests
+from dcgrid_env.traces.serving.site import Site, Tenant, generate_site, generate_sites
 from dcgrid_env.traces.sources import TRACE_SOURCES, TraceSource
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes, TraceError
-from dcgrid_env.traces.training import generate_training
-from dcgrid_env.traces.training_params import TrainingParams
+from dcgrid_env.traces.training.jobs import generate_training
+from dcgrid_env.traces.training.params import TrainingParams
+from dcgrid_env.traces.training.smoothing import PowerSmoothing
 
 __all__ = [
     "ALL_SPLITS",

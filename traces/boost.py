@@ -1,11 +1,11 @@
-"""Short draws above the rating: a GPU that comes from idle may exceed its rated power until its average catches up.
+"""Short draws above the rating: work that begins at once overshoots until the power controller's average catches up.
 
-    wanted = power + (boost - 1) compute        compute: the part of the power that does compute-bound work
-    drawn  = min(wanted, (1 - (1 - a) mean) / a)        a = dt / averaging time
-    mean'  = (1 - a) mean + a drawn             the power controller holds this moving average at the rating
+    drawn = power + min(power - mean, (boost - 1) compute)    where power > mean, else power
+    mean' = (1 - a) mean + a power                            a = dt / averaging time
 
-Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers; that they last as long as the average of a second
-allows is how such power controllers are built, not a measurement.
+with the part of the power that does compute-bound work. A level that lasts is drawn as it is, and nothing exceeds
+the boost. Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers; that an overshoot fades within the
+averaging time is how such power controllers are built, not a measurement.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, rounded
 from dcgrid_env.traces.trace import FloatArray, PowerTrace
 
 AVERAGING_S = 1.0
-"""Time over which the draw is held to the rating, s."""
+"""Time within which an overshoot fades, s."""
 
 
 def boosted(share: FloatArray, compute: FloatArray, boost_share: float) -> tuple[FloatArray, FloatArray]:
     """Power (n,) and its compute-bound part (n,) on the grid of 0.1 s, shares of rating, with short draws above 1."""
-    wanted = share + (boost_share - 1.0) * compute
+    from scipy.signal import lfilter
+
     weight = GRID_S / AVERAGING_S
-    drawn, mean = np.empty_like(share), IDLE_SHARE
-    for i, want in enumerate(wanted):
-        drawn[i] = min(want, max((1.0 - (1.0 - weight) * mean) / weight, share[i]))
-        mean += weight * (drawn[i] - mean)
-    drawn = rounded(drawn)
-    return drawn, compute + np.maximum(drawn - share, 0.0)
+    # The mean before each step, from idle on.
+    before = np.concatenate(([IDLE_SHARE], share[:-1]))
+    mean, _ = lfilter([weight], [1.0, weight - 1.0], before, zi=[(1.0 - weight) * IDLE_SHARE])
+    extra = rounded(np.clip(share - mean, 0.0, (boost_share - 1.0) * compute))
+    return share + extra, compute + extra
 
 
 def boosted_trace(trace: PowerTrace, boost_share: float) -> PowerTrace:

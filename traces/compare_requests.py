@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcgrid_env.traces.requests import Requests
-from dcgrid_env.traces.services import SERVICES, requests
+from dcgrid_env.traces.serving.requests import Requests
+from dcgrid_env.traces.serving.services import SERVICES, requests
 from dcgrid_env.traces.trace import TraceError
 
 FIGURES = (
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str], seeds: int = 10) -> int:
             numbers = (f"{x:.0f}" if "tokens" in figure else f"{x:.2f}" for x in (known, mean, low, high))
             cells = "| {} | {} | {} | {} .. {} |".format(figure, *numbers)
             print(f"{cells} {100 * (mean / known - 1):+.0f} % | {100 * tolerance:.0f} % |")
-    from dcgrid_env.traces.request_log import read_request_log
+    from dcgrid_env.traces.logs.request_log import read_request_log
 
     for path in arguments:
         try:

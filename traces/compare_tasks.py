@@ -18,7 +18,8 @@ FIGURES = (
     "steepest 1-s ramp",
     "of the ramps beyond 5 %: in 10 to 20 %",
     "of the ramps beyond 5 %: beyond 20 %",
-    "strongest period (s)",
+    "waves: period (s)",
+    "waves: correlation over a period",
 )
 
 
@@ -26,8 +27,9 @@ def figures(second: FloatArray) -> FloatArray:
     """FIGURES of means over seconds (n,), shares of the rating."""
     ramp = np.abs(np.diff(second))
     large = ramp[ramp > 0.05]
-    spectrum = np.abs(np.fft.rfft(second - second.mean()))
-    smooth = np.convolve(spectrum**2, np.ones(9) / 9, mode="same")
+    level = second - second.mean()
+    lags = np.arange(40, 90)
+    together = np.array([(level[:-lag] * level[lag:]).mean() for lag in lags]) / (level * level).mean()
     return np.array(
         [
             second.mean(),
@@ -36,7 +38,8 @@ def figures(second: FloatArray) -> FloatArray:
             ramp.max(),
             ((large > 0.1) & (large <= 0.2)).mean(),
             (large > 0.2).mean(),
-            len(second) / (1 + np.argmax(smooth[1:])),
+            lags[np.argmax(together)],
+            together.max(),
         ]
     )
 

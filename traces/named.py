@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from dcgrid_env.traces.gpu_log import read_gpu_log
-from dcgrid_env.traces.hardware import replica
+from dcgrid_env.traces.logs.gpu_log import read_gpu_log
+from dcgrid_env.traces.logs.request_log import read_request_log
+from dcgrid_env.traces.logs.text_file import open_text
 from dcgrid_env.traces.recordings import RECORDINGS, load_power, load_requests
-from dcgrid_env.traces.request_log import read_request_log
-from dcgrid_env.traces.requests import Requests
-from dcgrid_env.traces.serving import serve
+from dcgrid_env.traces.serving.hardware import replica
+from dcgrid_env.traces.serving.pool import serve
+from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.sources import TRACE_SOURCES
-from dcgrid_env.traces.text_file import open_text
 from dcgrid_env.traces.trace import PowerTrace, TraceError
 
 LOAD = 0.35

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from dcgrid_env.traces.arrivals import Arrivals
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.mixed import generate_mixed
-from dcgrid_env.traces.services import SERVICES, Service, TokenLaw
-from dcgrid_env.traces.site import Site, Tenant, generate_site
+from dcgrid_env.traces.serving.arrivals import Arrivals
+from dcgrid_env.traces.serving.services import SERVICES, Service, TokenLaw
+from dcgrid_env.traces.serving.site import Site, Tenant, generate_site
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.trace import PowerTrace
-from dcgrid_env.traces.training import TrainingParams, generate_training
+from dcgrid_env.traces.training.jobs import TrainingParams, generate_training
 
 Generate = Callable[[float, int], PowerTrace]
 
@@ -31,11 +31,11 @@ class TraceSource:
 
 WAVES = Service(
     "waves",
-    Arrivals(3.0, calm_rate=0.1, calm_s=40.0, busy_s=20.0),
+    Arrivals(3.0, calm_rate=0.1, calm_s=40.0, busy_s=20.0, dwell_shape=25.0),
     context=SERVICES["chat"].context,
     generated=TokenLaw(5.5, 0.8, 1024),
 )
-"""Queries that come in waves, as from people who run the same task again and again."""
+"""Queries that come in waves of about a minute, as from people who run the same task again and again."""
 
 
 def _task(model: str, gpu: str) -> Generate:

@@ -125,10 +125,10 @@ class PowerTrace:
         limit_kw: float = 1e6,
         name: str | None = None,
     ) -> "PowerTrace":
-        """Read a trace from a text file; see `dcgrid_env.traces.csv_file.read_csv`."""
+        """Read a trace from a text file; see `dcgrid_env.traces.logs.csv_file.read_csv`."""
         # Imported late because csv_file builds on this module's checks.
-        from dcgrid_env.traces.csv_file import read_csv
-        from dcgrid_env.traces.text_file import stem
+        from dcgrid_env.traces.logs.csv_file import read_csv
+        from dcgrid_env.traces.logs.text_file import stem
 
         time_s, power_kw, provenance = read_csv(
             path,

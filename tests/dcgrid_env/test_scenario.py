@@ -221,7 +221,7 @@ def test_a_numpy_integer_is_a_count():
         ("observe", ["local", "neighbours", "feeder"]),
         ("trace_window", ["random", "start"]),
         ("recording_split", ["time", "recording"]),
-        ("split", ["train", "validation", "test"]),
+        ("split", ["train", "validation", "test", "ood"]),
     ],
 )
 def test_an_unknown_choice_lists_those_there_are(field, choices):

@@ -123,7 +123,6 @@ def test_how_much_tasks_swing(seconds):
     for dense in DENSE:
         for experts in EXPERTS:
             assert seconds[experts].std() > 1.15 * seconds[dense].std()
-            assert seconds[experts].min() < seconds[dense].min()
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -142,11 +141,10 @@ def test_ramps_of_10_to_20_percent(seconds, task):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_valleys_and_peaks_come_back_every_few_minutes(seconds, task):
-    # From a second in the lowest quarter to one in the highest, and down again.
-    rows = seconds[task]
-    low, high = np.quantile(rows, [0.25, 0.75])
-    level = np.where(rows > high, 1, np.where(rows < low, -1, 0)).ravel()
-    turns = level[level != 0]
-    rises = np.count_nonzero((turns[:-1] < 0) & (turns[1:] > 0))
-    assert 60.0 < rows.size / rises < 300.0
+def test_valleys_and_peaks_come_back_with_the_waves(seconds, task):
+    level = seconds[task] - seconds[task].mean(axis=1, keepdims=True)
+    lags = np.arange(30, 100)
+    together = [(level[:, :-lag] * level[:, lag:]).mean() / (level * level).mean() for lag in lags]
+    assert 55 <= lags[np.argmax(together)] <= 65
+    assert max(together) > 0.25
+    assert min(together) < -0.2

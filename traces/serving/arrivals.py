@@ -1,6 +1,7 @@
 """When requests arrive: Poisson, gamma and two-state laws, one the special case of the next, and a cycle over the day.
 
-The rate lambda(t) switches between a calm and a busy value after exponential times and follows the hour of the day.
+The rate lambda(t) switches between a calm and a busy value, after exponential times unless they are said to be more
+regular, and follows the hour of the day.
 Requests come by a renewal process in operational time, the integral of lambda, with gamma-distributed distances of mean
 1 (shape 1 is Poisson):
 
@@ -43,12 +44,14 @@ class Arrivals:
     """Mean time in the calm state, s."""
     busy_s: float = 1.0
     """Mean time in the busy state, s."""
+    dwell_shape: float = 1.0
+    """Of the gamma law of the times in both states: 1 is exponential, much more gives waves of an even length."""
     daily_swing: float = 0.0
     """The rate rises and falls by this share over the day; 0: no daily cycle."""
     peak_hour: float = 15.0
 
     def __post_init__(self) -> None:
-        for name in ("rate_per_s", "shape", "calm_s", "busy_s"):
+        for name in ("rate_per_s", "shape", "calm_s", "busy_s", "dwell_shape"):
             require_positive(getattr(self, name), f"Arrivals.{name}", "give a value above 0")
         for name, high in (("calm_rate", 1.0), ("daily_swing", 1.0), ("peak_hour", 24.0)):
             value = getattr(self, name)
@@ -79,7 +82,10 @@ class Arrivals:
             means = (self.busy_s, self.calm_s) if busy_first else (self.calm_s, self.busy_s)
             pairs = 16 + math.ceil(duration_s / (self.calm_s + self.busy_s))
             while edges[-1] < duration_s:
-                lengths = np.column_stack([rng.exponential(mean, pairs) for mean in means]).ravel()
+                draws = [rng.gamma(self.dwell_shape, mean / self.dwell_shape, pairs) for mean in means]
+                lengths = np.column_stack(draws).ravel()
+                if self.dwell_shape != 1.0 and len(edges) == 1:
+                    lengths[0] *= rng.random()  # begun before, which exponential times forget
                 edges = np.concatenate((edges, edges[-1] + np.cumsum(lengths)))
             levels = (1.0, self.calm_rate) if busy_first else (self.calm_rate, 1.0)
             rates = busy_rate * np.resize(levels, len(edges))

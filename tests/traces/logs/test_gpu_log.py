@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env.traces import TraceError, text_file
-from dcgrid_env.traces.gpu_log import read_gpu_log
+from dcgrid_env.traces import TraceError
+from dcgrid_env.traces.logs import text_file
+from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env.traces import PowerTrace, TraceError, text_file
+from dcgrid_env.traces import PowerTrace, TraceError
+from dcgrid_env.traces.logs import text_file
 
 
 @pytest.fixture

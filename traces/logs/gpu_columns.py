@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from dcgrid_env.traces.power_unit import KW_PER_UNIT, bracketed, column_unit
-from dcgrid_env.traces.text_file import Block, TextFile
-from dcgrid_env.traces.timestamps import TIMESTAMP
+from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit
+from dcgrid_env.traces.logs.text_file import Block, TextFile
+from dcgrid_env.traces.logs.timestamps import TIMESTAMP
 from dcgrid_env.traces.trace import TraceError
 
 QUERY = "nvidia-smi --query-gpu=timestamp,index,power.draw --format=csv -lms 100"

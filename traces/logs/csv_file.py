@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.traces.gaps import GapRule
-from dcgrid_env.traces.power_unit import KW_PER_UNIT, bracketed, column_unit, require_unit
+from dcgrid_env.traces.logs.gaps import GapRule
+from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit, require_unit
+from dcgrid_env.traces.logs.text_file import Block, TextFile, open_text
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text_file import Block, TextFile, open_text
 from dcgrid_env.traces.trace import FloatArray, TraceError, check_samples, require_positive
 
 RECORDED = "# dcgrid trace "
@@ -68,7 +68,7 @@ def read_csv(
     unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in (`site [kW]`), else "W".
     header : whether the first line holds names; by default it does if none of its cells is a number.
     delimiter : between cells, one character.
-    max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.gaps.GapRule`;
+    max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.logs.gaps.GapRule`;
         by default every distance is accepted.
     limit_kw : highest power of one cell in kW that is believed; the default is 1 GW.
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env.traces import GPUS, MODELS, Model, TraceError, replica
-from dcgrid_env.traces.hardware import LARGEST_BATCH
-from dcgrid_env.traces.serving import decode_share
+from dcgrid_env.traces.serving.hardware import LARGEST_BATCH
+from dcgrid_env.traces.serving.pool import decode_share
 
 # Published on H100, requests with prefill and decode mixed: time between tokens, s, and tokens a second.
 POINTS = {

@@ -1,6 +1,6 @@
 """A serving model: requests in, power and waiting times out.
 
-A pool of equal replicas serves requests by continuous batching (`serving_kernel`), at speeds and power of `hardware`.
+A pool of equal replicas serves requests by continuous batching (`kernel`), at speeds and power of `hardware`.
 Nothing is lost: a request is waiting, in a batch, or answered. Power above idle, as a share of the GPUs' rated power:
 
     dynamic = (reading (prefill - idle) + answering (decode(batch) - idle)) / replicas
@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, as_trace, grid_steps
-from dcgrid_env.traces.hardware import LARGEST_BATCH, Gpu, Replica
-from dcgrid_env.traces.requests import IntArray, Requests
+from dcgrid_env.traces.serving.hardware import LARGEST_BATCH, Gpu, Replica
+from dcgrid_env.traces.serving.requests import IntArray, Requests
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError
 
 # Steps of the grid served at once: bounds what is held.
@@ -56,9 +56,9 @@ class Pool:
 
     def __init__(self, replica: Replica, n_replicas: int, every: int = 1) -> None:
         # Imported late because it brings the compiler with it.
-        from dcgrid_env.traces import serving_kernel
+        from dcgrid_env.traces.serving import kernel
 
-        self._kernel = serving_kernel
+        self._kernel = kernel
         self.replica, self.n_replicas, self.every = replica, n_replicas, every
         self._constants = np.array(
             [
@@ -71,7 +71,7 @@ class Pool:
             ]
         )
         self._state, self._count = np.zeros(7), np.zeros(3, dtype=np.int64)
-        self._ring = np.zeros(serving_kernel.RING, dtype=np.int64)
+        self._ring = np.zeros(kernel.RING, dtype=np.int64)
         self._table = np.zeros((7, 0))
         self._n_come = 0
 
@@ -158,7 +158,7 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     Parameters
     ----------
     requests : at least one.
-    replica : a model on its GPUs, see `dcgrid_env.traces.hardware.replica`.
+    replica : a model on its GPUs, see `dcgrid_env.traces.serving.hardware.replica`.
     n_replicas : how many.
 
     Returns
@@ -173,6 +173,7 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     if len(requests) == 0 or n_replicas < 1:
         raise TraceError(f"{len(requests)} requests and n_replicas = {n_replicas}; give at least one of each")
     pool, n_steps = Pool(replica, n_replicas), grid_steps(requests.duration_s)
+    n_steps += bool(requests.arrival_s[-1] >= n_steps * GRID_S)  # a log ends with its last request
     whole = [(requests.arrival_s, requests.context_tokens, requests.generated_tokens)]
     loads = [pool.advance(*chunk) for chunk in in_chunks(whole, n_steps)]
     queued, done = pool.waiting, [load.done for load in loads]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from dcgrid_env.traces import AWAKE_SHARE, IDLE_SHARE, TraceError, TrainingParams, generate_training
-from dcgrid_env.traces.smoothing import PowerSmoothing, smoothed
+from dcgrid_env.traces.training.smoothing import PowerSmoothing, smoothed
 
 SHARES = st.floats(IDLE_SHARE, 1.0)
 

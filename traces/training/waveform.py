@@ -11,7 +11,7 @@ import numpy as np
 
 from dcgrid_env.traces.grid import GRID_S
 from dcgrid_env.traces.trace import FloatArray
-from dcgrid_env.traces.training_params import TrainingParams
+from dcgrid_env.traces.training.params import TrainingParams
 
 # Iterations are no shorter or longer than this many standard deviations.
 _SPREADS = 3.0

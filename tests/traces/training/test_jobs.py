@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import AWAKE_SHARE, IDLE_SHARE, TraceError, TrainingParams, generate_training
-from dcgrid_env.traces.smoothing import PowerSmoothing
-from dcgrid_env.traces.training_job import draw_job, run_edges
-from dcgrid_env.traces.training_params import _RANGES
+from dcgrid_env.traces.training.params import _RANGES
+from dcgrid_env.traces.training.smoothing import PowerSmoothing
+from dcgrid_env.traces.training.waveform import draw_job, run_edges
 
 # One endless job over the whole site, with nothing but iterations.
 STEADY = TrainingParams(

@@ -20,7 +20,7 @@ from dcgrid_env.traces import (
     requests,
     serve,
 )
-from dcgrid_env.traces.serving import Pool, decode_share, in_chunks
+from dcgrid_env.traces.serving.pool import Pool, decode_share, in_chunks
 
 UNIT = replica("H100", "llama3-70b")
 SMALL = replace(UNIT, batch_limit=3)

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env.traces import TraceError, text_file
-from dcgrid_env.traces.request_log import read_request_log
+from dcgrid_env.traces import TraceError
+from dcgrid_env.traces.logs import text_file
+from dcgrid_env.traces.logs.request_log import read_request_log
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "traces"
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "traces"
 HEADER = "TIMESTAMP,ContextTokens,GeneratedTokens\n"
 TWO = "2023-11-16 18:15:46.6805900,374,44\n2023-11-16 18:15:50.9951690,396,109\n"
 

@@ -20,8 +20,8 @@ from dcgrid_env.traces import (
     generate_site,
     generate_sites,
     generate_training,
-    site,
 )
+from dcgrid_env.traces.serving import site
 
 # Poisson arrivals with the tokens of the chat service: the least spread for a mean.
 EVEN = replace(SERVICES["chat"], name="even", arrivals=Arrivals(1.0))

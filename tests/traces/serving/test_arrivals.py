@@ -163,3 +163,20 @@ def test_any_law_gives_sorted_times_within_the_duration(law, duration_s, begin_s
 def test_bad_laws_are_named(options, message):
     with pytest.raises(TraceError, match=message):
         Arrivals(**{"rate_per_s": 1.0, **options})
+
+
+def test_regular_waves_keep_their_mean_rate_and_period():
+    law = Arrivals(4.0, calm_rate=0.1, calm_s=40.0, busy_s=20.0, dwell_shape=25.0)
+    counts = np.zeros(24_000)
+    firsts = []
+    for seed in range(8):
+        arrival_s = np.concatenate(list(law.draw(np.random.default_rng(seed), 24_000.0)))
+        own = np.bincount(arrival_s.astype(int), minlength=24_000)
+        counts += own
+        firsts.append(float(np.abs(np.fft.rfft(own - own.mean()))[1:].argmax() + 1) / 24_000.0)
+    assert counts.mean() / 8 == pytest.approx(4.0, rel=0.02)
+    np.testing.assert_allclose(1.0 / np.array(firsts), 60.0, atol=4.0)
+    # Begun at any time of a wave: the first minute is like the rest.
+    begun = [np.concatenate(list(law.draw(np.random.default_rng(seed), 60.0))) for seed in range(300)]
+    first_s = np.bincount(np.concatenate(begun).astype(int), minlength=60) / 300
+    np.testing.assert_allclose(first_s.reshape(6, 10).mean(axis=1), 4.0, rtol=0.25)

@@ -13,10 +13,10 @@ import numpy as np
 
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.provenance import generated
-from dcgrid_env.traces.smoothing import smoothed
 from dcgrid_env.traces.trace import FloatArray, PowerTrace
-from dcgrid_env.traces.training_job import TrainingJob, draw_job, run_edges
-from dcgrid_env.traces.training_params import TrainingParams
+from dcgrid_env.traces.training.params import TrainingParams
+from dcgrid_env.traces.training.smoothing import smoothed
+from dcgrid_env.traces.training.waveform import TrainingJob, draw_job, run_edges
 
 
 def generate_training(duration_s: float, seed: int, params: TrainingParams | None = None) -> PowerTrace:

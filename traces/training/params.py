@@ -3,8 +3,8 @@
 from dataclasses import dataclass, fields
 
 from dcgrid_env.traces.grid import IDLE_SHARE
-from dcgrid_env.traces.smoothing import PowerSmoothing
 from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.training.smoothing import PowerSmoothing
 
 _SHARE = (IDLE_SHARE, 1.0)
 

@@ -6,10 +6,10 @@ from array import array
 
 import numpy as np
 
+from dcgrid_env.traces.logs.text_file import Block, open_text, stem
+from dcgrid_env.traces.logs.timestamps import TIMESTAMP, nanoseconds
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.requests import Requests
-from dcgrid_env.traces.text_file import Block, open_text, stem
-from dcgrid_env.traces.timestamps import TIMESTAMP, nanoseconds
+from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.trace import TraceError
 
 COLUMNS = ("TIMESTAMP", "ContextTokens", "GeneratedTokens")

@@ -1,0 +1,69 @@
+"""`dcgrid traces`, as a user runs it."""
+
+import json
+
+import pytest
+
+from dcgrid_env.cli import main
+from dcgrid_env.traces import RECORDINGS
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCGRID_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("COLUMNS", "200")
+    return tmp_path / "cache"
+
+
+def fails(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        main(["traces", *arguments])
+    assert stop.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_show_draws_one_trace_over_another(tmp_path, capsys):
+    out = tmp_path / "new" / "trace.png"
+    main(["traces", "show", "training", "--against", "inference", "--duration-s", "60", "--out", str(out)])
+    assert out.read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    assert "training: 60 s, generator training, seed 0" in printed
+    assert "inference: 60 s" in printed
+
+
+def test_show_names_what_there_is(capsys):
+    assert "there are inference" in fails(capsys, "show", "nothing")
+    assert "dcgrid traces fetch azure-2023-code" in fails(capsys, "show", "azure-2023-code")
+
+
+def test_fetch_names_what_there_is_and_shows_the_licence(capsys, monkeypatch, tmp_path):
+    assert f"choose one of {', '.join(RECORDINGS)}" in fails(capsys, "fetch", "nothing")
+    content = b"0,100\n1,200\n"
+    monkeypatch.setattr("dcgrid_env.traces.recordings.fetch", lambda name, cache, progress: tmp_path / "there.csv")
+    (tmp_path / "there.csv").write_bytes(content)
+    main(["traces", "fetch", "azure-2023-code"])
+    printed = capsys.readouterr().out
+    assert "licence: CC-BY 4.0" in printed
+    assert "Splitwise" in printed
+
+
+def test_record_without_a_gpu_says_what_is_missing(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pynvml", None)
+    assert "pip install 'dcgrid-env[record]'" in fails(capsys, "record", str(tmp_path / "gpus.csv"))
+    assert not list(tmp_path.glob("gpus*"))
+
+
+def test_run_takes_any_load_and_keeps_its_origin(tmp_path, capsys):
+    path = tmp_path / "site.csv"
+    path.write_text("".join(f"{s},{100 + s % 50}\n" for s in range(700)), encoding="utf-8")
+    arguments = ["--episodes", "1", "--controllers", "none", "--out", str(tmp_path)]
+    main(["run", "--trace", str(path), *arguments])
+    meta = json.loads((tmp_path / "results.json").read_text())["meta"]
+    assert [origin["name"] for origin in meta["trace"]] == ["site.csv"]
+    assert len(meta["trace"][0]["sha256"]) == 64
+    capsys.readouterr()
+    main(["run", "--trace", "deepseek-v3", "--dvfs", "phase", "--split", "ood", *arguments])
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["meta"]["trace"] == [{"name": "generator deepseek-v3"}]
+    assert results["episodes"][0]["requests"] > 0
+    assert "time to first token, 99 %" in capsys.readouterr().out

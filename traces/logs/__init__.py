@@ -1,0 +1,1 @@
+"""Reading text logs of any size: power over time, nvidia-smi, and requests."""

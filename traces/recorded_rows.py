@@ -1,0 +1,149 @@
+"""Rows of power from recordings, cut in time or given out whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.traces.grid import IDLE_SHARE
+from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
+
+# Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.
+_SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
+
+
+def from_recordings(
+    traces: Sequence[PowerTrace],
+    split: str,
+    dt_s: float,
+    window_s: float = 0.0,
+    boost_share: float = 1.0,
+    by: str = "time",
+) -> TraceRows:
+    """Return rows of power from recordings, each as a share of its own peak.
+
+    The first 60 % train, the next 20 % validate, the last 20 % test: of each recording's time, or of the recordings in
+    their order. A row is as long as the shortest part; a longer part gives several rows that together cover it,
+    overlapping if need be.
+
+    Parameters
+    ----------
+    traces : at least one recording.
+    split : "train", "validation" or "test"; no two share a sample.
+    dt_s : step, s.
+    window_s : the longest window that will be taken, s; 0 if not known yet.
+    boost_share : the peak of each recording as a share of the rating, at least 1.
+    by : "time" cuts each recording, "recording" gives whole recordings to the splits and needs at least 3.
+
+    Returns
+    -------
+    TraceRows of (count, n_steps)
+
+    Raises
+    ------
+    TraceError
+        If there is no recording, or a recording's part of the split is shorter than one step or `window_s`.
+    """
+    if known_split(split) == OUT_OF_DISTRIBUTION:
+        raise TraceError(
+            "recordings have no split 'ood'; give recordings of another GPU or service as the trace instead"
+        )
+    low, high = _SPLIT_BOUNDS[split]
+    if not traces:
+        raise TraceError("from_recordings got no trace; give at least one PowerTrace")
+    if not (np.isfinite(window_s) and window_s >= 0):
+        raise TraceError(f"window_s = {window_s!r} is not a finite number of at least 0; give a length in seconds")
+    needed = max(1, -steps_in(-window_s, require_positive(dt_s, "dt_s", "give a step in seconds")))
+    boost_share = known_boost(boost_share)
+    if by == "recording":
+        traces, low, high = _whole_recordings(traces, split), 0.0, 1.0
+    elif by != "time":
+        raise TraceError(f"by = {by!r} is unknown; cut recordings by time or give them out by recording")
+    parts = [_part(trace, split, dt_s, (low, high), needed, boost_share) for trace in traces]
+    n_steps = min(len(part.p_share) for part in parts)
+    rows = []
+    for part in parts:
+        begins = np.linspace(0, len(part.p_share) - n_steps, -(-len(part.p_share) // n_steps)).astype(int)
+        rows += [part.cut(int(begin), n_steps, dt_s) for begin in begins]
+    power, compute, requests = zip(*rows, strict=True)
+    return TraceRows(
+        _pool(power),
+        None if any(row is None for row in compute) else _pool(compute),
+        () if any(row is None for row in requests) else requests,
+    )
+
+
+class _Part(NamedTuple):
+    """A recording's part of a split, or a row of it."""
+
+    p_share: FloatArray
+    compute_share: FloatArray | None
+    requests: RequestTimes | None
+    """Times from the beginning of the part."""
+
+    def cut(self, begin: int, n_steps: int, dt_s: float) -> _Part:
+        """The part from step `begin` on."""
+        steps = slice(begin, begin + n_steps)
+        compute = None if self.compute_share is None else self.compute_share[steps]
+        requests = self.requests and _within(self.requests, begin * dt_s, n_steps * dt_s)
+        return _Part(self.p_share[steps], compute, requests)
+
+
+def _part(
+    trace: PowerTrace, split: str, dt_s: float, bounds: tuple[float, float], needed: int, boost_share: float
+) -> _Part:
+    """The part of a recording between two shares of its time, at least `needed` steps long."""
+    scaled = trace.as_share()
+    share = scaled.resample(dt_s) * boost_share
+    first, last = (round(bound * len(share)) for bound in bounds)
+    if last - first < needed:
+        raise TraceError(
+            f"trace {trace.name!r} lasts {trace.duration_s:g} s, of which the {split} split has "
+            f"{(last - first) * dt_s:g} s, but {needed * dt_s:g} s are needed; give a recording of at least "
+            f"{needed * dt_s / (bounds[1] - bounds[0]):.0f} s or a shorter episode"
+        )
+    compute = scaled.resample_compute(dt_s)
+    if compute is not None:
+        dynamic = share - IDLE_SHARE
+        compute = np.divide(compute * boost_share, dynamic, out=np.zeros_like(share), where=dynamic > 0)
+        compute = np.minimum(compute, 1.0)[first:last]
+    requests = trace.requests
+    if requests is not None:
+        begin_s = float(trace.time_s[0]) + first * dt_s
+        requests = _within(requests, begin_s, (last - first) * dt_s)
+    return _Part(share[first:last], compute, requests)
+
+
+def _within(requests: RequestTimes, begin_s: float, duration_s: float) -> RequestTimes:
+    """Those that arrive in a time, told from its beginning."""
+    first, last = np.searchsorted(requests.arrival_s, (begin_s, begin_s + duration_s))
+    arrival_s, *delays = (times[first:last] for times in requests)
+    return RequestTimes(arrival_s - begin_s, *delays)
+
+
+def _pool(rows: Sequence[FloatArray]) -> FloatArray:
+    pool = np.array(rows)
+    pool.setflags(write=False)
+    return pool
+
+
+def _whole_recordings(traces: Sequence[PowerTrace], split: str) -> Sequence[PowerTrace]:
+    """The recordings of a split: at least one for each, the rest in the shares of the splits, in their order."""
+    n = len(traces)
+    if n < len(SPLITS):
+        raise TraceError(
+            f"by='recording' needs at least {len(SPLITS)} recordings, one a split, and got {n}; "
+            "give more, or cut them by time"
+        )
+    test = max(1, round(0.2 * n))
+    validation = max(1, round(0.2 * n))
+    bounds = {
+        "train": (0, n - validation - test),
+        "validation": (n - validation - test, n - test),
+        "test": (n - test, n),
+    }
+    low, high = bounds[split]
+    return traces[low:high]
