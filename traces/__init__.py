@@ -7,6 +7,8 @@ power as a share of the site's rating, of which an episode takes a window.
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
+from dcgrid_env.traces.logs.gpu_log import read_gpu_log
+from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.recorded_rows import from_recordings

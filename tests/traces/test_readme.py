@@ -1,0 +1,42 @@
+"""The tables of traces/README.md are what their commands print."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dcgrid_env.traces import compare, compare_requests, compare_tasks
+
+README = Path(__file__).resolve().parents[2] / "traces" / "README.md"
+RECORDING = Path(__file__).resolve().parents[3] / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
+
+
+def rows(text):
+    """Label and numbers of each row of a Markdown table, in order."""
+    found = []
+    for line in text.splitlines():
+        cells = line.split("|")[1:-1]
+        numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*", "".join(cells[1:]))]
+        if numbers and "---" not in line:
+            found.append((cells[0].strip(), numbers))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["recording", "requests", "tasks"])
+def test_tables_are_what_the_command_prints(command, capsys):
+    if command == "recording":
+        if not RECORDING.exists():
+            pytest.skip("the recording is not in ../shared/traces beside the checkout")
+        compare.main([str(RECORDING)])
+    elif command == "requests":
+        compare_requests.main([])
+    else:
+        compare_tasks.main()
+    printed, written = rows(capsys.readouterr().out), rows(README.read_text(encoding="utf-8"))
+    assert len(printed) >= 8
+    for label, numbers in printed:
+        candidates = [other for name, other in written if name == label and len(other) == len(numbers)]
+        # Half a digit, and a little for another machine's last bits.
+        assert any(np.allclose(numbers, other, rtol=0.01, atol=0.002) for other in candidates), (label, numbers)
