@@ -16,6 +16,8 @@ from dcgrid_env.traces import TraceRows, from_recordings, library, require_windo
 
 ROW_DURATION_S = 3600.0
 """Length of a generated trace; an episode takes a window of it."""
+ROWS = 24
+"""How many there are."""
 
 
 class Episode(NamedTuple):
@@ -43,7 +45,9 @@ def trace_pool(scenario: Scenario) -> TraceRows:
     if isinstance(trace, str):
         # Rounding may cost a step of dt at the end, so one more is asked for.
         duration_s = max(ROW_DURATION_S, needed_s + dt_s)
-        rows, name = library(trace, split, dt_s, duration_s, boost_share=scenario.boost_share), trace
+        # About a day in all, but a row for each site.
+        count = min(ROWS, max(scenario.n_datacenters, round(ROWS * ROW_DURATION_S / duration_s), 1))
+        rows, name = library(trace, split, dt_s, duration_s, count, scenario.boost_share), trace
     else:
         rows = from_recordings(trace, split, dt_s, needed_s, scenario.boost_share, scenario.recording_split)
         name = ", ".join(t.name for t in trace)
@@ -112,8 +116,10 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     # Sites take different rows as long as there are enough.
     row = np.argsort(counter.bits(key, counter.TRACE_ROW, len(rows)), axis=1, kind="stable")
     row = row[:, np.arange(n_dc) % len(rows)]
-    room = rows.shape[1] - window_steps(scenario) + 1 if scenario.trace_window == "random" else 1
+    room = 1 if scenario.trace_window == "start" else rows.shape[1] - window_steps(scenario) + 1
     start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
+    if scenario.trace_window == "together":
+        start = start[:, :1]
     window = row * rows.shape[1] + start
     if scenario.site_correlation:
         # The upper 53 bits make a uniform number below 1, so that a correlation of 1 leaves no site out.

@@ -15,11 +15,13 @@
 | clock_mean_pct | mean clock as a share of the top clock |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
 
-Where the trace is made of requests, over those that arrived in the episode at any site (see ``request_delay``):
+Where the trace is made of requests, over those that arrived in the episode at any site, see ``request_delay`` (all are
+0 if none did):
 
 | metric | meaning |
 |---|---|
-| requests, requests_unfinished | number of them, and of those with work still queued at the end |
+| requests_sampled | how many the figures are over: of the sources of many requests a second, an even sample |
+| requests_unfinished_pct | those of them with work still queued at the end |
 | ttft_mean_s, _p50_s, _p95_s, _p99_s | time from arrival to the first token |
 | e2e_mean_s, _p50_s, _p95_s, _p99_s | time from arrival to the last token |
 """
@@ -31,6 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dcgrid_env.delay import fcfs_delays
+from dcgrid_env.devices import speed_share
 from dcgrid_env.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.scenario import Scenario
 
@@ -107,8 +110,10 @@ class Series:
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
         arrived, served = (w.reshape(*w.shape[:2], -1) for w in (self.phase_arrived_kw, self.phase_served_kw))
+        speed = speed_share(s.dvfs, s.datacenter, self.f_mhz)
+        begin_s = (offset + 1) * s.dt_s
         return request_delays(
-            serve_requests(pool.requests[row[i]], (offset[i] + 1) * s.dt_s, arrived[:, i], served[:, i], s.dt_s)
+            serve_requests(pool.requests[row[i]], begin_s[i], arrived[:, i], served[:, i], speed[:, i], s.dt_s)
             for i in range(s.n_datacenters)
         )
 

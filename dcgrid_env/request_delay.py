@@ -1,17 +1,20 @@
-"""Delays of single requests, from the fluid queue that stands for their work.
+"""Delays of single requests, from the fluid queue that stands for their work and from the clock they are served at.
 
-A request's times are known at the top clock: arrival, first token and last token. A phase's work that would have been
-done at time tau is done when the cumulative served work S reaches the cumulative arrived work A, both linear within a
-step, first come first served:
+A request's times are known at the top clock: arrival, first token and last token, and how long it is being read. A
+phase's work that would have been done at time tau is done when the cumulative served work S reaches the cumulative
+arrived work A, both linear within a step, first come first served; and what is being served takes longer at a lower
+clock, by the law's speed_c and speed_m as shares of those at the top clock:
 
     D(tau) = max(S^-1(A(tau)) - tau, 0)
+    B_c    = prefill (1 / speed_c - 1)                       at the clock of the step in which the first token is due
+    B_m    = integral of (1 / speed_m - 1) from the first token to the last
 
-    time to first token = first token + D_c(arrival + first token)
-    end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token))
+    time to first token = first token + D_c(arrival + first token) + B_c
+    end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token)) + B_c + B_m
 
 D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one phase they are the same.
-What is never served counts as done at the end of the episode, and an instant beyond the end has the delay of the end:
-such delays are cut short, and ``requests_unfinished`` says how many requests still had work queued at the end.
+What is never served counts as done at the end of the episode, and an instant beyond the end has the delay and the clock
+of the end: such delays are cut short, and ``requests_unfinished_pct`` says how many requests had work queued then.
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ class Served(NamedTuple):
 class RequestDelays(NamedTuple):
     """Figures over requests; delays are 0 where there are none."""
 
-    requests: int
-    requests_unfinished: int
+    requests_sampled: int
+    requests_unfinished_pct: float
     ttft_mean_s: float
     ttft_p50_s: float
     ttft_p95_s: float
@@ -51,7 +54,12 @@ class RequestDelays(NamedTuple):
 
 
 def serve_requests(
-    requests: RequestTimes, begin_s: float, arrived_kw: np.ndarray, served_kw: np.ndarray, dt_s: float
+    requests: RequestTimes,
+    begin_s: float,
+    arrived_kw: np.ndarray,
+    served_kw: np.ndarray,
+    speed_share: np.ndarray,
+    dt_s: float,
 ) -> Served:
     """Delays of the requests that arrive during an episode of one site.
 
@@ -63,25 +71,40 @@ def serve_requests(
         Where on the trace's time axis the first step begins, s.
     arrived_kw, served_kw
         Work that arrived and was served in each step, (n_step, n_phase), compute-bound first.
+    speed_share
+        Speed of each phase at the clock of each step, share of that at the top clock, (n_step, n_phase).
     dt_s
         Length of a step, s.
     """
     first, last = np.searchsorted(requests.arrival_s, (begin_s, begin_s + len(arrived_kw) * dt_s))
     taken = RequestTimes(*(times[first:last] for times in requests))
     arrival_s = taken.arrival_s - begin_s
-    prefill_s, prefill_left = _delay(arrival_s + taken.first_token_s, arrived_kw[:, 0], served_kw[:, 0], dt_s)
-    decode_s, decode_left = _delay(arrival_s + taken.end_s, arrived_kw[:, -1], served_kw[:, -1], dt_s)
+    first_s, end_s = arrival_s + taken.first_token_s, arrival_s + taken.end_s
+    prefill_s, prefill_left = _delay(first_s, arrived_kw[:, 0], served_kw[:, 0], dt_s)
+    decode_s, decode_left = _delay(end_s, arrived_kw[:, -1], served_kw[:, -1], dt_s)
+    slower = 1.0 / speed_share - 1.0
+    at = np.clip((first_s / dt_s).astype(np.int64), 0, len(slower) - 1)
+    reading_s = taken.prefill_s * slower[at, 0]
+    answering_s = _integral(end_s, slower[:, -1], dt_s) - _integral(first_s, slower[:, -1], dt_s)
     return Served(
-        ttft_s=taken.first_token_s + prefill_s,
-        e2e_s=taken.end_s + np.maximum(prefill_s, decode_s),
+        ttft_s=taken.first_token_s + prefill_s + reading_s,
+        e2e_s=taken.end_s + np.maximum(prefill_s, decode_s) + reading_s + answering_s,
         unfinished=prefill_left | decode_left,
     )
+
+
+def _integral(to_s: np.ndarray, held: np.ndarray, dt_s: float) -> np.ndarray:
+    """Of a figure held over each step, (n_step,), from the beginning to ``to_s`` (n,); its last value holds on."""
+    edge_s = dt_s * np.arange(len(held) + 1)
+    inside = np.interp(to_s, edge_s, np.concatenate(([0.0], np.cumsum(held) * dt_s)))
+    return inside + held[-1] * np.maximum(to_s - edge_s[-1], 0.0)
 
 
 def request_delays(sites: Iterable[Served]) -> RequestDelays:
     """Figures over the requests of all sites; the q-quantile is the least delay that the share q does not exceed."""
     ttft_s, e2e_s, unfinished = (np.concatenate(columns) for columns in zip(*sites, strict=True))
-    return RequestDelays(len(unfinished), int(unfinished.sum()), *_figures(ttft_s), *_figures(e2e_s))
+    share = 100.0 * float(unfinished.mean()) if len(unfinished) else 0.0
+    return RequestDelays(len(unfinished), share, *_figures(ttft_s), *_figures(e2e_s))
 
 
 def _delay(tau_s: np.ndarray, arrived_kw: np.ndarray, served_kw: np.ndarray, dt_s: float) -> tuple[np.ndarray, ...]:

@@ -87,9 +87,10 @@ class Scenario:
     recording_split: RecordingSplit = "time"
     """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     trace_window: TraceWindow = "random"
-    """Where in a trace an episode begins."""
+    """Where in a trace an episode begins: anywhere for each site, at its start, or anywhere but at the same time for
+    all sites of an episode (``together``: what was recorded or generated side by side stays so)."""
     site_correlation: float = 0.0
-    """Probability that a site draws what the first one does; 1 for all sites in step."""
+    """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
     compute_share: float = 1.0
     """Compute-bound share of the work where the trace does not tell (recordings), for a clock law of two phases."""
     load_sigma: float = 0.05

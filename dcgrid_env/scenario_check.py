@@ -19,7 +19,7 @@ PowerFlowName = Literal["distflow", "lindistflow"]
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
 RewardScope = Literal["shared", "local"]
 ObservationScope = Literal["local", "neighbours", "feeder"]
-TraceWindow = Literal["random", "start"]
+TraceWindow = Literal["random", "start", "together"]
 RecordingSplit = Literal["time", "recording"]
 
 _CHOICES = {

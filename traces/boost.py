@@ -1,42 +1,58 @@
-"""Short draws above the rating: work that begins at once overshoots until the power controller's average catches up.
+"""Short draws above what a GPU may draw for long: work that begins boosts, until a reserve is spent.
 
-    drawn = power + min(power - mean, (boost - 1) compute)    where power > mean, else power
-    mean' = (1 - a) mean + a power                            a = dt / averaging time
+    wanted  = (boost - 1) compute / (1 - idle)      so that a site of nothing but compute-bound work reaches the boost
+    extra   = min(wanted, reserve / dt)             drawn on top of the power, as work that follows the clock
+    reserve falls by extra dt, and rises by (boost - 1) dt / 50, up to (boost - 1) x 1 s, while the site rests: while
+              less than a tenth of the full boost is wanted
 
-with the part of the power that does compute-bound work. A level that lasts is drawn as it is, and nothing exceeds
-the boost. Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers; that an overshoot fades within the
-averaging time is how such power controllers are built, not a measurement.
+Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers. How long they last is not: a second of the full
+boost, and 50 s to gather it again, are choices.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, rounded
+from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
 from dcgrid_env.traces.trace import FloatArray, PowerTrace
 
-AVERAGING_S = 1.0
-"""Time within which an overshoot fades, s."""
+RESERVE_S = 1.0
+"""How long the full boost lasts, s."""
+GATHER_S = 50.0
+"""How long it takes to gather the reserve again, s."""
+REST_SHARE = 0.1
+"""A site rests while less than this share of the full boost is wanted."""
 
 
 def boosted(share: FloatArray, compute: FloatArray, boost_share: float) -> tuple[FloatArray, FloatArray]:
     """Power (n,) and its compute-bound part (n,) on the grid of 0.1 s, shares of rating, with short draws above 1."""
-    from scipy.signal import lfilter
-
-    weight = GRID_S / AVERAGING_S
-    # The mean before each step, from idle on.
-    before = np.concatenate(([IDLE_SHARE], share[:-1]))
-    mean, _ = lfilter([weight], [1.0, weight - 1.0], before, zi=[(1.0 - weight) * IDLE_SHARE])
-    extra = rounded(np.clip(share - mean, 0.0, (boost_share - 1.0) * compute))
+    beyond = boost_share - 1.0
+    most, gathered = beyond * RESERVE_S, beyond * RESERVE_S / GATHER_S * GRID_S
+    extra, reserve, resting = np.zeros_like(share), most, REST_SHARE * beyond
+    wanted = beyond * compute / (1.0 - IDLE_SHARE)
+    for i, want in enumerate(wanted.tolist()):
+        drawn = min(want, reserve / GRID_S)
+        extra[i] = drawn
+        reserve = max(reserve - drawn * GRID_S, 0.0)
+        if want < resting:
+            reserve = min(reserve + gathered, most)
+    extra = np.floor(extra * 2.0**20) * 2.0**-20  # not rounded up, which might exceed the boost
     return share + extra, compute + extra
 
 
 def boosted_trace(trace: PowerTrace, boost_share: float) -> PowerTrace:
-    """A generated trace, whose compute-bound part is known, with short draws above its rating of 1 kW."""
+    """A trace in shares of its rating, whose compute-bound part is known, with short draws above it."""
     compute = trace.resample_compute(GRID_S)
     assert compute is not None
     # A trace may hold a level for longer than a step of the grid.
     drawn, compute = boosted(trace.resample(GRID_S), compute, boost_share)
-    time_s = np.arange(len(drawn) + 1) * GRID_S
+    known = trace.provenance
     return PowerTrace(
-        time_s, np.append(drawn, drawn[-1]), trace.name, trace.provenance, np.append(compute, compute[-1]),
+        trace.time_s[0] + np.arange(len(drawn) + 1) * GRID_S,
+        np.append(drawn, drawn[-1]),
+        trace.name,
+        replace(known, parameters={**known.parameters, "boost_share": boost_share}),
+        np.append(compute, compute[-1]),
         trace.requests,
-    )  # fmt: skip
+        trace.rated_kw,
+    )

@@ -67,7 +67,9 @@ def as_trace(
     share = np.clip(rounded(share), IDLE_SHARE, 1.0)
     compute = np.clip(rounded(compute), 0.0, share - IDLE_SHARE)
     time_s = np.arange(len(share) + 1, dtype=np.float64) * GRID_S
-    return PowerTrace(time_s, np.append(share, share[-1]), name, provenance, np.append(compute, compute[-1]), requests)
+    return PowerTrace(
+        time_s, np.append(share, share[-1]), name, provenance, np.append(compute, compute[-1]), requests, 1.0
+    )
 
 
 def rounded(share: FloatArray) -> FloatArray:

@@ -102,7 +102,10 @@ def generate_inference(duration_s: float, seed: int, params: InferenceParams | N
         share += server
         compute += np.where(reading, server - IDLE_SHARE, 0.0)
     return as_trace(
-        share / params.n_servers, compute / params.n_servers, f"inference-{seed}", generated("inference", seed, params)
+        share / params.n_servers,
+        compute / params.n_servers,
+        f"inference-{seed}",
+        generated("inference", seed, duration_s, params=params),
     )
 
 

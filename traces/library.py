@@ -73,7 +73,7 @@ def _generated(source: str, split: str, dt_s: float, duration_s: float, count: i
             raise TraceError(f"trace source {source!r} has no split {split!r}; choose one of {', '.join(SPLITS)}")
         generate = shifted
     power, compute = np.empty((count, n_steps)), np.zeros((count, n_steps))
-    requests = []
+    requests, provenance = [], []
     for row in range(count):
         trace = generate(n_grid * GRID_S, row_seed(split, row))
         assert trace.compute_kw is not None  # every generator tells
@@ -85,7 +85,8 @@ def _generated(source: str, split: str, dt_s: float, duration_s: float, count: i
         dynamic = power[row] - IDLE_SHARE
         np.divide(compute_kw[:n_steps], dynamic, out=compute[row], where=dynamic > 0)
         requests += [trace.requests] if trace.requests is not None else []
+        provenance.append(trace.provenance)
     np.minimum(compute, 1.0, out=compute)
     power.setflags(write=False)
     compute.setflags(write=False)
-    return TraceRows(power, compute, tuple(requests))
+    return TraceRows(power, compute, tuple(requests), tuple(provenance))

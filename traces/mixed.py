@@ -21,6 +21,7 @@ def generate_mixed(
     rng = stream("mixed", seed)
     kind = seed % 3
     weight = (0.0, 1.0, rng.uniform(0.3, 0.7))[kind]
+    inference, training = inference or InferenceParams(), training or TrainingParams()
     share = compute = 0.0
     parts = (
         (1.0 - weight, partial(generate_inference, params=inference)),
@@ -31,4 +32,5 @@ def generate_mixed(
             part = generate(duration_s, seed)
             assert part.compute_kw is not None
             share, compute = share + weight * part.power_kw[:-1], compute + weight * part.compute_kw[:-1]
-    return as_trace(np.asarray(share), np.asarray(compute), f"mixed-{seed}", generated("mixed", seed))
+    provenance = generated("mixed", seed, duration_s, inference=inference, training=training)
+    return as_trace(np.asarray(share), np.asarray(compute), f"mixed-{seed}", provenance)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
+from dcgrid_env.traces.logs.csv_file import RECORDED
+from dcgrid_env.traces.logs.gpu_columns import split
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.logs.text_file import open_text
+from dcgrid_env.traces.logs.timestamps import TIMESTAMP
 from dcgrid_env.traces.recordings import RECORDINGS, load_power, load_requests
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import serve
@@ -33,10 +37,12 @@ def recorded_trace(name: str) -> PowerTrace:
         raise TraceError(
             f"trace {name!r} is neither a file nor known; there are {', '.join((*TRACE_SOURCES, *RECORDINGS))}"
         )
-    first = _first_line(path).lower()
-    if "contexttokens" in first:
+    first = _first_line(path)
+    if first.startswith(RECORDED):
+        return PowerTrace.from_csv(path)
+    if "contexttokens" in first.lower():
         return served(read_request_log(path))
-    if "power.draw" in first or first.count("/") >= 2:
+    if "power.draw" in first.lower() or any(re.fullmatch(TIMESTAMP, cell) for cell in split(first)):
         return read_gpu_log(path)
     return PowerTrace.from_csv(path)
 
@@ -50,5 +56,7 @@ def served(requests: Requests) -> PowerTrace:
 
 
 def _first_line(path: Path) -> str:
+    """The first line with content that is no comment, or the one that a recorder begins with; "" if there is none."""
     with open_text(path) as file:
-        return file.readline()
+        lines = (line for line in iter(file.readline, "") if line.strip())
+        return next((line for line in lines if line.startswith(RECORDED) or not line.startswith("#")), "")

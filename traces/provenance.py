@@ -35,7 +35,11 @@ class Provenance:
         return ", ".join(parts)
 
 
-def generated(generator: str, seed: int, params: object = None) -> Provenance:
-    """Provenance of a generated trace; `params` is the generator's dataclass of parameters, if it has one."""
-    known = asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
-    return Provenance(f"generator {generator}", seed=int(seed), parameters=known)
+def generated(generator: str, seed: int, duration_s: float, **params: Any) -> Provenance:
+    """Provenance of a generated trace; dataclasses among `params` are taken apart."""
+    known = {name: _plain(value) for name, value in params.items()}
+    return Provenance(f"generator {generator}", seed=int(seed), parameters={"duration_s": float(duration_s), **known})
+
+
+def _plain(value: Any) -> Any:
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value

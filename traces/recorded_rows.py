@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.grid import IDLE_SHARE
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
 
@@ -23,7 +26,7 @@ def from_recordings(
     boost_share: float = 1.0,
     by: str = "time",
 ) -> TraceRows:
-    """Return rows of power from recordings, each as a share of its own peak.
+    """Return rows of power from recordings, each as a share of its rating, or of its own peak where that is not known.
 
     The first 60 % train, the next 20 % validate, the last 20 % test: of each recording's time, or of the recordings in
     their order. A row is as long as the shortest part; a longer part gives several rows that together cover it,
@@ -35,7 +38,8 @@ def from_recordings(
     split : "train", "validation" or "test"; no two share a sample.
     dt_s : step, s.
     window_s : the longest window that will be taken, s; 0 if not known yet.
-    boost_share : the peak of each recording as a share of the rating, at least 1.
+    boost_share : highest short draw as a share of the rating, at least 1. Where the rating is not known, the peak of
+        the recording is taken for it; traces whose compute-bound part is known get it as generated ones do.
     by : "time" cuts each recording, "recording" gives whole recordings to the splits and needs at least 3.
 
     Returns
@@ -64,16 +68,23 @@ def from_recordings(
         raise TraceError(f"by = {by!r} is unknown; cut recordings by time or give them out by recording")
     parts = [_part(trace, split, dt_s, (low, high), needed, boost_share) for trace in traces]
     n_steps = min(len(part.p_share) for part in parts)
-    rows = []
+    rows, counts = [], []
     for part in parts:
         begins = np.linspace(0, len(part.p_share) - n_steps, -(-len(part.p_share) // n_steps)).astype(int)
+        counts.append(len(begins))
         rows += [part.cut(int(begin), n_steps, dt_s) for begin in begins]
     power, compute, requests = zip(*rows, strict=True)
     return TraceRows(
         _pool(power),
         None if any(row is None for row in compute) else _pool(compute),
         () if any(row is None for row in requests) else requests,
+        tuple(_noted(trace, boost_share) for trace, n in zip(traces, counts, strict=True) for _ in range(n)),
     )
+
+
+def _noted(trace: PowerTrace, boost_share: float) -> Provenance:
+    known = trace.provenance
+    return known if boost_share == 1.0 else replace(known, parameters={**known.parameters, "boost_share": boost_share})
 
 
 class _Part(NamedTuple):
@@ -97,7 +108,18 @@ def _part(
 ) -> _Part:
     """The part of a recording between two shares of its time, at least `needed` steps long."""
     scaled = trace.as_share()
-    share = scaled.resample(dt_s) * boost_share
+    if trace.rated_kw is None:
+        scale = boost_share  # its peak stands for the highest draw there is
+    else:
+        scale, highest = 1.0, float(scaled.power_kw.max())
+        if highest > boost_share + 1e-9:
+            raise TraceError(
+                f"trace {trace.name!r} rises to {highest:g} of its rating of {trace.rated_kw:g} kW; give a boost_share "
+                "of at least that, or the right rating"
+            )
+        if boost_share > 1.0 and trace.compute_kw is not None:
+            scaled = boosted_trace(scaled, boost_share)
+    share = scaled.resample(dt_s) * scale
     first, last = (round(bound * len(share)) for bound in bounds)
     if last - first < needed:
         raise TraceError(
@@ -108,7 +130,7 @@ def _part(
     compute = scaled.resample_compute(dt_s)
     if compute is not None:
         dynamic = share - IDLE_SHARE
-        compute = np.divide(compute * boost_share, dynamic, out=np.zeros_like(share), where=dynamic > 0)
+        compute = np.divide(compute * scale, dynamic, out=np.zeros_like(share), where=dynamic > 0)
         compute = np.minimum(compute, 1.0)[first:last]
     requests = trace.requests
     if requests is not None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.trace import FloatArray, RequestTimes, TraceError
 
 SPLITS = ("train", "validation", "test")
@@ -27,6 +28,8 @@ class TraceRows(NamedTuple):
     float64; None where nobody knows (recordings of power)."""
     requests: tuple[RequestTimes, ...] = ()
     """The requests behind each row, times from the row's beginning; () unless the source is made of requests."""
+    provenance: tuple[Provenance, ...] = ()
+    """Where each row comes from."""
 
 
 def require_window(rows: TraceRows, n_steps: int, dt_s: float, name: str) -> None:

@@ -33,7 +33,7 @@ WAVES = Service(
     "waves",
     Arrivals(3.0, calm_rate=0.1, calm_s=40.0, busy_s=20.0, dwell_shape=25.0),
     context=SERVICES["chat"].context,
-    generated=TokenLaw(5.5, 0.8, 1024),
+    generated=TokenLaw(((1.0, 5.5, 0.8),), 1024),
 )
 """Queries that come in waves of about a minute, as from people who run the same task again and again."""
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from dcgrid_env.traces.grid import IDLE_SHARE, rounded, stream
-from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 
 
@@ -40,5 +40,5 @@ def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTr
     share = np.concatenate([rounded(idle), [1.0, 1.0]])
     # The step is taken for work that follows the clock, as the paper has it for all work.
     compute = np.maximum(share - IDLE_SHARE, 0.0)
-    provenance = Provenance("generator step", int(seed), {"step_s": step_s})
-    return PowerTrace(time_s, share, f"step-{seed}", provenance, compute)
+    provenance = generated("step", seed, duration_s, step_s=step_s)
+    return PowerTrace(time_s, share, f"step-{seed}", provenance, compute, rated_kw=1.0)

@@ -32,7 +32,10 @@ def steps_in(duration_s: float, dt_s: float) -> int:
 
 
 class RequestTimes(NamedTuple):
-    """Requests behind a trace as they would be served at the top clock; arrays (n,), in the order of arrival."""
+    """Requests behind a trace, or an even sample of them, as they would be served at the top clock.
+
+    Arrays (n,), in the order of arrival.
+    """
 
     arrival_s: FloatArray
     """s, on the time axis of the trace."""
@@ -40,6 +43,8 @@ class RequestTimes(NamedTuple):
     """From arrival to the first token, s."""
     end_s: FloatArray
     """From arrival to the last token, s."""
+    prefill_s: FloatArray
+    """How much of the time to the first token the request is being read, s."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -55,6 +60,7 @@ class PowerTrace:
     compute_kw : (n,) float64 in 0 to power_kw, kW, or None where nobody knows: the part of the power for work whose
         speed follows the clock (prefill, training). What lies between it and the idle floor hardly does (decode).
     requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
+    rated_kw : rating of the site, kW; None where nobody knows, and then the highest power stands for it.
 
     The arrays are copied and made read-only.
 
@@ -70,6 +76,7 @@ class PowerTrace:
     provenance: Provenance
     compute_kw: FloatArray | None
     requests: RequestTimes | None
+    rated_kw: float | None
 
     def __init__(
         self,
@@ -79,6 +86,7 @@ class PowerTrace:
         provenance: Provenance | None = None,
         compute_kw: ArrayLike | None = None,
         requests: RequestTimes | None = None,
+        rated_kw: float | None = None,
     ) -> None:
         time_s, power_kw = _column(time_s, name, "time_s"), _column(power_kw, name, "power_kw")
         if len(time_s) != len(power_kw):
@@ -100,6 +108,8 @@ class PowerTrace:
                     f"trace {name!r}: index {wrong[0]}: compute_kw is {compute_kw[wrong[0]]}, not within 0 and the "
                     f"power {power_kw[wrong[0]]:g}; it is the part of the power that follows the clock"
                 )
+        if rated_kw is not None:
+            rated_kw = require_positive(rated_kw, f"trace {name!r}: rated_kw", "give the rating of the site in kW")
         for field, value in (
             ("time_s", time_s),
             ("power_kw", power_kw),
@@ -107,6 +117,7 @@ class PowerTrace:
             ("provenance", provenance or Provenance()),
             ("compute_kw", compute_kw),
             ("requests", requests),
+            ("rated_kw", rated_kw),
         ):
             object.__setattr__(self, field, value)
 
@@ -182,11 +193,14 @@ class PowerTrace:
         power_kw, compute_kw = self.power_kw / peak_kw * rating_kw, self.compute_kw
         if compute_kw is not None:
             compute_kw = compute_kw / peak_kw * rating_kw
-        return replace(self, power_kw=power_kw, compute_kw=compute_kw)
+        return replace(self, power_kw=power_kw, compute_kw=compute_kw, rated_kw=rating_kw)
 
     def as_share(self) -> "PowerTrace":
-        """Return the trace as a share of its own highest power: a rating of 1 kW."""
-        return self.scaled_to(1.0)
+        """Return the trace as a share of its rating, or of its own highest power where the rating is not known."""
+        if self.rated_kw is None:
+            return self.scaled_to(1.0)
+        compute_kw = None if self.compute_kw is None else self.compute_kw / self.rated_kw
+        return replace(self, power_kw=self.power_kw / self.rated_kw, compute_kw=compute_kw, rated_kw=1.0)
 
     def resample(self, dt_s: float) -> FloatArray:
         """Mean power over each [k dt, (k + 1) dt) from the first sample on.

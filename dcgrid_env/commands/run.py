@@ -79,15 +79,19 @@ def _scenario(cfg: Run) -> Scenario:
     if cfg.trace in TRACE_SOURCES:
         chosen["trace"] = cfg.trace
     elif cfg.trace is not None:
-        chosen["trace"] = tuple(recorded_trace(name.strip()) for name in cfg.trace.split(","))
+        names = [cfg.trace] if Path(cfg.trace).is_file() else [name.strip() for name in cfg.trace.split(",")]
+        mixed = [name for name in names if name in TRACE_SOURCES]
+        if mixed:
+            raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
+        chosen["trace"] = tuple(map(recorded_trace, names))
     return make_scenario(cfg.scenario, **chosen)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
-    """Where the data centres' load comes from, with licence and citation of recordings."""
-    if isinstance(scenario.trace, str):
-        return [{"name": f"generator {scenario.trace}"}]
-    return [trace.provenance.record() for trace in scenario.trace]
+    """Where each row of the data centres' load comes from: parameters and seed, or hash, licence and citation."""
+    from dcgrid_env.episode import trace_pool
+
+    return [provenance.record() for provenance in trace_pool(scenario).provenance]
 
 
 ROWS = (
@@ -130,8 +134,11 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
             continue  # of requests, where the load is made of them
         cells = []
         for name in names:
-            values = [factor * r[key] for r in records if r["controller"] == name]
-            value = sum(values) / n if how == "mean" else min(values) if how == "min" else max(values)
+            own = [r for r in records if r["controller"] == name]
+            if key.startswith(("ttft", "e2e")):
+                own = [r for r in own if r["requests_sampled"]] or own[:1]
+            values = [factor * r[key] for r in own]
+            value = sum(values) / len(values) if how == "mean" else min(values) if how == "min" else max(values)
             cells.append(f"{value:.{decimals}f}")
         made.add_row(label, unit, *cells)
     collapsed = sum(1 - r["power_flow_converged"] for r in records)

@@ -11,6 +11,9 @@ import tyro
 if TYPE_CHECKING:
     from dcgrid_env.traces import PowerTrace
 
+SHORTEST_S = 2.0
+"""Shortest trace whose spectrum is drawn, s: 20 steps of 0.1 s."""
+
 
 @dataclass(frozen=True)
 class Fetch:
@@ -31,11 +34,11 @@ class Show:
     against: str | None = None
     """Another one to draw over it."""
     duration_s: float = 600.0
-    """Length of a generated trace, s."""
+    """Length of a generated trace, s; at least 2, and two steps of the averages."""
     seed: int = 0
     """Seed of a generated trace."""
     dt_s: float = 1.0
-    """Step of the averages, s."""
+    """Step of the averages, s; at most half a trace."""
     out: Path = Path("results/trace.png")
     """The picture; folders are made."""
 
@@ -101,7 +104,7 @@ def show(cfg: Show) -> None:
     from dcgrid_env.traces.figure import trace_figure
 
     names = [cfg.name, *([cfg.against] if cfg.against else [])]
-    traces = {name: _find(name, cfg) for name in names}
+    traces = {name: _long_enough(name, _find(name, cfg), cfg) for name in names}
     cfg.out.parent.mkdir(parents=True, exist_ok=True)
     trace_figure(traces, cfg.dt_s).savefig(cfg.out, dpi=130)
     console = Console()
@@ -117,6 +120,23 @@ def _find(name: str, cfg: Show) -> PowerTrace:
     if name in TRACE_SOURCES:
         return TRACE_SOURCES[name].generate(cfg.duration_s, cfg.seed)
     return recorded_trace(name)
+
+
+def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
+    """The trace itself; TraceError if a panel would stay empty: ramps need 2 steps, the spectrum SHORTEST_S."""
+    from dcgrid_env.traces import TRACE_SOURCES, TraceError
+    from dcgrid_env.traces.trace import require_positive
+
+    needed_s = max(2 * require_positive(cfg.dt_s, "--dt-s", "give a step in seconds"), SHORTEST_S)
+    if trace.duration_s >= needed_s * (1 - 1e-9):
+        return trace
+    remedies = [f"a longer trace (--duration-s {needed_s:g})" if name in TRACE_SOURCES else "a longer recording"]
+    if 2 * cfg.dt_s > SHORTEST_S and trace.duration_s >= SHORTEST_S:
+        remedies.append(f"shorter steps (--dt-s {int(trace.duration_s / 2)})")
+    raise TraceError(
+        f"{name}: lasts {trace.duration_s:g} s, too short for the picture: it takes 2 steps of --dt-s {cfg.dt_s:g}, "
+        f"and {SHORTEST_S:g} s for the spectrum; give {' or '.join(remedies)}"
+    )
 
 
 def record(cfg: Record) -> None:

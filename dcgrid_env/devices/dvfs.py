@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
 from dcgrid_env.arrays import Array, namespace
 from dcgrid_env.devices.params import DataCenterParams
 
@@ -40,6 +42,19 @@ class Dvfs(Protocol):
 def phases_of(dvfs: Any) -> int:
     """Number of kinds of work that a clock law tells apart."""
     return getattr(dvfs, "phases", 1)
+
+
+def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.ndarray:
+    """Speed of each phase at a clock as a share of that at the top clock, (..., n_dc, n_phase), for ``f_mhz``
+    (..., n_dc): how much of more work than can be done is done."""
+    found = []
+    for phase in range(phases_of(dvfs)):
+        plenty = np.zeros((*f_mhz.shape, phases_of(dvfs)))
+        plenty[..., phase] = 1e3 * params.p_dynamic_kw
+        work = plenty if phases_of(dvfs) > 1 else plenty[..., 0]
+        done, top = (dvfs.serve(params, f, work)[0] for f in (f_mhz, params.f_max_mhz + 0.0 * f_mhz))
+        found.append(done[..., phase] / top[..., phase] if phases_of(dvfs) > 1 else done / top)
+    return np.stack(found, axis=-1)
 
 
 @dataclass(frozen=True)

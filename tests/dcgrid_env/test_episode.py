@@ -5,7 +5,7 @@ import pytest
 
 from dcgrid_env import PRESETS, PhaseDvfs, Scenario, ScenarioError, episode, make_scenario
 from dcgrid_env.simulation import Simulation
-from dcgrid_env.traces import SPLITS, PowerTrace, TraceError
+from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
 
 
 def draw(scenario: Scenario, seeds: range | list[int], number: int = 0) -> episode.Episode:
@@ -449,3 +449,29 @@ def test_storage_follows_a_schedule_that_may_charge():
         make_scenario("toy6", inverter_trace=(0.0, 0.0, 0.0), horizon=3)
     with pytest.raises(ScenarioError, match=r"1\.5 among them"):
         make_scenario("toy6", inverter_trace=(0.0, 0.0, 1.5, 0.0), horizon=3)
+
+
+def test_together_is_another_row_at_the_same_time():
+    scenario = make_scenario("ieee33-weak", trace_window="together")
+    drawn = episode.draw(scenario, np.arange(50, dtype=np.uint64), np.zeros(50, np.uint64))
+    row, start = np.divmod(drawn.start, episode.trace_pool(scenario).p_share.shape[1])
+    assert (start == start[:, :1]).all()
+    assert len(np.unique(start[:, 0])) > 40
+    assert all(len(set(rows)) == 3 for rows in row.tolist())
+
+
+def test_sites_generated_side_by_side_stay_so_together():
+    site = Site("H100", 16, (Tenant("code", "llama3-70b", 1.0, 0.2),), daily_swing=0.0)
+    sites = generate_sites(3, 900.0, 7, site, correlation=1.0)
+    scenario = make_scenario("ieee33-weak", trace=tuple(sites), trace_window="together", horizon=100)
+    seeds = np.arange(20, dtype=np.uint64)
+    drawn = episode.draw(scenario, seeds, np.zeros_like(seeds))
+    course = np.array([episode.p_ref_kw(scenario, drawn, np.full(20, k)) for k in range(100)])
+    for lane in range(20):
+        assert np.corrcoef(course[:, lane].T).min() > 0.95
+
+
+def test_long_episodes_draw_from_about_a_day_in_all():
+    assert len(episode.trace_pool(make_scenario("ieee123", horizon=20_000)).p_share) == 5
+    assert len(episode.trace_pool(make_scenario("ieee123", n_datacenters=1, horizon=20_000)).p_share) == 4
+    assert len(episode.trace_pool(make_scenario("ieee123")).p_share) == 24

@@ -14,13 +14,14 @@ def column(*values: float) -> np.ndarray:
 
 
 def requests(*rows: tuple[float, float, float]) -> RequestTimes:
-    return RequestTimes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+    times = np.array(rows, dtype=np.float64).reshape(-1, 3).T
+    return RequestTimes(*times, prefill_s=0.0 * times[0])
 
 
 def served(
     rows: RequestTimes, arrived: np.ndarray, done: np.ndarray, dt_s: float = 1.0, begin_s: float = 0.0
 ) -> Served:
-    return serve_requests(rows, begin_s, arrived, done, dt_s)
+    return serve_requests(rows, begin_s, arrived, done, np.ones_like(done), dt_s)
 
 
 # --- by hand -------------------------------------------------------------------------------------
@@ -90,12 +91,12 @@ def test_no_work_delays_nobody():
 def test_figures_over_all_sites():
     one = Served(np.array([1.0, 3.0]), np.array([10.0, 30.0]), np.array([True, False]))
     two = Served(np.array([2.0, 4.0]), np.array([20.0, 40.0]), np.array([False, True]))
-    wanted = RequestDelays(4, 2, 2.5, 2.0, 4.0, 4.0, 25.0, 20.0, 40.0, 40.0)
+    wanted = RequestDelays(4, 50.0, 2.5, 2.0, 4.0, 4.0, 25.0, 20.0, 40.0, 40.0)
     assert request_delays([one, two]) == wanted
     hundred = np.arange(1.0, 101.0)
     many = request_delays([Served(hundred[::-1], 2.0 * hundred, hundred > 100)])
     assert many[2:6] == (50.5, 50.0, 95.0, 99.0)
-    assert (many.requests, many.requests_unfinished, many.e2e_p99_s) == (100, 0, 198.0)
+    assert (many.requests_sampled, many.requests_unfinished_pct, many.e2e_p99_s) == (100, 0.0, 198.0)
 
 
 def test_no_request_has_no_delay():
@@ -135,7 +136,7 @@ def test_against_a_walk_along_the_curves(dt_s, drawn, seed):
     arrived, done = course(drawn)
     end_s = len(drawn) * dt_s
     due = np.sort(np.random.default_rng(seed).uniform(0.0, end_s, 30))
-    found = served(RequestTimes(due, 0.0 * due, 0.0 * due), arrived, done, dt_s)
+    found = served(RequestTimes(due, 0.0 * due, 0.0 * due, 0.0 * due), arrived, done, dt_s)
     levels = np.interp(due, dt_s * np.arange(len(drawn) + 1), np.r_[0.0, np.cumsum(arrived)])
     for tau, level, ttft, left in zip(due, levels, found.ttft_s, found.unfinished, strict=True):
         at = finished_at(level - 1e-9 * float(arrived.sum()), done, dt_s)
@@ -152,7 +153,7 @@ def test_mean_over_work_is_the_area_between_the_curves():
     done[-1] += arrived.sum() - done.sum()
     a, s = (np.r_[0.0, np.cumsum(work)] for work in (arrived, done))
     due = np.interp((np.arange(100_000) + 0.5) / 100_000 * a[-1], a, np.arange(61.0))
-    found = served(RequestTimes(due, 0.0 * due, 0.0 * due), arrived, done)
+    found = served(RequestTimes(due, 0.0 * due, 0.0 * due, 0.0 * due), arrived, done)
     area = np.sum(0.5 * ((a - s)[1:] + (a - s)[:-1]))
     assert area > 100.0
     assert found.ttft_s.mean() * a[-1] == pytest.approx(area, rel=1e-5)
@@ -163,3 +164,14 @@ def test_inputs_are_left_alone():
     for array in (*rows, ARRIVED, DONE):
         array.flags.writeable = False
     served(rows, ARRIVED, DONE)
+
+
+def test_a_lower_clock_stretches_what_is_being_served():
+    # At 1 s the speeds fall to 1/2 for prefill and 4/5 for decode; nothing queues.
+    speed = np.array([[1.0, 1.0], [0.5, 0.8], [0.5, 0.8]])
+    work = np.ones((3, 2))
+    first = RequestTimes(np.array([0.0, 0.5]), np.array([0.5, 1.0]), np.array([0.75, 5.0]), np.array([0.2, 0.3]))
+    found = serve_requests(first, 0.0, work, work, speed, 1.0)
+    # The second is read at half the speed, and answered from 1.5 s to 5.5 s at 4/5, beyond the end as at the end.
+    assert found.ttft_s.tolist() == pytest.approx([0.5, 1.0 + 0.3])
+    assert found.e2e_s.tolist() == pytest.approx([0.75, 5.0 + 0.3 + 4.0 * 0.25])

@@ -219,7 +219,7 @@ def test_a_numpy_integer_is_a_count():
         ("voltage_cost", ["l1", "l2", "bowl", "courant_beltrami", "bump"]),
         ("reward", ["shared", "local"]),
         ("observe", ["local", "neighbours", "feeder"]),
-        ("trace_window", ["random", "start"]),
+        ("trace_window", ["random", "start", "together"]),
         ("recording_split", ["time", "recording"]),
         ("split", ["train", "validation", "test", "ood"]),
     ],

@@ -35,6 +35,7 @@ def test_bounds_and_duration(generate, duration_s):
         trace = generate(duration_s, seed)
         assert trace.power_kw.min() >= floor
         assert trace.power_kw.max() <= 1.0
+        assert trace.rated_kw == 1.0
         assert duration_s - 1e-9 <= trace.duration_s < duration_s + 0.1
 
 

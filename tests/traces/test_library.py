@@ -17,6 +17,8 @@ from dcgrid_env.traces import (
     SPLITS,
     TRACE_SOURCES,
     PowerTrace,
+    Site,
+    Tenant,
     TraceError,
     from_recordings,
     library,
@@ -24,6 +26,7 @@ from dcgrid_env.traces import (
     require_window,
     row_seed,
 )
+from dcgrid_env.traces.serving import site
 
 # Made of requests; a seed is an hour of a day.
 SERVED = ("chat", "code", "site", "llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
@@ -42,6 +45,7 @@ def test_shape_bounds_and_read_only(source, split):
         assert values.max() <= 1.0
         with pytest.raises(ValueError, match="read-only"):
             values[0, 0] = 0.5
+    assert len({known.seed for known in rows.provenance}) == 5
     assert library(source, split, 1, 150, 5).p_share is rows.p_share
 
 
@@ -54,7 +58,8 @@ def test_requests_of_each_row(source, split):
         assert (np.diff(times.arrival_s) >= 0).all()
         assert times.arrival_s.min(initial=0.0) >= 0.0
         assert times.arrival_s.max(initial=0.0) < 150.0
-        assert (times.first_token_s > 0).all()
+        assert (times.prefill_s > 0).all()
+        assert (times.first_token_s >= times.prefill_s - 1e-9).all()
         assert (times.end_s >= times.first_token_s).all()
     # A service that bursts may be silent in one row, but not in all.
     assert not rows.requests or sum(len(times.arrival_s) for times in rows.requests) > 50
@@ -98,15 +103,27 @@ def test_splits_share_no_seed():
 
 
 @pytest.mark.parametrize("source", SERVED)
-def test_rows_made_of_requests_are_hours_and_splits_days(source):
-    days = {}
-    for split in SPLITS:
-        made = [TRACE_SOURCES[source].generate(1.0, row_seed(split, row)).provenance.parameters for row in range(24)]
-        assert sorted(known["hour"] for known in made) == list(range(24))
-        days[split] = {known["day"] for known in made}
-    assert not days["train"] & days["validation"]
-    assert not days["train"] & days["test"]
-    assert not days["validation"] & days["test"]
+def test_rows_made_of_requests_are_the_hours_of_days_of_their_own(source):
+    hours = {}
+    for split in ALL_SPLITS:
+        rows = library(source, split, 1.0, 1.0)
+        hours[split] = [known.parameters["hour"] for known in rows.provenance]
+        assert sorted(hours[split]) == list(range(24))
+    # Splits begin at hours of their own.
+    assert len({known[0] for known in hours.values()}) > 1
+
+
+def test_no_two_rows_have_the_same_day():
+    # The demand of a site without hours, and of the same service.
+    flat = Site("H100", 16, (Tenant("chat", "llama3-70b", 1.0, 0.2),), daily_swing=0.0)
+    tenant = flat.tenants[0]
+    rate = {
+        site._Demand(flat, tenant, 0, row_seed(split, row), None, 0.0, 0.0).service.arrivals.rate_per_s
+        for split in ALL_SPLITS
+        for row in range(24)
+    }
+    assert len(rate) == 24 * len(ALL_SPLITS)
+    assert 0.07 < np.std(np.log(list(rate))) < 0.13
 
 
 @pytest.mark.parametrize("source", [source for source, split in DRAWN if split == "ood"])

@@ -1,10 +1,12 @@
 """Rows from recordings made of requests: the compute-bound part and the requests come along."""
 
 import numpy as np
+import pytest
 
 from dcgrid_env import PhaseDvfs, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
-from dcgrid_env.traces import IDLE_SHARE, SPLITS, PowerTrace, from_recordings, replica, requests, serve
+from dcgrid_env.traces import IDLE_SHARE, SPLITS, PowerTrace, Provenance, from_recordings, replica, requests, serve
+from dcgrid_env.traces.boost import boosted_trace
 
 SERVED = serve(requests("chat", hours=0.5, seed=1), replica("H100", "llama3-70b"), 2).trace
 
@@ -30,6 +32,7 @@ def test_every_request_stands_in_the_row_it_arrives_in():
         (row,) = rows.requests
         assert row.arrival_s.min() >= 0.0
         assert row.arrival_s.max() < rows.p_share.shape[1]
+        assert (row.first_token_s >= row.prefill_s - 1e-9).all()
         counted += len(row.arrival_s)
     assert counted == len(SERVED.requests.arrival_s)
     # Rows that cover a part cut it again, each from its own beginning.
@@ -45,6 +48,47 @@ def test_every_request_stands_in_the_row_it_arrives_in():
 def test_the_environment_tells_their_delays():
     scenario = make_scenario("ieee33-weak", trace=(SERVED,), dvfs=PhaseDvfs(), split="test")
     metrics = rollout(scenario, NoControl(), range(2)).metrics()[0]
-    assert metrics["requests"] > 100
+    assert metrics["requests_sampled"] > 100
     assert metrics["delay_mean_s"] < 1e-9
     assert 0.0 < metrics["ttft_p50_s"] < metrics["ttft_p99_s"] < metrics["e2e_p99_s"]
+
+
+def test_a_served_trace_keeps_its_rating():
+    # Hardly any work: its peak is far below the rating.
+    quiet = serve(requests("chat", 0.2, 1, rate_per_s=0.05), replica("H200", "llama3-70b"), 20).trace
+    assert quiet.power_kw.max() < 0.3
+    for split in SPLITS:
+        rows = from_recordings([quiet], split, 1.0)
+        assert rows.p_share.min() == pytest.approx(IDLE_SHARE, abs=1e-6)
+        assert rows.p_share.max() < 0.3
+    # Nor does a boost lift what does not follow the clock.
+    assert from_recordings([quiet], "train", 1.0, boost_share=1.3).p_share.min() == pytest.approx(IDLE_SHARE, abs=1e-6)
+    # In kW it is the same.
+    site = PowerTrace(quiet.time_s, 280.0 * quiet.power_kw, "site", rated_kw=280.0)
+    np.testing.assert_allclose(
+        from_recordings([site], "test", 1.0).p_share, from_recordings([quiet], "test", 1.0).p_share, rtol=1e-12
+    )
+
+
+def test_known_compute_is_boosted_as_in_generated_traces():
+    high = boosted_trace(SERVED, 1.3).resample(0.1)
+    rows = from_recordings([SERVED], "train", 0.1, boost_share=1.3)
+    np.testing.assert_array_equal(rows.p_share[0], high[: rows.p_share.shape[1]])
+    assert 1.0 < rows.p_share.max() <= 1.3
+    assert rows.compute_share is not None
+    assert rows.compute_share.max() <= 1.0
+    # Where the part is not known, the rating still is.
+    plain = PowerTrace(SERVED.time_s, SERVED.power_kw, rated_kw=1.0)
+    np.testing.assert_array_equal(
+        from_recordings([plain], "train", 0.1, boost_share=1.3).p_share, from_recordings([plain], "train", 0.1).p_share
+    )
+
+
+def test_every_row_says_where_it_comes_from():
+    short = PowerTrace(SERVED.time_s[:6001], SERVED.power_kw[:6001], "short", Provenance("short.csv"))
+    rows = from_recordings([SERVED, short], "train", 1.0)
+    assert [known.name for known in rows.provenance] == ["generator requests chat"] * 3 + ["short.csv"]
+    traces = [PowerTrace([0, 60], [1, 1], provenance=Provenance(name)) for name in "abcd"]
+    for split, names in (("train", ["a", "b"]), ("validation", ["c"]), ("test", ["d"])):
+        rows = from_recordings(traces, split, 1.0, by="recording")
+        assert [known.name for known in rows.provenance] == names

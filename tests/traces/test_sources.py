@@ -66,6 +66,7 @@ def test_every_generator_keeps_its_promises(source, generate):
         trace, again = generate(60.0, seed), generate(60.0, seed)
         assert isinstance(trace, PowerTrace)
         assert trace.duration_s == pytest.approx(60.0)
+        assert trace.rated_kw == 1.0
         assert 0.97 * IDLE_SHARE - 1e-6 <= trace.power_kw.min() <= trace.power_kw.max() <= 1.0
         assert trace.compute_kw is not None
         assert trace.power_kw.tobytes() == again.power_kw.tobytes()

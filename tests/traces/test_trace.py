@@ -88,7 +88,30 @@ def test_scaling():
     assert scaled.power_kw.max() == 500.0
     np.testing.assert_allclose(scaled.power_kw, np.array([10.0, 20.0, 0.0, 99.0]) * 500.0 / 99.0)
     assert scaled.name == "hand"
+    assert scaled.rated_kw == 500.0
     assert hand_trace().as_share().power_kw.max() == 1.0
+    assert hand_trace().as_share().rated_kw == 1.0
+
+
+def test_a_share_is_that_of_the_rating_where_it_is_known():
+    base = worked_trace()
+    trace = PowerTrace(base.time_s, base.power_kw, "rated", None, base.compute_kw, rated_kw=200.0)
+    share = trace.as_share()
+    np.testing.assert_allclose(share.power_kw, [0.05, 0.1, 0.0, 0.495])
+    assert share.compute_kw is not None
+    np.testing.assert_allclose(share.compute_kw, [0.02, 0.1, 0.0, 0.25])
+    assert share.rated_kw == 1.0
+    assert share.as_share().power_kw.tobytes() == share.power_kw.tobytes()
+    # A trace of nothing but zeros has a share of a rating, though not of its peak.
+    assert PowerTrace([0, 1], [0, 0], rated_kw=5.0).as_share().power_kw.tolist() == [0.0, 0.0]
+    # Scaling makes the peak the rating, whatever the rating was.
+    assert trace.scaled_to(99.0).as_share().power_kw.max() == 1.0
+
+
+@pytest.mark.parametrize("rated_kw", [0.0, -1.0, np.nan, np.inf])
+def test_a_bad_rating_is_named(rated_kw):
+    with pytest.raises(TraceError, match=r"trace 'bad': rated_kw = .* not a finite number above 0; give the rating"):
+        PowerTrace([0, 1], [1, 1], "bad", rated_kw=rated_kw)
 
 
 def test_arrays_are_read_only_copies():
@@ -148,7 +171,7 @@ def test_bad_scaling_is_named():
 
 def worked_trace():
     # As by hand, of which 4, 20 and 0 kW follow the clock.
-    times = RequestTimes(np.array([0.5]), np.array([0.1]), np.array([2.0]))
+    times = RequestTimes(np.array([0.5]), np.array([0.1]), np.array([2.0]), np.array([0.05]))
     base = hand_trace()
     return PowerTrace(base.time_s, base.power_kw, "worked", Provenance("x", seed=1), [4.0, 20.0, 0.0, 50.0], times)
 
@@ -161,6 +184,7 @@ def test_a_trace_may_know_its_compute_and_requests():
     np.testing.assert_allclose(means_kw, [4.0, 12.0, 10.0, 0.0, 0.0], atol=1e-12)
     assert trace.requests is not None
     assert trace.requests.end_s.tolist() == [2.0]
+    assert trace.requests.prefill_s.tolist() == [0.05]
     assert str(trace.provenance) == "x, seed 1"
     with pytest.raises(ValueError, match="read-only"):
         trace.compute_kw[0] = 3.0
@@ -180,6 +204,7 @@ def test_other_traces_do_not_know_them():
     trace = hand_trace()
     assert trace.compute_kw is None
     assert trace.requests is None
+    assert trace.rated_kw is None
     assert trace.resample_compute(1.0) is None
     assert trace.scaled_to(500.0).compute_kw is None
     assert trace.provenance == Provenance()

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +14,18 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.traces.logs.gaps import GapRule
-from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit, require_unit
+from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit, last_word, require_unit
 from dcgrid_env.traces.logs.text_file import Block, TextFile, open_text
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.trace import FloatArray, TraceError, check_samples, require_positive
 
 RECORDED = "# dcgrid trace "
 """Begins the first line of a recorder's file; a JSON object follows."""
-NOT_SECONDS = ("ms", "us", "µs", "ns", "min", "h", "hours")
+SECONDS = re.compile(r"s(?:ec(?:ond)?s?)?")
+NOT_SECONDS = re.compile(
+    r"[nu\u03bcm]s(?:ec)?|(?:nano|micro|milli)s(?:ec(?:ond)?s?)?|m(?:in(?:ute)?s?)?|h(?:(?:ou)?rs?)?|d(?:ays?)?"
+)
+"""Other units of time, as `casefold` leaves them."""
 
 Column = int | str
 
@@ -63,9 +68,11 @@ def read_csv(
     ----------
     path : text file, UTF-8, plain or gzip, one sample on each line; empty lines are skipped, and so are lines at the
         top that begin with `#`. The JSON object after `# dcgrid trace ` in the first line goes to the provenance.
-    time_column : index from 0 or header name; times in s.
+    time_column : index from 0 or header name; times in s. A name with another unit (`time_ms`, `t [h]`) is refused.
     power_columns : indices or header names, summed; by default every column but the time (one for each GPU).
-    unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in (`site [kW]`), else "W".
+    unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in, for example `site [kW]`,
+        `power (MW)`, `P/kW`, `gpu0_w`. Names that tell none are refused. A file without header is in W by default, as
+        the published recordings are.
     header : whether the first line holds names; by default it does if none of its cells is a number.
     delimiter : between cells, one character.
     max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.logs.gaps.GapRule`;
@@ -80,8 +87,9 @@ def read_csv(
     Raises
     ------
     TraceError
-        For an empty or unreadable file, an unknown or contradicted unit, an unknown column, a text cell, a missing
-        cell, bad samples, power above the limit, or a gap; with the file and, where there is one, the line.
+        For an empty or unreadable file, a unit that is unknown, contradicted or not told, an unknown column, a text
+        cell, a missing cell, bad samples, power above the limit, or a gap; with the file and, where there is one, the
+        line.
     """
     rule = GapRule(max_gap_s, gaps)
     limit_kw = require_positive(limit_kw, "limit_kw", "give the highest power of one cell in kW")
@@ -212,9 +220,12 @@ def _layout(
         where = f"{name}, line {file.line}"
         _require_seconds(where, names[columns[0]])
         units = [column_unit(where, names[c], unit) for c in columns[1:]]
-        if None in units and set(units) != {None}:
-            c = columns[1 + units.index(None)]
-            raise TraceError(f"{where}: {names[c]!r} names no unit, other columns do; pass unit= or name it there")
+        if None in units:
+            column = names[columns[1 + units.index(None)]]
+            raise TraceError(
+                f"{where}: {column!r} tells no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}), write it "
+                "into the name like 'site [kW]' or 'site_kw', or leave the column out with power_columns="
+            )
     return _Layout(
         delimiter=delimiter,
         width=width,
@@ -226,8 +237,12 @@ def _layout(
 
 
 def _require_seconds(where: str, header: str) -> None:
-    if bracketed(header)[0] in NOT_SECONDS:
-        raise TraceError(f"{where}: the time column {header!r} is not in seconds; convert it to s")
+    inside = bracketed(header)[0].casefold()
+    known = SECONDS.fullmatch(inside) or NOT_SECONDS.fullmatch(inside)
+    if NOT_SECONDS.fullmatch(inside if known else last_word(header).casefold()):
+        raise TraceError(
+            f"{where}: the time column {header!r} is not in seconds; convert it to s, or rename the column if it is"
+        )
 
 
 def _choose(name: str, width: int, names: list[str] | None, time_column: Column, power_columns) -> list[int]:

@@ -22,6 +22,7 @@ _POWER = rf"(?:(?P<power>{_NUMBER})[ \t]*(?P<unit>[A-Za-z]+)?|\[[^\]]*\]|N/A|ERR
 _TIME_CELL = re.compile(rf"\s*{TIMESTAMP}\s*")
 _POWER_CELL = re.compile(rf"\s*{_NUMBER}\s*(?:{'|'.join(KW_PER_UNIT)})\s*")
 _PLAIN_CELL = re.compile(rf"\s*{_NUMBER}\s*")
+_UNTOLD_CELL = re.compile(r"\[[^\]]*\]|N/A|ERR!|")
 _GPU_CELL = re.compile(r"\s*(?:GPU-[0-9a-f-]+|[0-9A-Fa-f]{4,8}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}\.[0-9])\s*")
 
 
@@ -39,6 +40,10 @@ class GpuColumns:
     """Of readings that name none themselves; None if nobody knows."""
     header: tuple[str, ...] | None
     """Names as they stand in the log, which repeats them where the logger was started again."""
+
+    def tells(self, gpu: str) -> bool:
+        """Whether `gpu`, the cell of a line, names one GPU; consumer cards have `[N/A]` for a serial number."""
+        return self.gpu is not None and _UNTOLD_CELL.fullmatch(gpu) is None
 
     def pattern(self) -> re.Pattern[str]:
         """Of a whole line, with the groups time, gpu, power and unit; power is None where the reading is missing."""

@@ -43,7 +43,7 @@ def read_gpu_log(
 
     Parameters
     ----------
-    path : text file, UTF-8 or UTF-16, plain or gzip.
+    path : text file, UTF-8 or UTF-16, plain or gzip; lines at the top that begin with `#` are skipped.
     columns : for a log without header: what was queried, for example "timestamp,index,power.draw". Without it the
         time, the power with its unit and a uuid or bus id are told from their cells.
     unit : of readings without one (`nounits`): "W", "kW", "MW" or "mW"; needed if the header does not name it.
@@ -147,7 +147,8 @@ class _Log:
         self._require_readings(series)
         if self._gpus is None:
             for s in series:
-                self._require_one_gpu(s)
+                if not self._columns.tells(s.gpu):
+                    self._require_one_gpu(s)
         begin_s, end_s = max(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
         log_begin_s = min(s.time_s[0] for s in series)
         for s in series:

@@ -5,8 +5,11 @@ import re
 from dcgrid_env.traces.trace import TraceError
 
 KW_PER_UNIT = {"W": 1e-3, "kW": 1.0, "MW": 1e3, "mW": 1e-6}
-# Spellings that can only mean one unit; "mw" could mean two.
-_SPELLINGS = {"w": "W", "watt": "W", "watts": "W", "kw": "kW"}
+# Spellings in small letters that can only mean one unit; "mw" could mean two.
+_SPELLINGS = {"w": "W", "watt": "W", "watts": "W", "kw": "kW", "kilowatt": "kW", "kilowatts": "kW"}
+_SPELLINGS |= {"megawatt": "MW", "megawatts": "MW", "milliwatt": "mW", "milliwatts": "mW"}
+_OTHERS = frozenset(["hp", "ps", "btu", "gw", "uw", "va", "kva", "mva", "wh", "kwh", "mwh", "kj", "mj", "%"])
+_SEPARATORS = re.compile(r"[\s_.,:/-]+")
 
 
 def require_unit(name: str, unit: str | None) -> None:
@@ -23,10 +26,16 @@ def bracketed(header: str) -> tuple[str, bool]:
     return (found[1] or found[2] or "").strip(), found[1] is not None
 
 
+def last_word(header: str) -> str:
+    """What a column's name ends in before any brackets, after `_`, `/`, a space or the like: `kW` of `P/kW (site)`."""
+    return _SEPARATORS.split(re.sub(r"\s*(?:\[[^\[\]]*\]|\([^()]*\))$", "", header.strip()))[-1]
+
+
 def column_unit(where: str, header: str, unit: str | None) -> str | None:
     """Unit of a column from its name and from what the caller gave; None if neither tells it.
 
-    Square brackets hold a unit unless they hold a number (`gpu[0]`); round ones may hold anything.
+    A name tells it in brackets at its end, or as its last word before them: `power (kW)`, `site [MW]`, `gpu0_w`,
+    `P/kW`, `load kW`. Square brackets hold a unit unless they hold a number (`gpu[0]`); round ones may hold anything.
 
     Parameters
     ----------
@@ -37,20 +46,34 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
     Raises
     ------
     TraceError
-        If the name holds another unit than the given one, or an unknown one and none is given.
+        If the name holds two units, another unit than the given one, or, where none is given, an unknown one or `mw`.
     """
     inside, square = bracketed(header)
-    named = inside if inside in KW_PER_UNIT else _SPELLINGS.get(inside.casefold())
-    if named is None:
-        if unit is None and square and not inside.isdigit():
-            raise TraceError(
-                f"{where}: {header!r} names the unit {inside!r}, which is none of {', '.join(KW_PER_UNIT)}; "
-                "convert the column, or pass unit= if it is one of these all the same"
-            )
-        return unit
-    if unit not in (None, named):
+    words = [inside, last_word(header)]
+    told = sorted({named for word in words if (named := _known(word)) is not None})
+    either = any(word.casefold() == "mw" and word not in KW_PER_UNIT for word in words)
+    if either and not {"mW", "MW"} & {*told, unit}:
         raise TraceError(
-            f"{where}: {header!r} names the unit {named}, but unit = {unit!r} is given; leave unit out, or rename "
+            f"{where}: {header!r} may mean milliwatt or megawatt; pass unit='mW' or unit='MW', or write mW or MW"
+        )
+    if square and not _known(inside) and not inside.isdigit():
+        others = [inside]
+    else:
+        others = [word for word in words if word.casefold() in _OTHERS]
+    if unit is None and others:
+        raise TraceError(
+            f"{where}: {header!r} names the unit {others[0]!r}, which is none of {', '.join(KW_PER_UNIT)}; "
+            "convert the column, or pass unit= if it is one of these all the same"
+        )
+    if len(told) > 1:
+        raise TraceError(f"{where}: {header!r} names the units {' and '.join(told)}; rename the column")
+    if told and unit not in (None, told[0]):
+        raise TraceError(
+            f"{where}: {header!r} names the unit {told[0]}, but unit = {unit!r} is given; leave unit out, or rename "
             "the column if its name is wrong"
         )
-    return named
+    return told[0] if told else unit
+
+
+def _known(word: str) -> str | None:
+    return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())

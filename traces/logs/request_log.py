@@ -13,13 +13,14 @@ from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.trace import TraceError
 
 COLUMNS = ("TIMESTAMP", "ContextTokens", "GeneratedTokens")
+LIMITS = (10_000_000, 100_000)
+"""Most context and generated tokens of a request that are believed; models take a million at most."""
 
 _CELLS = (rf"({TIMESTAMP})(?:Z|\+00:00)?", r"(\d{1,9})", r"(\d{1,9})")
 _LINE = re.compile(",".join(rf"[ \t]*{cell}[ \t]*" for cell in _CELLS))
 _REMEDIES = (
     "write times in UTC like 2023-11-16 18:15:46.6805900",
-    "give a whole number of at least 1, or remove the request",
-    "give a whole number of at least 1, or remove the request",
+    *(f"give a whole number from 1 to {limit}, or remove the request" for limit in LIMITS),
 )
 
 
@@ -32,19 +33,20 @@ def read_request_log(path: str | os.PathLike[str], name: str | None = None) -> R
     Parameters
     ----------
     path : text file, UTF-8, plain or gzip; times in UTC like `2023-11-16 18:15:46.6805900`, also with `T`, `Z` or
-        `+00:00`, up to 9 decimals; token counts are whole numbers of at least 1. Empty lines are skipped.
+        `+00:00`, up to 9 decimals; token counts are whole numbers from 1 to those of LIMITS. Empty lines are skipped,
+        and so are lines at the top that begin with `#`.
     name : of the requests; by default the file's name without suffix.
 
     Raises
     ------
     TraceError
         With the file and, where there is one, the line, for another header, a line that is not of the format, a token
-        count below 1, times out of order, and fewer than two times.
+        count out of range, times out of order, and fewer than two times.
     """
     arrival_s, context, generated = array("d"), array("q"), array("q")
     origin_ns = last_ns = None
     with open_text(path) as file:
-        header = next((line for line in iter(file.readline, "") if line.strip()), None)
+        header = next((line for line in iter(file.readline, "") if line.strip() and not line.startswith("#")), None)
         if header is None:
             raise TraceError(f"{file.name}: is empty; give a log with the header {','.join(COLUMNS)}")
         if tuple(cell.strip() for cell in header.split(",")) != COLUMNS:
@@ -90,12 +92,13 @@ def _read(file: str, block: Block) -> tuple[list[int], list[str], list[int]]:
         if found is None:
             raise _unreadable(file, number, line)
         time, *counts = found.groups()
-        counts = [int(count) for count in counts]
-        if not all(counts):
-            raise _fault(file, number, 1 + counts.index(0), "0")
+        context, generated = map(int, counts)
+        if not (1 <= context <= LIMITS[0] and 1 <= generated <= LIMITS[1]):
+            wrong = 1 if not 1 <= context <= LIMITS[0] else 2
+            raise _fault(file, number, wrong, counts[wrong - 1])
         lines.append(number)
         times.append(time)
-        tokens += counts
+        tokens += (context, generated)
     return lines, times, tokens
 
 

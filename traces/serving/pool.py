@@ -12,6 +12,8 @@ with the numbers of replicas that read and answer, on average over a step of 0.1
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict, replace
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
@@ -44,8 +46,8 @@ class Load(NamedTuple):
     dynamic: FloatArray
     compute: FloatArray
     done: FloatArray
-    """(4, n) of the requests answered: number, arrival, s, then s to the first token and to the last. Only numbers that
-    are multiples of the pool's `every`."""
+    """(5, n) of the requests answered: number, then as in RequestTimes. Only numbers that are multiples of the pool's
+    `every`."""
 
 
 class Pool:
@@ -84,7 +86,10 @@ class Pool:
         """Take the requests that arrive in the next `n_steps` steps of 0.1 s, (n,) each, and serve for as long."""
         longest = int(generated.max(initial=0))
         if longest > self._kernel.RING - 512:
-            raise TraceError(f"an answer of {longest} tokens is longer than {self._kernel.RING - 512}; cut it")
+            raise TraceError(
+                f"request {self._n_come + int(np.argmax(generated))} has an answer of {longest} tokens, more than the "
+                f"{self._kernel.RING - 512} that can be served; cut it"
+            )
         kernel, count = self._kernel, self._count
         begin_s, n_old, n_new = self._state[kernel.STEP] * GRID_S, self.waiting, len(arrival_s)
         table = np.zeros((7, n_old + n_new))
@@ -99,12 +104,13 @@ class Pool:
         done[count[kernel.READ] :] = False
         told = np.flatnonzero(done)
         told = told[table[kernel.NUMBER, told] % self.every == 0]
-        rows = [kernel.NUMBER, kernel.ARRIVAL, kernel.FIRST, kernel.GENERATED, kernel.END_V]
-        number, arrival, first_s, tokens, end_v = table[rows][:, told]
+        rows = [kernel.NUMBER, kernel.ARRIVAL, kernel.CONTEXT, kernel.FIRST, kernel.GENERATED, kernel.END_V]
+        number, arrival, context, first_s, tokens, end_v = table[rows][:, told]
         # The kernel knows to a step when an answer begins; none is faster than an answer in a batch of its own.
         earliest_s = first_s + (tokens - 1.0) * self.replica.decode_step_s(1.0)
         end_s = np.maximum(begin_s + _reached_s(end_v, at_v), earliest_s)
-        left = np.stack((number, arrival, first_s - arrival, end_s - arrival))
+        prefill_s = context / self.replica.prefill_tokens_per_s
+        left = np.stack((number, arrival, first_s - arrival, end_s - arrival, prefill_s))
         self._table = table[:, ~done]
         count -= np.count_nonzero(done)
         gpu = self.replica.gpu
@@ -170,8 +176,9 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     TraceError
         If there is no request or no replica.
     """
-    if len(requests) == 0 or n_replicas < 1:
-        raise TraceError(f"{len(requests)} requests and n_replicas = {n_replicas}; give at least one of each")
+    if len(requests) == 0 or isinstance(n_replicas, bool) or not isinstance(n_replicas, Integral) or n_replicas < 1:
+        raise TraceError(f"{len(requests)} requests and n_replicas = {n_replicas!r}; give at least one of each, whole")
+    n_replicas = int(n_replicas)
     pool, n_steps = Pool(replica, n_replicas), grid_steps(requests.duration_s)
     n_steps += bool(requests.arrival_s[-1] >= n_steps * GRID_S)  # a log ends with its last request
     whole = [(requests.arrival_s, requests.context_tokens, requests.generated_tokens)]
@@ -180,13 +187,15 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     while pool.waiting:
         done.append(pool.rest().done)
     table = np.concatenate(done, axis=1)
-    _, _, first_s, end_s = table[:, np.argsort(table[0])]  # answers end out of order
+    _, _, first_s, end_s, prefill_s = table[:, np.argsort(table[0])]  # answers end out of order
     dynamic, compute = (np.concatenate([getattr(load, name) for load in loads]) for name in ("dynamic", "compute"))
+    served_by = {"replica": asdict(replica), "replicas": n_replicas}
+    known = requests.provenance
     trace = as_trace(
         *site_shares(replica.gpu, dynamic, compute),
         f"{requests.name} on {n_replicas} x {replica.model.name}",
-        requests.provenance,
-        requests=RequestTimes(requests.arrival_s, first_s, end_s),
+        replace(known, parameters={**known.parameters, "served_by": served_by}),
+        RequestTimes(requests.arrival_s, first_s, end_s, prefill_s),
     )
     per_token_s = (end_s - first_s) / np.maximum(requests.generated_tokens - 1, 1)
     return Served(trace, first_s, per_token_s, end_s, queued)

@@ -1,16 +1,17 @@
 """A data centre of many GPUs: services of language models and training under one roof, over the hours of a day.
 
-Each service has its share of the GPUs, a model on them and a load, the mean arrival rate over the rate at which its
-replicas would be busy all the time. Sites can share their users: for the share `correlation` of the time, in blocks of
-ten minutes, all sites of a group get the very same requests, and their own ones otherwise. So 0 is independent, 1 is
-synchronous, and a site alone looks the same whatever the correlation.
+Each service has its share of the GPUs, a model on them and a load, the mean arrival rate over the rate that full
+batches sustain (with small batches the replicas are busy for much more of the time). Sites can share their users: for
+the share `correlation` of the time, in blocks of ten minutes, all sites of a group get the very same requests, and
+their own ones otherwise. So with 0 they are independent, with 1 synchronous, and a site alone looks the same whatever
+the correlation. Training and the idle draw stay each site's own.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,9 +29,9 @@ BLOCK_S = 600.0
 """Sites share their requests, or not, for this long at a time, s."""
 # A trace begins this long after the pools were empty, and goes on for a while so that late requests are answered.
 _WARM_UP_S, _TAIL_S = 120.0, 60.0
-# About so many requests a second are kept with a trace.
+# About so many requests a second are kept with a trace, the same share of every tenant's.
 _KEPT_PER_S = 5.0
-# Spread of the logarithm of a day's demand over days: a choice.
+# Spread of the logarithm of demand over days: a choice.
 _DAY_SPREAD = 0.1
 
 Part = tuple[FloatArray, IntArray, IntArray]
@@ -45,7 +46,7 @@ class Tenant:
     gpu_share: float
     """Share of the site's GPUs, in (0, 1]."""
     load: float
-    """Mean arrival rate over the rate that would keep the replicas busy all the time."""
+    """Mean arrival rate over the rate that full batches sustain."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,8 @@ def generate_site(
     Parameters
     ----------
     duration_s : length, s; rounded up to the grid of 0.1 s.
-    seed : integer of at least 0. The trace begins at hour `seed` modulo 24 of day `seed` // 24: 24 seeds in a row
-        are 24 hours, and seeds 24 apart the same hour of another day.
+    seed : integer of at least 0. The trace begins at hour `seed` modulo 24 of a day of its own, which has more or
+        less demand than others.
     site : what it is like.
     correlation : share of the time in which it gets the same requests as all sites of its group, 0 to 1.
     group : integer of at least 0 that sites which share requests have in common; required if `correlation` is not 0.
@@ -135,11 +136,12 @@ def generate_site(
             f"correlation = {correlation!r} with group {group!r}: give 0 to 1, and a group if it is above 0"
         )
     idle = idle_draw(stream("site idle", seed), n_steps)
-    day, hour = divmod(int(seed), 24)
+    group = None if group is None else int(group)
+    hour = int(seed) % 24
     share, compute = np.full(n_steps, IDLE_SHARE), np.zeros(n_steps)
     kept: list[FloatArray] = []
     for number, tenant in enumerate(site.tenants):
-        demand = _Demand(site, tenant, number, seed, group, correlation, day, 3600.0 * hour)
+        demand = _Demand(site, tenant, number, seed, group, correlation, 3600.0 * hour)
         own = np.zeros((2, n_steps))
         kept.append(_serve(site, tenant, demand, own))
         share += own[0]
@@ -155,9 +157,8 @@ def generate_site(
     if kept:
         table = np.concatenate(kept, axis=1)
         times = RequestTimes(*table[:, np.argsort(table[0], kind="stable")])
-    known = generated("site", seed)
-    parameters = {**asdict(site), "day": day, "hour": hour, "correlation": correlation, "group": group}
-    return as_trace(share, compute, f"site-{seed}", replace(known, parameters=parameters), times)
+    provenance = generated("site", seed, duration_s, site=site, hour=hour, correlation=correlation, group=group)
+    return as_trace(share, compute, f"site-{seed}", provenance, times)
 
 
 def generate_sites(
@@ -174,17 +175,17 @@ def generate_sites(
 class _Demand:
     """A tenant's requests, from the warm-up on; times in s from its beginning."""
 
-    def __init__(self, site, tenant, number, seed, group, correlation, day, begin_s) -> None:
+    def __init__(self, site, tenant, number, seed, group, correlation, begin_s) -> None:
         service = find_service(tenant.service)
         name = f"site {number} {service.name}"
         # Sites that share requests have their days of more and less in common; others do not.
-        day_rng = stream("site day", group if correlation else day)
+        day_rng = stream("site day", group if correlation else seed)
         level = math.exp(_DAY_SPREAD * day_rng.standard_normal() - 0.5 * _DAY_SPREAD**2)
         rate = level * site.rate_per_s(tenant)
         law = replace(service.arrivals, rate_per_s=rate, daily_swing=site.daily_swing)
         self.service, self.name, self.seed, self.group = replace(service, arrivals=law), name, seed, group
         self.correlation, self.begin_s = correlation, begin_s - _WARM_UP_S
-        self.every = max(1, round(rate / _KEPT_PER_S))
+        self.every = max(1, round(sum(map(site.rate_per_s, site.tenants)) / _KEPT_PER_S))
 
     def chunks(self, n_steps: int) -> Iterator[tuple[FloatArray, IntArray, IntArray, int]]:
         """Requests of each chunk of steps, and how many steps it has."""
@@ -208,7 +209,7 @@ class _Demand:
 def _serve(site: Site, tenant: Tenant, demand: _Demand, out: FloatArray) -> FloatArray:
     """Put a tenant's draw above idle and its compute-bound part into `out`, (2, n_steps); return the kept requests.
 
-    (3, n): arrival, s from the beginning of the trace; s to the first token; s to the last.
+    (4, n): arrival, s from the beginning of the trace, then as in RequestTimes.
     """
     found, n_replicas = site.replicas(tenant)
     pool = Pool(found, n_replicas, demand.every)

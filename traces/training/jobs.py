@@ -2,8 +2,8 @@
 
 The site is cut into slots. Each runs one job after another with idle time between; a job may fail, which drops it to
 idle at once, and goes on after a restart. A job computes near the rating and exchanges gradients near idle, at 0.2 to
-3 Hz (arXiv 2508.14318). The waveform stands in `training_job.py`, the numbers and their sources in
-`training_params.py`. No recording was at hand to calibrate against.
+3 Hz (arXiv 2508.14318). The waveform stands in `waveform.py`, the numbers and their sources in `params.py`.
+No recording was at hand to calibrate against.
 """
 
 from collections.abc import Iterator
@@ -49,7 +49,7 @@ def generate_training(duration_s: float, seed: int, params: TrainingParams | Non
         slot_share, slot_compute = _slot(slot_rng, idle, params)
         share += size * slot_share
         compute += size * slot_compute
-    return as_trace(share, compute, f"training-{seed}", generated("training", seed, params))
+    return as_trace(share, compute, f"training-{seed}", generated("training", seed, duration_s, params=params))
 
 
 class _Run(NamedTuple):

@@ -1,6 +1,7 @@
 """`dcgrid traces`, as a user runs it."""
 
 import json
+import re
 
 import pytest
 
@@ -29,6 +30,27 @@ def test_show_draws_one_trace_over_another(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "training: 60 s, generator training, seed 0" in printed
     assert "inference: 60 s" in printed
+
+
+@pytest.mark.filterwarnings("error")
+def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
+    out, path = tmp_path / "new" / "trace.png", tmp_path / "site.csv"
+    path.write_text("0,100\n5,200\n", encoding="utf-8")
+    for arguments, message in (
+        (["chat", "--duration-s", "1"], "chat: lasts 1 s, .* 2 steps of --dt-s 1, .*longer trace .--duration-s 2.$"),
+        (["chat", "--dt-s", "700"], r"chat: lasts 600 s, .*--duration-s 1400. or shorter steps .--dt-s 300.$"),
+        (["chat", "--duration-s", "1", "--dt-s", "0.1"], "lasts 1 s, .* 2 s for the spectrum; .*--duration-s 2.$"),
+        ([str(path), "--dt-s", "3"], r"site\.csv: lasts 5 s, .*give a longer recording or shorter steps .--dt-s 2.$"),
+        (["chat", "--against", str(path), "--dt-s", "3"], r"site\.csv: lasts 5 s"),
+        (["chat", "--dt-s", "-1"], "--dt-s = -1.0 is not a finite number above 0"),
+    ):
+        said = " ".join(fails(capsys, "show", *arguments, "--out", str(out)).split())
+        assert re.search(message, said), said
+        assert not out.parent.exists()
+    for arguments in (["chat", "--duration-s", "2"], [str(path), "--dt-s", "2"]):
+        main(["traces", "show", *arguments, "--out", str(out)])
+        assert out.read_bytes().startswith(b"\x89PNG")
+        out.unlink()
 
 
 def test_show_names_what_there_is(capsys):
@@ -64,6 +86,8 @@ def test_run_takes_any_load_and_keeps_its_origin(tmp_path, capsys):
     capsys.readouterr()
     main(["run", "--trace", "deepseek-v3", "--dvfs", "phase", "--split", "ood", *arguments])
     results = json.loads((tmp_path / "results.json").read_text())
-    assert results["meta"]["trace"] == [{"name": "generator deepseek-v3"}]
-    assert results["episodes"][0]["requests"] > 0
+    origin = results["meta"]["trace"]
+    assert [row["seed"] for row in origin] == [3_000_000 + i for i in range(24)]
+    assert origin[0]["parameters"]["site"]["gpu"] == "H200"
+    assert results["episodes"][0]["requests_sampled"] > 0
     assert "time to first token, 99 %" in capsys.readouterr().out

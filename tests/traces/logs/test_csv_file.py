@@ -43,7 +43,7 @@ def test_units(write, unit, factor):
 def test_columns_by_index_and_by_name(write):
     path = write("\ufefftime (s), gpu0 ,gpu1\n\n0,100,200\n0.5,110,210\n")
     for columns in ([2], ["gpu1"]):
-        np.testing.assert_allclose(PowerTrace.from_csv(path, power_columns=columns).power_kw, [0.2, 0.21])
+        np.testing.assert_allclose(PowerTrace.from_csv(path, power_columns=columns, unit="W").power_kw, [0.2, 0.21])
     swapped = PowerTrace.from_csv(path, time_column="gpu0", power_columns=["time (s)"], unit="kW")
     np.testing.assert_array_equal(swapped.time_s, [100.0, 110.0])
     np.testing.assert_array_equal(swapped.power_kw, [0.0, 0.5])
@@ -51,7 +51,8 @@ def test_columns_by_index_and_by_name(write):
 
 def test_a_header_of_numbers_is_read_when_told(write):
     path = write("9,1,2\n0,100,200\n1,110,210\n")
-    np.testing.assert_allclose(PowerTrace.from_csv(path, header=True, power_columns=["2"]).power_kw, [0.2, 0.21])
+    trace = PowerTrace.from_csv(path, header=True, power_columns=["2"], unit="W")
+    np.testing.assert_allclose(trace.power_kw, [0.2, 0.21])
 
 
 def test_other_delimiter(write):
@@ -64,7 +65,7 @@ def test_other_delimiter(write):
         ("", {}, r"site.csv: is empty; give a file"),
         ("\n \n", {}, r"site.csv: is empty"),
         ("0,1\n", {}, r"site.csv: has 1 samples; give at least 2"),
-        ("t,p\n", {}, r"site.csv: has 0 samples; give at least 2"),
+        ("t,p_w\n", {}, r"site.csv: has 0 samples; give at least 2"),
         (TWO_GPUS, {"unit": "GW"}, r"unit 'GW' is unknown; choose one of W, kW, MW"),
         (TWO_GPUS, {"delimiter": "::"}, r"delimiter = '::' is not one character"),
         (TWO_GPUS, {"limit_kw": 0.0}, r"limit_kw = 0.0 is not a finite number above 0"),
@@ -84,10 +85,26 @@ def test_other_delimiter(write):
         (TWO_GPUS, {"max_gap_s": 1.0}, r"site.csv, line 3: comes 1.5 s after .* max_gap_s = 1; raise .* gaps='hold'"),
         (TWO_GPUS, {"max_gap_s": 1e-7, "gaps": "linear"}, r"line 3: .* more than 1000000 samples .*check the clock"),
         ("t,p [BTU]\n0,1\n1,1\n", {}, r"site.csv, line 1: 'p \[BTU\]' names the unit 'BTU', which is none of W"),
-        ("t,p [mw]\n0,1\n1,1\n", {}, r"names the unit 'mw', which is none of"),
+        ("t,p (hp)\n0,1\n1,1\n", {}, r"line 1: 'p \(hp\)' names the unit 'hp', which is none of"),
+        ("t,P/kWh\n0,1\n1,1\n", {}, r"line 1: 'P/kWh' names the unit 'kWh', which is none of"),
+        ("t,p_w (hp)\n0,1\n1,1\n", {}, r"line 1: 'p_w \(hp\)' names the unit 'hp', which is none of"),
+        ("t,p [mw]\n0,1\n1,1\n", {}, r"line 1: 'p \[mw\]' may mean milliwatt or megawatt; pass unit='mW' or unit='MW'"),
+        ("t,site_mw\n0,1\n1,1\n", {}, r"line 1: 'site_mw' may mean milliwatt or megawatt; pass unit='mW' or unit="),
+        ("t,site_mw\n0,1\n1,1\n", {"unit": "W"}, r"line 1: 'site_mw' may mean"),
+        ("t,p_mw [W]\n0,1\n1,1\n", {}, r"line 1: 'p_mw \[W\]' may mean"),
+        ("t,p_w [kW]\n0,1\n1,1\n", {}, r"line 1: 'p_w \[kW\]' names the units W and kW; rename"),
+        ("t,p_w\n0,1\n1,1\n", {"unit": "kW"}, r"line 1: 'p_w' names the unit W, but unit = 'kW' is given"),
+        ("# a\ntime,power\n0,1\n1,1\n", {}, r"site.csv, line 2: 'power' tells no unit of power; pass unit= \(one of W"),
+        ("t,gpu[0]\n0,1\n1,1\n", {}, r"line 1: 'gpu\[0\]' tells no unit of power"),
+        ("t,p (left)\n0,1\n1,1\n", {}, r"line 1: 'p \(left\)' tells no unit of power"),
+        ("1,2\n0,1\n1,1\n", {"header": True}, r"line 1: '2' tells no unit of power"),
         ("# a\nt,p [W]\n0,1\n1,1\n", {"unit": "kW"}, r"line 2: 'p \[W\]' names the unit W, but unit = 'kW' is given"),
-        ("t,p [W],q\n0,1,1\n1,1,1\n", {}, r"line 1: 'q' names no unit, other columns do; pass unit="),
+        ("t,p [W],q\n0,1,1\n1,1,1\n", {}, r"line 1: 'q' tells no unit of power; pass .*leave the column out"),
         ("t [ms],p\n0,1\n1,1\n", {}, r"line 1: the time column 't \[ms\]' is not in seconds; convert it"),
+        ("time_ms,p_w\n0,1\n1,1\n", {}, r"line 1: the time column 'time_ms' is not in seconds"),
+        ("t(h),p_w\n0,1\n1,1\n", {}, r"line 1: the time column 't\(h\)' is not in seconds"),
+        ("t/\u00b5s,p_w\n0,1\n1,1\n", {}, r"line 1: the time column 't/.s' is not in seconds"),
+        ("Minutes,p_w\n0,1\n1,1\n", {}, r"line 1: the time column 'Minutes' is not in seconds"),
         ("# one\n# two\n", {}, r"site.csv: is empty"),
         ("# dcgrid trace {1\n0,1\n1,1\n", {}, r"site.csv, line 1: what follows .* is not JSON"),
         ("# dcgrid trace [1]\n0,1\n1,1\n", {}, r"site.csv, line 1: what follows .* is \[1\]; give a JSON object"),
@@ -103,13 +120,13 @@ def test_other_delimiter(write):
         (TWO_GPUS, {"power_columns": "gpu0"}, r"power_columns is 'gpu0'; give a list"),
         ("0;1\n1;2\n", {"header": False}, r"has 1 column; .*pass delimiter="),
         ("0,1,2\n1,high,2\n", {}, r"site.csv, line 2: column 1 is 'high', not a number; repair the cell"),
-        ("t,a\n0,1\n\n1,\n", {}, r"site.csv, line 4: column 1 \('a'\) is '', not a number"),
+        ("t,a\n0,1\n\n1,\n", {"unit": "W"}, r"site.csv, line 4: column 1 \('a'\) is '', not a number"),
         ("time,0,1\n0,1,2\n", {}, r"line 1: column 0 is 'time', not a number; pass header=True"),
         ("0,1,2\n1,2\n", {}, r"site.csv, line 2: has 2 cells, the first line 3; repair the line"),
         ("0,1\n1,nan\n2,1\n", {}, r"site.csv, line 2: column 1 is nan; remove or repair"),
         ("0,1\ninf,1\n", {}, r"site.csv, line 2: column 0 is inf"),
         # One GPU below zero is named even where the sum is not.
-        ("t,a,b\n0,9,9\n1,9,-2\n", {}, r"site.csv, line 3: column 2 \('b'\) is -2; .*check the sign"),
+        ("t,a,b\n0,9,9\n1,9,-2\n", {"unit": "W"}, r"site.csv, line 3: column 2 \('b'\) is -2; .*check the sign"),
         ("0,1\n2,1\n1,1\n", {}, r"site.csv, line 3: column 0 1.0 comes after 2.0; sort"),
         ("0,1\n2,1\n2,1\n", {}, r"site.csv, line 3: column 0 2.0 repeats 2.0"),
     ],
@@ -138,8 +155,35 @@ def test_units_are_told_by_the_header(write):
     assert PowerTrace.from_csv(write("t,p [Watts]\n0,9\n1,9\n")).power_kw == pytest.approx([0.009, 0.009])
     # What is no unit, or is overruled by the caller, does not count.
     for header in ("t,gpu[0]", "t,p (left)", "t,p"):
-        assert PowerTrace.from_csv(write(f"{header}\n0,9\n1,9\n")).power_kw == pytest.approx([0.009, 0.009])
+        trace = PowerTrace.from_csv(write(f"{header}\n0,9\n1,9\n"), unit="W")
+        assert trace.power_kw == pytest.approx([0.009, 0.009])
     assert PowerTrace.from_csv(write("t,p [BTU]\n0,9\n1,9\n"), unit="kW").power_kw.tolist() == [9.0, 9.0]
+
+
+@pytest.mark.parametrize(
+    ("header", "kw"),
+    [
+        *[(name, 1e-3) for name in ("gpu0_w", "Power_W", "load W", "P/W", "W", "p in watts", "gpu_w[0]", "p_W (left)")],
+        *[(name, 1.0) for name in ("site_kw", "site_kW", "POWER_KW", "P/kW", "P / kW", "power (kW)", "load kW", "kW")],
+        *[(name, 1e3) for name in ("site_MW", "P/MW", "site (MW)", "p_megawatt", "power.MW", "p_mw [MW]")],
+        *[(name, 1e-6) for name in ("gpu_mW", "gpu [mW]", "gpu milliwatts")],
+    ],
+)
+def test_units_as_people_write_them(write, header, kw):
+    assert PowerTrace.from_csv(write(f"t,{header}\n0,9\n1,9\n")).power_kw == pytest.approx([9 * kw, 9 * kw])
+
+
+@pytest.mark.parametrize(("unit", "kw"), [("mW", 1e-6), ("MW", 1e3)])
+def test_small_mw_is_told_by_the_caller(write, unit, kw):
+    path = write("t,site_mw\n0,9\n1,9\n")
+    assert PowerTrace.from_csv(path, unit=unit).power_kw == pytest.approx([9 * kw, 9 * kw])
+
+
+@pytest.mark.parametrize(
+    "time", ["time_s", "time", "t", "time [s]", "t (seconds)", "time/s", "Time_S", "timestamp", "s"]
+)
+def test_time_columns_in_seconds(write, time):
+    assert PowerTrace.from_csv(write(f"{time},p_w\n0,9\n1,9\n")).duration_s == 1.0
 
 
 def test_gaps_are_accepted_held_or_filled(write):
@@ -152,7 +196,7 @@ def test_gaps_are_accepted_held_or_filled(write):
 
 
 def test_first_lines_and_the_hash_go_to_the_provenance(write):
-    text = '# dcgrid trace {"gpu": "A100", "period_s": 0.1}\n# made by hand\ntime,p\n0,1\n1,2\n'
+    text = '# dcgrid trace {"gpu": "A100", "period_s": 0.1}\n# made by hand\ntime,p_w\n0,1\n1,2\n'
     path = write(text)
     origin = PowerTrace.from_csv(path).provenance
     assert origin.parameters == {"gpu": "A100", "period_s": 0.1}
@@ -181,8 +225,8 @@ def test_a_damaged_gzip_is_named(tmp_path, damage):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_encodings_and_line_ends(tmp_path, encoding, end):
     path = tmp_path / "site.csv"
-    path.write_bytes(("t,p\n" + TWO_GPUS.replace(",2", "")).replace("\n", end).encode(encoding))
-    assert PowerTrace.from_csv(path, power_columns=["p"]).time_s.tolist() == [0.0, 0.5, 2.0]
+    path.write_bytes(("t,p_w\n" + TWO_GPUS.replace(",2", "")).replace("\n", end).encode(encoding))
+    assert PowerTrace.from_csv(path, power_columns=["p_w"]).time_s.tolist() == [0.0, 0.5, 2.0]
 
 
 def test_lines_that_need_a_closer_look(write):
@@ -191,7 +235,7 @@ def test_lines_that_need_a_closer_look(write):
     trace = PowerTrace.from_csv(write(text), power_columns=["power"], unit="kW")
     assert trace.power_kw.tolist() == [1.0, 2.0, 10.0]
     with pytest.raises(TraceError, match=r"line 5: has 4 cells, the first line 3"):
-        PowerTrace.from_csv(write("t,gpu,power\n0,a,1\n\n1,c,2\n2,b,c,2\n"), power_columns=["power"])
+        PowerTrace.from_csv(write("t,gpu,p_w\n0,a,1\n\n1,c,2\n2,b,c,2\n"), power_columns=["p_w"])
 
 
 def test_a_line_without_end_is_named(write):
@@ -208,7 +252,7 @@ TABLES = st.lists(
 def test_what_is_written_is_read_whatever_the_block(tmp_path_factory, table, block_chars, header, gaps):
     time_s = np.cumsum([step for step, _ in table])
     cells = np.array([row for _, row in table])
-    lines = ["# note", "t,a,b,c"] if header else []
+    lines = ["# note", "t,a_w,b (W),c [W]"] if header else []
     lines += [",".join(map(repr, row)) for row in np.column_stack([time_s, cells]).tolist()]
     path = tmp_path_factory.mktemp("tables") / "site.csv"
     path.write_text("\n\n".join(lines), encoding="utf-8")
@@ -216,7 +260,7 @@ def test_what_is_written_is_read_whatever_the_block(tmp_path_factory, table, blo
         trace = PowerTrace.from_csv(path)
         filled = PowerTrace.from_csv(path, max_gap_s=100.0, gaps=gaps)
     np.testing.assert_array_equal(trace.time_s, time_s)
-    np.testing.assert_allclose(trace.power_kw, cells.sum(axis=1) * 1e-3, rtol=1e-14)
+    np.testing.assert_allclose(trace.power_kw, cells.sum(axis=1) * 1e-3, rtol=1e-14, atol=1e-300)
     whole = PowerTrace.from_csv(path, max_gap_s=100.0, gaps=gaps)
     np.testing.assert_array_equal(filled.time_s, whole.time_s)
     np.testing.assert_array_equal(filled.power_kw, whole.power_kw)

@@ -141,6 +141,14 @@ def test_a_missing_reading_is_a_gap_of_its_gpu(write, missing):
     np.testing.assert_allclose(read_gpu_log(path, gaps="linear").power_kw, [0.11, 0.17, 0.23])
 
 
+def test_one_gpu_with_a_gap_that_a_column_tells_apart(write):
+    path = write(TWO + rows(*((s, f"0, {100 + s} W") for s in (0, 1, 2, 3, 4, 30))))
+    trace = read_gpu_log(path, gaps="linear")
+    assert trace.time_s.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 17.0, 30.0]
+    np.testing.assert_allclose(trace.power_kw[-3:], [0.104, 0.117, 0.13])
+    assert trace.provenance.parameters["gpus"] == 1
+
+
 def test_a_gpu_that_comes_late_or_leaves_early(write):
     late = rows(*((s, "0, 100 W") for s in range(0, 40, 10)), (30, "1, 10 W"), (40, "0, 100 W"), (40, "1, 20 W"))
     path = write(TWO + late)

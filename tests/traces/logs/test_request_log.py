@@ -80,7 +80,7 @@ def test_times_count_from_the_first_request(write):
 
 def test_forms_of_time_of_2024(write):
     text = "2024-05-10T00:00:00Z,1,2\n2024-05-10 00:00:00.009930+00:00 , 3, 4\n\n2024-05-10 00:00:01+00:00,5,6\n"
-    requests = read_request_log(write(HEADER + text))
+    requests = read_request_log(write("# week 2\n" + HEADER + text))
     np.testing.assert_allclose(requests.arrival_s, [0.0, 0.00993, 1.0], atol=1e-12)
 
 
@@ -109,6 +109,15 @@ def test_gzip(tmp_path):
         (HEADER + TWO + "2023-11-16 18:15:51,0,2\n", r"line 4: ContextTokens is '0'; .*remove the request"),
         (HEADER + TWO + "2023-11-16 18:15:51,1,0\n", r"line 4: GeneratedTokens is '0'"),
         (HEADER + TWO + "2023-11-16 18:15:51,1,-2\n", r"line 4: GeneratedTokens is '-2'"),
+        (
+            HEADER + TWO + "2023-11-16 18:15:51,1,100001\n",
+            r"line 4: GeneratedTokens is '100001'; .* from 1 to 100000, or",
+        ),
+        (
+            HEADER + TWO + "\n2023-11-16 18:15:51,10000001,1\n",
+            r"line 5: ContextTokens is '10000001'; .* 1 to 10000000,",
+        ),
+        (HEADER + TWO + f"2023-11-16 18:15:51,{10**12},1\n", r"line 4: ContextTokens is '10+'; .* 1 to 10000000, or"),
     ],
 )
 @pytest.mark.parametrize("block_chars", [1, 1 << 22])
@@ -117,7 +126,7 @@ def test_bad_logs_are_named(write, text, message, block_chars):
         read_request_log(write(text))
 
 
-REQUESTS = st.tuples(st.integers(0, 10**10), st.integers(1, 10**6), st.integers(1, 10**6))
+REQUESTS = st.tuples(st.integers(0, 10**10), st.integers(1, 10**7), st.integers(1, 10**5))
 
 
 @given(st.lists(REQUESTS, min_size=1, max_size=20), st.sampled_from([1, 50, 1 << 22]))

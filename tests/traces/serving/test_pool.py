@@ -2,7 +2,8 @@
 
 import heapq
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from dcgrid_env.traces import (
 from dcgrid_env.traces.serving.pool import Pool, decode_share, in_chunks
 
 UNIT = replica("H100", "llama3-70b")
+HALF_MORE: Any = 1.5
 SMALL = replace(UNIT, batch_limit=3)
 EVEN = replace(SERVICES["chat"], name="even", arrivals=Arrivals(1.0))
 
@@ -270,13 +272,14 @@ def advanced(unit, n_replicas, made, cuts, every=1):
 def test_every_request_is_answered_or_waits(made, n_replicas, unit):
     arrival_s, context, tokens, cuts = made
     loads, done, pool = advanced(unit, n_replicas, made, cuts)
-    assert done.shape[1] + pool.waiting == len(arrival_s)
+    assert done.shape == (5, len(arrival_s) - pool.waiting)
     while pool.waiting:
         done = np.concatenate((done, pool.rest().done), axis=1)
     assert done.shape[1] == len(arrival_s)
     done = done[:, np.argsort(done[0])]
     np.testing.assert_array_equal(done[0], np.arange(len(arrival_s)))
     np.testing.assert_array_equal(done[1], arrival_s)
+    np.testing.assert_allclose(done[4], context / unit.prefill_tokens_per_s, rtol=1e-12)
     assert (done[2] >= context / unit.prefill_tokens_per_s - 1e-9).all()
     assert (done[3] - done[2] >= (tokens - 1) * unit.decode_step_s(1) - 1e-9).all()
     for load in loads:
@@ -361,12 +364,18 @@ def test_served_requests_come_with_their_trace():
     made = at_load(SERVICES["chat"], UNIT, 2, 1.3)
     served = serve(made, UNIT, 2)
     assert served.trace.duration_s == pytest.approx(made.duration_s)
-    assert served.trace.provenance is made.provenance
+    assert served.trace.rated_kw == 1.0
+    known = served.trace.provenance
+    assert (known.name, known.seed) == (made.provenance.name, made.provenance.seed)
+    served_by = {"replica": asdict(UNIT), "replicas": 2}
+    assert known.parameters == {**made.provenance.parameters, "served_by": served_by}
     times = served.trace.requests
     assert times is not None
     np.testing.assert_array_equal(times.arrival_s, made.arrival_s)
     np.testing.assert_array_equal(times.first_token_s, served.time_to_first_token_s)
     np.testing.assert_array_equal(times.end_s, served.end_to_end_s)
+    np.testing.assert_allclose(times.prefill_s, made.context_tokens / UNIT.prefill_tokens_per_s, rtol=1e-12)
+    assert (times.first_token_s >= times.prefill_s - 1e-9).all()
     late = np.count_nonzero(made.arrival_s + served.end_to_end_s > made.duration_s)
     assert served.queued == pytest.approx(late, abs=2)
 
@@ -378,6 +387,36 @@ def test_what_cannot_be_served_is_named():
     one = Requests(np.zeros(1), np.ones(1, int), np.ones(1, int), 10.0)
     with pytest.raises(TraceError, match="1 requests and n_replicas = 0"):
         serve(one, UNIT, 0)
-    endless = Requests(np.zeros(1), np.ones(1, int), np.full(1, 100_000), 10.0)
-    with pytest.raises(TraceError, match="an answer of 100000 tokens is longer than 7680; cut it"):
-        serve(endless, UNIT)
+    with pytest.raises(TraceError, match=r"1 requests and n_replicas = 1.5; give at least one of each, whole"):
+        serve(one, UNIT, HALF_MORE)
+    long = np.ones(9000, int)
+    long[[8000, 8500]] = 7681, 100_000
+    made = Requests(np.arange(9000.0), np.ones(9000, int), long, 9000.0)
+    with pytest.raises(TraceError, match="request 8000 has an answer of 7681 tokens, more than the 7680 that can be"):
+        serve(made, UNIT)
+    # The longest that can be.
+    assert serve(replace(made, generated_tokens=np.minimum(long, 7680)), UNIT).queued == 0
+
+
+@pytest.mark.parametrize("duration_s", [0.1, 0.3, 0.7, 10.0, 299.9, 300.0, 1234.5])
+def test_a_request_at_the_very_end_is_served(duration_s):
+    made = Requests(np.array([0.0, duration_s]), np.full(2, 1401), np.full(2, 11), duration_s)
+    served = serve(made, UNIT)
+    # The trace has the step of 0.1 s in which it comes; 0.3 s are three steps but for the last bit.
+    assert duration_s < served.trace.duration_s <= duration_s + 0.1 + 1e-9
+    assert np.isfinite(served.end_to_end_s).all()
+    read_s = 1401 / UNIT.prefill_tokens_per_s
+    assert read_s - 1e-9 <= served.time_to_first_token_s[1] <= read_s + 0.1 + served.end_to_end_s[0]
+    assert served.queued >= 1
+    longer = serve(replace(made, duration_s=duration_s + 0.1), UNIT)
+    n_steps = len(served.trace.power_kw) - 1
+    np.testing.assert_array_equal(served.trace.power_kw[:n_steps], longer.trace.power_kw[:n_steps])
+    np.testing.assert_array_equal(served.time_to_first_token_s, longer.time_to_first_token_s)
+
+
+@pytest.mark.parametrize("step", [3, 7, 1009, 2999, 3000, 29_999])
+def test_a_request_at_the_edge_of_a_step_is_served(step):
+    # 0.1 k and what repeated addition gives differ in the last bit.
+    for arrival_s in (step * 0.1, np.nextafter(step * 0.1, 0.0), np.nextafter(step * 0.1, 1e9)):
+        served = serve(Requests(np.array([arrival_s]), np.full(1, 10), np.full(1, 5), 3000.0), UNIT)
+        assert served.time_to_first_token_s[0] == pytest.approx(10 / UNIT.prefill_tokens_per_s, abs=0.11)

@@ -1,27 +1,18 @@
 """Services: the published statistics of the presets, the laws of tokens, and requests on demand."""
 
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from dcgrid_env.traces import SERVICES, Arrivals, Service, TokenLaw, TraceError, requests
+from dcgrid_env.traces import SERVICES, Arrivals, Requests, Service, TokenLaw, TraceError, requests
+from dcgrid_env.traces.compare_requests import FIGURES, RECORDED, TOLERANCE, fano, figures
 
 DAY_S = 86_400.0
 SEEDS = (0, 1, 2)
-
-# Read off the hour of each service in the Azure LLM inference trace 2023 (CC-BY 4.0; Splitwise, ISCA 2024).
-PUBLISHED = {
-    "chat": {"rate": 5.53, "variation": 1.09, "fano 1 s": 1.39, "fano 60 s": 20.6},
-    "code": {"rate": 2.57, "variation": 13.2, "fano 1 s": 13.2, "fano 60 s": 161.0},
-}
-TOKENS = {
-    "chat": ((1020, 2734, 4142), (129, 424, 601)),
-    "code": ((1469, 5186, 7436), (13, 55, 249)),
-}
-# Relative, of each single day of 24 h.
-TOLERANCE = {"rate": 0.05, "variation": 0.05, "fano 1 s": 0.08, "fano 60 s": 0.10}
-TOKEN_TOLERANCE = 0.15
 
 
 @pytest.fixture(scope="module")
@@ -29,31 +20,34 @@ def days():
     return {name: [requests(name, hours=24, seed=seed) for seed in SEEDS] for name in SERVICES}
 
 
-def fano(arrival_s, window_s):
-    counts = np.histogram(arrival_s, np.arange(0.0, DAY_S + 0.5 * window_s, window_s))[0]
-    return counts.var() / counts.mean()
-
-
-@pytest.mark.parametrize("day", SEEDS)
+@pytest.mark.parametrize("figure", FIGURES)
 @pytest.mark.parametrize("name", SERVICES)
-def test_arrivals_reproduce_the_published_statistics(days, name, day):
-    arrival_s = days[name][day].arrival_s
-    gap_s = np.diff(arrival_s)
-    measured = {
-        "rate": len(arrival_s) / DAY_S,
-        "variation": gap_s.std() / gap_s.mean(),
-        "fano 1 s": fano(arrival_s, 1.0),
-        "fano 60 s": fano(arrival_s, 60.0),
-    }
-    for figure, published in PUBLISHED[name].items():
-        assert measured[figure] == pytest.approx(published, rel=TOLERANCE[figure]), figure
+def test_figures_are_those_of_the_recording(days, name, figure):
+    at = FIGURES.index(figure)
+    measured = np.array([figures(day)[at] for day in days[name]])
+    assert measured.mean() == pytest.approx(RECORDED[name][at], rel=TOLERANCE[at])
+    # And so in each single day, but for the spread of days.
+    np.testing.assert_allclose(measured, RECORDED[name][at], rtol=TOLERANCE[at] + 0.05)
 
 
-@pytest.mark.parametrize("name", SERVICES)
-def test_tokens_reproduce_the_published_quantiles(days, name):
-    for day in days[name]:
-        for counts, published in zip((day.context_tokens, day.generated_tokens), TOKENS[name], strict=True):
-            np.testing.assert_allclose(np.quantile(counts, [0.5, 0.9, 0.99]), published, rtol=TOKEN_TOLERANCE)
+def test_the_tables_of_figures_are_as_long_as_each_other():
+    assert set(RECORDED) == set(SERVICES)
+    assert all(len(table) == len(FIGURES) for table in (TOLERANCE, *RECORDED.values()))
+
+
+def test_windows_of_the_fano_factor_are_whole():
+    # Five a second for a minute and for half of another one.
+    made = Requests(np.arange(0.0, 90.0, 0.2), np.ones(450, int), np.ones(450, int), 90.0)
+    assert fano(made, 60.0) == 0.0
+    assert fano(made, 1.0) == pytest.approx(0.0, abs=1e-9)
+    assert fano(replace(made, duration_s=120.0), 60.0) == pytest.approx(75.0**2 / 225.0)
+    # No window is lost to rounding.
+    assert fano(replace(made, arrival_s=np.sort(made.arrival_s % 0.3), duration_s=0.3), 0.1) > 0.0
+
+
+def test_the_fano_factor_of_chat_lies_between_that_of_whole_minutes_and_the_published_one(days):
+    at = FIGURES.index("Fano factor at 60 s")
+    assert RECORDED["chat"][at] < np.mean([figures(day)[at] for day in days["chat"]]) < 20.6
 
 
 @pytest.mark.parametrize("name", SERVICES)
@@ -64,8 +58,8 @@ def test_requests_are_what_their_type_promises(days, name):
         assert day.context_tokens.dtype == day.generated_tokens.dtype == np.int64
         assert len(day) == len(day.arrival_s) == len(day.context_tokens) == len(day.generated_tokens)
         assert day.duration_s == DAY_S
-        assert 1 <= day.context_tokens.min() <= day.context_tokens.max() == service.context.most
-        assert 1 <= day.generated_tokens.min() <= day.generated_tokens.max() == service.generated.most
+        assert 1 <= day.context_tokens.min() <= day.context_tokens.max() <= service.context.most
+        assert 1 <= day.generated_tokens.min() <= day.generated_tokens.max() <= service.generated.most
 
 
 def test_tokens_do_not_hang_on_each_other_or_on_the_time(days):
@@ -85,7 +79,8 @@ def test_same_seed_same_bytes_and_another_seed_others(name):
 
 
 def test_the_two_services_have_streams_of_their_own():
-    even = {name: Service(name, Arrivals(5.0), TokenLaw(5, 1, 999), TokenLaw(5, 1, 999)) for name in ("a", "b")}
+    law = TokenLaw(((1, 5, 1),), 999)
+    even = {name: Service(name, Arrivals(5.0), law, law) for name in ("a", "b")}
     a, b = (requests(service, 0.1, 1) for service in even.values())
     assert not np.array_equal(a.arrival_s[:50], b.arrival_s[:50])
     # Contexts and answers of one law are drawn apart.
@@ -96,7 +91,8 @@ def test_another_rate_keeps_the_shape_of_the_bursts():
     made = requests("code", 24, 1, rate_per_s=10.0)
     assert len(made) / DAY_S == pytest.approx(10.0, rel=0.05)
     # For long windows the Fano factor of a two-state process grows with the rate.
-    assert fano(made.arrival_s, 60.0) == pytest.approx(161 * 10.0 / 2.57, rel=0.15)
+    recorded = dict(zip(FIGURES, RECORDED["code"], strict=True))
+    assert fano(made, 60.0) == pytest.approx(recorded["Fano factor at 60 s"] * 10.0 / recorded["rate (1/s)"], rel=0.15)
     assert made.provenance.parameters["arrivals"]["rate_per_s"] == 10.0
 
 
@@ -121,31 +117,78 @@ def test_nothing_may_come():
     assert none.context_tokens.dtype == np.int64
 
 
-@pytest.mark.parametrize("law", [TokenLaw(5.0, 0.8, 10_000), TokenLaw(6.8, 0.87, 4142), TokenLaw(2.58, 1.2, 1900)])
-def test_token_law_has_its_mean_and_quantiles(law):
-    counts = law.draw(np.random.default_rng(1), 400_000)
-    assert counts.mean() == pytest.approx(law.mean, rel=0.02)
+@pytest.mark.parametrize(("log_mean", "log_std", "most"), [(5.0, 0.8, 10_000), (6.8, 0.87, 4142), (2.58, 1.2, 1900)])
+def test_a_law_of_one_part_is_log_normal(log_mean, log_std, most):
+    # Whatever its weight.
+    one, two = (TokenLaw(((weight, log_mean, log_std),), most) for weight in (1.0, 0.2))
+    counts = one.draw(np.random.default_rng(1), 400_000)
+    np.testing.assert_array_equal(counts[:100], two.draw(np.random.default_rng(1), 400_000)[:100])
+    assert one.mean == two.mean
+    assert counts.mean() == pytest.approx(one.mean, rel=0.02)
     for share in (0.1, 0.5, 0.9):
-        quantile = min(np.exp(law.log_mean + law.log_std * NormalDist().inv_cdf(share)), law.most)
+        quantile = min(np.exp(log_mean + log_std * NormalDist().inv_cdf(share)), most)
         assert np.quantile(counts, share) == pytest.approx(quantile, rel=0.02, abs=0.6)
 
 
+def test_a_mixture_draws_its_parts_by_their_weights():
+    # Parts that do not overlap: 7, 55 and 403 tokens, give or take a few.
+    law = TokenLaw(((1.0, 2.0, 0.02), (2.0, 4.0, 0.02), (5.0, 6.0, 0.02)), 1000)
+    counts = law.draw(np.random.default_rng(1), 200_000)
+    below = np.array([np.mean(counts < edge) for edge in (20, 150)])
+    np.testing.assert_allclose(below, [1 / 8, 3 / 8], atol=0.005)
+    for low, high, log_mean in ((0, 20, 2.0), (20, 150, 4.0), (150, 1000, 6.0)):
+        part = counts[(counts > low) & (counts < high)]
+        assert np.median(part) == pytest.approx(np.exp(log_mean), abs=0.6)
+    # Weights need not add up to one.
+    scaled = TokenLaw(tuple((weight / 8.0, mean, std) for weight, mean, std in law.parts), 1000)
+    np.testing.assert_array_equal(scaled.draw(np.random.default_rng(1), 1000), law.draw(np.random.default_rng(1), 1000))
+    assert scaled.mean == pytest.approx(law.mean)
+
+
+@pytest.mark.parametrize("kind", ["context", "generated"])
+@pytest.mark.parametrize("name", SERVICES)
+def test_the_mean_of_a_law_is_that_of_its_draws(name, kind):
+    law = getattr(SERVICES[name], kind)
+    counts = law.draw(np.random.default_rng(2), 400_000)
+    assert counts.mean() == pytest.approx(law.mean, rel=0.01)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    parts=st.lists(st.tuples(st.floats(0.1, 10.0), st.floats(2.0, 7.0), st.floats(0.01, 1.2)), min_size=1, max_size=4),
+    most=st.integers(1, 5000),
+    seed=st.integers(0, 2**32),
+)
+def test_any_law_of_tokens(parts, most, seed):
+    law = TokenLaw(tuple(parts), most)
+    counts = law.draw(np.random.default_rng(seed), 20_000)
+    assert counts.dtype == np.int64
+    assert counts.shape == (20_000,)
+    assert 1 <= counts.min() <= counts.max() <= most
+    # Five standard errors, and what rounding does to a narrow part.
+    assert counts.mean() == pytest.approx(law.mean, abs=5.0 * counts.std() / np.sqrt(20_000) + 0.5)
+    assert law.draw(np.random.default_rng(seed), 0).shape == (0,)
+
+
 def test_a_token_law_is_cut_at_both_ends():
-    counts = TokenLaw(0.0, 3.0, 7).draw(np.random.default_rng(1), 1000)
+    counts = TokenLaw(((1.0, 0.0, 3.0),), 7).draw(np.random.default_rng(1), 1000)
     assert set(counts) == set(range(1, 8))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("parts", "most", "message"),
     [
-        ((0.0, 1.0, 0), r"give a number, and at least 1"),
-        ((np.nan, 1.0, 5), r"TokenLaw\(log_mean=nan, most=5\)"),
-        ((0.0, 0.0, 5), r"TokenLaw.log_std = 0.0"),
+        (((1.0, 0.0, 1.0),), 0, r"give a part, and at least 1 token"),
+        ((), 5, r"TokenLaw\(parts=\(\), most=5\): give a part"),
+        (((1.0, np.nan, 1.0),), 5, r"TokenLaw: log_mean = nan is not a finite number"),
+        (((1.0, 0.0, 1.0), (1.0, 0.0, 0.0)), 5, r"TokenLaw: log_std = 0.0"),
+        (((0.0, 0.0, 1.0),), 5, r"TokenLaw: weight = 0.0"),
+        (((1.0, 0.0, 1.0), (-1.0, 0.0, 1.0)), 5, r"TokenLaw: weight = -1.0"),
     ],
 )
-def test_bad_token_laws_are_named(arguments, message):
+def test_bad_token_laws_are_named(parts, most, message):
     with pytest.raises(TraceError, match=message):
-        TokenLaw(*arguments)
+        TokenLaw(parts, most)
 
 
 @pytest.mark.parametrize(

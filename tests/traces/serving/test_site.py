@@ -10,6 +10,7 @@ from dcgrid_env.traces import (
     GPUS,
     IDLE_SHARE,
     SERVICES,
+    TRACE_SOURCES,
     Arrivals,
     PowerTrace,
     RequestTimes,
@@ -36,6 +37,12 @@ def small(load, service: str | Service = EVEN, **options):
 def even_days(monkeypatch):
     """Every day has the same demand."""
     monkeypatch.setattr(site, "_DAY_SPREAD", 0.0)
+
+
+@pytest.fixture
+def keep_all(monkeypatch):
+    """No request is left out of what comes with a trace."""
+    monkeypatch.setattr(site, "_KEPT_PER_S", 1e9)
 
 
 def mean_share(traces):
@@ -88,10 +95,19 @@ def test_what_is_under_one_roof_adds_up():
     training = generate_training(120.0, 5)
     np.testing.assert_allclose(share[2] - share[1], 0.3 * (training.power_kw - IDLE_SHARE), atol=3e-6)
     np.testing.assert_allclose(compute(parts[2]) - compute(parts[1]), 0.3 * compute(training), atol=3e-6)
-    # What one tenant is asked does not depend on who else is there.
+    # One in so many requests is kept of all tenants together, so that more tenants leave fewer of each.
     own, both = (served(part).arrival_s for part in parts[:2])
-    assert np.isin(own, both).all()
-    assert len(both) > len(own)
+    assert len(own) == pytest.approx(len(both), rel=0.5)
+    np.testing.assert_array_equal(served(parts[2]).arrival_s, both)
+
+
+def test_what_one_tenant_is_asked_does_not_depend_on_who_else_is_there(keep_all):
+    chat, code = Tenant("chat", "llama3-70b", 0.4, 0.35), Tenant("code", "llama3-70b", 0.3, 0.15)
+    own, both = (served(generate_site(60.0, 5, Site(tenants=tenants))) for tenants in ((chat,), (chat, code)))
+    assert len(both.arrival_s) > len(own.arrival_s)
+    mine = np.isin(both.arrival_s, own.arrival_s)
+    for one, other in zip(own, both, strict=True):
+        np.testing.assert_array_equal(one, other[mine])
 
 
 def test_the_share_of_the_gpus_scales_what_a_tenant_draws(even_days):
@@ -166,11 +182,14 @@ def test_a_seed_is_an_hour_of_a_day(even_days):
     expected = 1.0 + 0.4 * np.cos(2.0 * np.pi * (np.array(hours) + 0.125 - 15.0) / 24.0)
     np.testing.assert_allclose(rate / rate.mean(), expected / expected.mean(), rtol=0.05)
     known = generate_site(10.0, 24 * 7 + 15, unit).provenance.parameters
-    assert (known["day"], known["hour"]) == (7, 15)
+    assert known["hour"] == 15
+    assert "day" not in known
 
 
-def test_days_differ_in_demand():
-    rate = [len(served(generate_site(900.0, 24 * day, small(0.1))).arrival_s) for day in range(30)]
+@pytest.mark.parametrize("step", [1, 24])
+def test_every_seed_is_a_day_of_its_own(step):
+    # The hour does not matter to this site.
+    rate = [len(served(generate_site(900.0, step * k, small(0.1))).arrival_s) for k in range(30)]
     spread = np.std(rate) / np.mean(rate)
     # 0.1 by the day, 0.02 by the count.
     assert 0.06 < spread < 0.15
@@ -236,15 +255,42 @@ def test_requests_come_with_the_trace(gpu, correlation):
     tenants = (Tenant("chat", "llama3-70b", 0.5, 0.4), Tenant("code", "llama3-8b", 0.3, 0.2))
     trace = generate_site(400.0, 30, Site(gpu, 266, tenants), correlation=correlation, group=2)
     times = served(trace)
-    assert len(times.arrival_s) == len(times.first_token_s) == len(times.end_s)
-    # About five a second are kept of each tenant, out of some hundred; code comes in bursts.
-    assert 800 < len(times.arrival_s) < 8000
+    assert len({len(values) for values in times}) == 1
+    # About five a second are kept, out of some hundred; code comes in bursts.
+    assert 300 < len(times.arrival_s) < 6000
     assert np.isfinite(np.stack(times)).all()
     assert (np.diff(times.arrival_s) >= 0).all()
     assert 0.0 <= times.arrival_s[0] < 5.0
     assert 395.0 < times.arrival_s[-1] < 400.0
     assert (times.first_token_s > 0).all()
+    assert (times.prefill_s > 0).all()
+    assert (times.first_token_s >= times.prefill_s - 1e-9).all()
     assert (times.end_s >= times.first_token_s).all()
+
+
+def test_kept_requests_stand_for_all(monkeypatch):
+    # Pooled over tenants with rates, contexts and answers of their own.
+    generate = TRACE_SOURCES["site"].generate
+    seeds = (3, 16, 35)
+    kept = [generate(900.0, seed) for seed in seeds]
+    monkeypatch.setattr(site, "_KEPT_PER_S", 1e9)
+    every = [generate(900.0, seed) for seed in seeds]
+    for some, whole in zip(kept, every, strict=True):
+        assert some.power_kw.tobytes() == whole.power_kw.tobytes()
+        assert compute(some).tobytes() == compute(whole).tobytes()
+        assert np.isin(served(some).arrival_s, served(whole).arrival_s).all()
+        assert len(served(whole).arrival_s) > 15 * len(served(some).arrival_s)
+    for field in ("first_token_s", "end_s", "prefill_s"):
+        some, whole = (np.concatenate([getattr(served(trace), field) for trace in each]) for each in (kept, every))
+        assert some.mean() == pytest.approx(whole.mean(), rel=0.04)
+        np.testing.assert_allclose(np.quantile(some, [0.5, 0.9]), np.quantile(whole, [0.5, 0.9]), rtol=0.1)
+
+
+def test_few_requests_are_all_kept(monkeypatch):
+    some = served(generate_site(600.0, 3, small(0.01)))
+    monkeypatch.setattr(site, "_KEPT_PER_S", 1e9)
+    for one, other in zip(some, served(generate_site(600.0, 3, small(0.01))), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_bounds_and_determinism():

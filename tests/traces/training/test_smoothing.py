@@ -65,7 +65,7 @@ def test_smoothing_of_training_flattens_and_costs_energy_that_does_no_work():
         assert smooth.compute_kw is not None
         assert (smooth.compute_kw <= plain.compute_kw + 1e-6).all()
         assert (smooth.compute_kw <= smooth.power_kw - IDLE_SHARE + 1e-6).all()
-        assert smooth.provenance.parameters["smoothing"]["floor_share"] == 0.65
+        assert smooth.provenance.parameters["params"]["smoothing"]["floor_share"] == 0.65
 
 
 @pytest.mark.parametrize(
