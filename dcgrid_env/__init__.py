@@ -7,6 +7,7 @@ from dcgrid_env.actions import ActionError
 from dcgrid_env.devices import LinearDvfs, PhaseDvfs
 from dcgrid_env.env import DcgridEnv
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.foresight import Forecast, forecast
 from dcgrid_env.metrics import Recorder, Series
 from dcgrid_env.observation import field_names
 from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
@@ -29,6 +30,7 @@ __all__ = [
     "DcgridVectorEnv",
     "Feeder",
     "FeederError",
+    "Forecast",
     "LinearDvfs",
     "PhaseDvfs",
     "PowerFlowError",
@@ -40,6 +42,7 @@ __all__ = [
     "distflow",
     "env",
     "field_names",
+    "forecast",
     "lindistflow",
     "load_feeder",
     "make_scenario",

@@ -1,0 +1,39 @@
+"""The perfect forecast of an episode: all that will come from outside, known at its beginning."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.scenario import Scenario
+
+
+class Forecast(NamedTuple):
+    """What comes from outside in the steps 1 .. T of an episode; nothing here depends on an action."""
+
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (n_agent,)."""
+    p_load_kw: np.ndarray
+    """Other loads, kW, (T, n_bus)."""
+    q_load_kvar: np.ndarray
+    """Other loads less capacitors, kvar, (T, n_bus)."""
+    p_ref_kw: np.ndarray
+    """What the data centres would draw at the top clock with nothing queued, kW, (T, n_dc)."""
+    p_inverter_kw: np.ndarray
+    """Scheduled active injection of the inverters, kW, (T, n_inv)."""
+
+
+def forecast(scenario: Scenario, seed: int) -> Forecast:
+    """The first episode of a seed, as every environment of the scenario draws it."""
+    from dcgrid_env import episode  # brings the compiler with it, so not on import
+
+    drawn = episode.draw(scenario, np.array([seed % 2**64], np.uint64), np.zeros(1, np.uint64))
+    noise = np.zeros((1, scenario.feeder.n_bus))
+    found = []
+    for k in range(scenario.horizon + 1):
+        step = np.array([k])
+        p_ref = episode.p_ref_kw(scenario, drawn, step)
+        outside, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
+        found.append((outside.p_load_kw[0], outside.q_load_kvar[0], p_ref[0], outside.p_inverter_kw[0]))
+    return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*found, strict=True)))
