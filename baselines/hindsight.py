@@ -48,7 +48,7 @@ class Hindsight(NamedTuple):
     J: float
     """Cost of the actions, replayed in the environment."""
     bound: float
-    """Optimum of the linear program that they come from."""
+    """Optimum of the last linear program, around a trajectory like theirs."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -91,7 +91,8 @@ def hindsight(scenario: Scenario, seed: int, rounds: int = 6, tolerance: float =
         cost = recorder.metrics()[0]["J"]
         found = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
-        best = found if best is None or cost < best.J else best._replace(rounds=done)
+        # A program around a better trajectory knows better, so the last one's optimum is the bound.
+        best = found if best is None or cost <= best.J else best._replace(bound=bound, rounds=done)
         if settled or abs(found.gap) <= tolerance * abs(cost):
             break
     assert best is not None

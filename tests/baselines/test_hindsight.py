@@ -12,7 +12,7 @@ from dcgrid_env.baselines.hindsight import hindsight, replay
 @pytest.fixture(scope="module", params=["toy6", "ieee33-weak", "ieee123"])
 def solved(request):
     scenario = make_scenario(request.param, split="validation")
-    return scenario, {seed: hindsight(scenario, seed) for seed in (0, 1)}
+    return scenario, {seed: hindsight(scenario, seed) for seed in (0, 6)}
 
 
 def test_the_environment_agrees_with_the_program(solved):
