@@ -40,6 +40,14 @@ class Local(NamedTuple):
     """(..., n_dc)"""
     backlog_kws: np.ndarray
     """(..., n_dc)"""
+    r_pu_per_mw: np.ndarray
+    """R_ii: drop of the own voltage for each MW drawn, p.u., (..., n_agent)."""
+    x_pu_per_mvar: np.ndarray
+    """X_ii: the same for each Mvar drawn, and so the rise for each injected, (..., n_agent)."""
+
+
+_OF_ALL = ("v_deviation", "p", "q", "r", "x")
+_OF_SITES = ("p_ref_next", "backlog")
 
 
 class LocalController:
@@ -56,8 +64,8 @@ class LocalController:
         # The fields that all agents have stand at the same place in each; so do those of the data centres, which come
         # first if there are any.
         self._at = {
-            name: starts[: None if name in ("v_deviation", "p", "q") else env_info.n_datacenters] + first.index(name)
-            for name in ("v_deviation", "p", "q", "p_ref_next", "backlog")
+            name: starts[: None if name in _OF_ALL else env_info.n_datacenters] + first.index(name)
+            for name in (*_OF_ALL, *_OF_SITES)
             if name in first
         }
         dc, inv = env_info.datacenter, env_info.inverter
@@ -82,13 +90,16 @@ class LocalController:
         rated = self.scenario.datacenter.p_rated_kw
         wide = joint.astype(np.float64)
         none = np.zeros((*wide.shape[:-1], 0))
+        band = self.scenario.band_pu or 1.0
         seen = {name: wide[..., at] for name, at in self._at.items()}
         return Local(
-            v_pu=1.0 + self.scenario.band_pu * seen["v_deviation"],
+            v_pu=1.0 + band * seen["v_deviation"],
             p_kw=seen["p"] * self._p_scale,
             q_kvar=seen["q"] * self._q_scale,
             p_ref_next_kw=seen.get("p_ref_next", none) * rated,
             backlog_kws=seen.get("backlog", none) * rated,
+            r_pu_per_mw=band * seen["r"],
+            x_pu_per_mvar=band * seen["x"],
         )
 
     def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:

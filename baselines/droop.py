@@ -5,19 +5,21 @@
 
 Equations 7 and 8 of the paper read as an injection law, its text as consumption. S is the backlog: ``cumulative`` is
 all work that waits; ``one_step``, the printed form, is p_ref - P of the last step, which may be negative and forgets.
+The paper says in words that alpha may be larger where the backlog is large, without a formula. The form here is ours,
+alpha_t = alpha (1 + g max(S, 0) / p_rated): at 1/g seconds of work at the rating alpha has doubled; g = 0 is no change.
 The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.
 Inverters run the second law alone.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
 from dcgrid_env import Scenario
+from dcgrid_env.baselines.checks import require_non_negative
 from dcgrid_env.baselines.controller import Local, LocalController
 
 Memory = Literal["cumulative", "one_step"]
@@ -39,6 +41,8 @@ class Droop(LocalController):
         "cumulative" or "one_step".
     datacenters
         Whether the data centres take part; if not they run at the top clock without reactive power.
+    alpha_growth_per_s
+        Growth of alpha with the backlog, for each second of it at the rated power (g above).
     """
 
     k_p_mw_per_pu: float = 1.0
@@ -46,12 +50,16 @@ class Droop(LocalController):
     alpha_per_s: float = 0.3
     memory: Memory = "cumulative"
     datacenters: bool = True
+    alpha_growth_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("k_p_mw_per_pu", "k_q_mvar_per_pu_s", "alpha_per_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"droop: {name} is {value!r}; give a finite number >= 0")
+        require_non_negative(
+            "droop",
+            k_p_mw_per_pu=self.k_p_mw_per_pu,
+            k_q_mvar_per_pu_s=self.k_q_mvar_per_pu_s,
+            alpha_per_s=self.alpha_per_s,
+            alpha_growth_per_s=self.alpha_growth_per_s,
+        )
         if self.memory not in get_args(Memory):
             raise ValueError(f"droop: memory is {self.memory!r}; choose one of {', '.join(get_args(Memory))}")
 
@@ -75,12 +83,19 @@ class Droop(LocalController):
         p = (
             seen.p_ref_next_kw
             + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0)
-            + self.alpha_per_s * waiting
+            + self._alpha_per_s(waiting) * waiting
         )
         dynamic = dc.p_dynamic_kw
         p_min = dc.p_idle_kw + dynamic * (dc.f_min_mhz / dc.f_max_mhz)
         p = np.clip(p, p_min, dc.p_rated_kw)
         return np.clip((p - dc.p_idle_kw) / dynamic * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz), q
+
+    def _alpha_per_s(self, waiting_kws: np.ndarray) -> np.ndarray | float:
+        """Share of the backlog added to the power asked for, per second, now."""
+        if not self.alpha_growth_per_s:
+            return self.alpha_per_s
+        waiting_s = np.maximum(waiting_kws, 0.0) / self.scenario.datacenter.p_rated_kw
+        return self.alpha_per_s * (1.0 + self.alpha_growth_per_s * waiting_s)
 
     def _last_shortfall(self, seen: Local) -> np.ndarray:
         """(p_ref - P) dt of the last step, kW s; none before the first."""

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.deadband import DeadbandDroop
 from dcgrid_env.baselines.droop import Droop
 from dcgrid_env.baselines.none import NoControl
+from dcgrid_env.baselines.static import ConstantQ, PlacementRule
+from dcgrid_env.baselines.switching import SwitchingReference
+from dcgrid_env.baselines.volt_var import VoltVar
 
 CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "none": ("top clock, no reactive power", NoControl),
@@ -14,6 +18,18 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "droop": ("the paper's droop on both axes, k_p = 1 MW/p.u., k_q = 0.5 Mvar/p.u. s, alpha = 0.3 /s", Droop),
     "droop-q": ("the same without the active axis (k_p = 0)", lambda: Droop(k_p_mw_per_pu=0.0)),
     "droop-one-step": ("the paper's droop with its printed one-step memory", lambda: Droop(memory="one_step")),
+    "droop-adaptive": (
+        "the paper's droop with an alpha that grows with the backlog: 0.03 /s, doubled at 2 s of work",
+        lambda: Droop(alpha_per_s=0.03, alpha_growth_per_s=0.5),
+    ),
+    "volt-var": ("the volt-var curve of IEEE 1547-2018, category B, with its response time of 5 s", VoltVar),
+    "deadband": (
+        "proportional reactive droop beyond 0.01 p.u. with a ramp limit of 10 % of the limit/s",
+        DeadbandDroop,
+    ),
+    "switching": ("reactive droop to two references, for AI-training loads (arXiv 2603.15588)", SwitchingReference),
+    "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
+    "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
 }
 """Description and factory of each."""
 

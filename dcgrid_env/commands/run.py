@@ -38,7 +38,7 @@ def main(cfg: Run) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from dcgrid_env.baselines import make_controller, rollout
+    from dcgrid_env.baselines import make_controller, rollout, stability
 
     if cfg.episodes < 1 or cfg.seed < 0:
         raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
@@ -62,6 +62,9 @@ def main(cfg: Run) -> None:
     ]
     console.print(table(scenario, records, names, cfg))
     console.print(linear_difference(scenario, seeds))
+    for name, controller in controllers.items():
+        if said := stability.warning(scenario, controller):
+            console.print(f"{name}: {said}")
     about = meta() | {"split": cfg.split, "trace": _origin(scenario)}
     write_json(cfg.out / "results.json", {"meta": about, "episodes": records})
     draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)

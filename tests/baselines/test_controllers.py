@@ -16,6 +16,8 @@ def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
         q_kvar=np.full(n, q_kvar),
         p_ref_next_kw=np.full(n_dc, 575.0) if p_ref_kw is None else np.array(p_ref_kw),
         backlog_kws=np.full(n_dc, backlog_kws),
+        r_pu_per_mw=np.full(n, 0.01),
+        x_pu_per_mvar=np.full(n, 0.02),
     )
 
 

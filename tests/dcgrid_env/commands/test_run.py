@@ -6,7 +6,7 @@ import math
 import pytest
 
 from dcgrid_env import PRESETS
-from dcgrid_env.baselines import CONTROLLERS
+from dcgrid_env.baselines import CONTROLLERS, Droop
 from dcgrid_env.cli import main
 
 
@@ -65,3 +65,12 @@ def test_list_shows_everything(capsys):
     printed = capsys.readouterr().out
     for name in (*PRESETS, *CONTROLLERS, "khodr141", "inference", "training", "dcgrid/IEEE123-v0"):
         assert name in printed
+
+
+def test_gains_beyond_the_bound_are_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.setitem(CONTROLLERS, "steep", ("too steep", lambda: Droop(k_p_mw_per_pu=20.0)))
+    run(tmp_path, "--episodes", "1", "--controllers", "droop,steep")
+    printed = capsys.readouterr().out
+    assert "steep: droop's gains are beyond the linear stability bound on ieee123" in printed
+    assert "\ndroop: " not in printed
