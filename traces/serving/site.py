@@ -34,8 +34,6 @@ _KEPT_PER_S = 5.0
 # Spread of the logarithm of demand over days: a choice.
 _DAY_SPREAD = 0.1
 
-Part = tuple[FloatArray, IntArray, IntArray]
-
 
 @dataclass(frozen=True)
 class Tenant:
