@@ -1,6 +1,6 @@
 """Controllers made by hand, through the public interface alone."""
 
-from dcgrid_env.baselines.controller import Controller, Local, LocalController
+from dcgrid_env.baselines.controller import Controller, Local, LocalController, Placed
 from dcgrid_env.baselines.deadband import DeadbandDroop
 from dcgrid_env.baselines.droop import Droop
 from dcgrid_env.baselines.named import CONTROLLERS, make_controller
@@ -19,6 +19,7 @@ __all__ = [
     "Local",
     "LocalController",
     "NoControl",
+    "Placed",
     "PlacementRule",
     "SwitchingReference",
     "VoltVar",

@@ -27,6 +27,19 @@ class Controller(Protocol):
         ...
 
 
+@runtime_checkable
+class Placed(Protocol):
+    """A controller that is also told where the agents stand, as one with a model of the feeder must be.
+
+    Besides, a class attribute ``observe`` (``Scenario.observe``) says which scope of observation a controller needs;
+    without one it takes the scenario's.
+    """
+
+    def place(self, buses: np.ndarray) -> None:
+        """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), told after ``reset`` and before ``act``."""
+        ...
+
+
 class Local(NamedTuple):
     """Local observations in physical units; leading dimensions are those of the observations."""
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from dcgrid_env import DcgridVectorEnv, Recorder, Scenario
-from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.controller import Controller, Placed
 
 
 def rollout(
@@ -18,7 +20,7 @@ def rollout(
     scenario
         What to run; its split says which episodes the seeds mean.
     controller
-        Reset once, then asked at each step.
+        Reset once, told where the agents stand if it is :class:`Placed`, then asked at each step.
     seeds
         One lane each.
     on_step
@@ -30,10 +32,14 @@ def rollout(
         Where the controller returns something that is no action, naming the agent.
     """
     # Actions and metrics are those of the team, whoever is paid what.
-    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
-    observations, _ = env.reset(seed=list(seeds))
+    scenario = scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
+    env = DcgridVectorEnv(len(seeds), scenario)
+    observations, info = env.reset(seed=list(seeds))
     recorder = Recorder(scenario, env.transition)
     controller.reset(scenario)
+    if isinstance(controller, Placed):
+        index = scenario.feeder.index
+        controller.place(np.array([[index(bus) for bus in info[f"bus_{agent}"]] for agent in scenario.agents]).T)
     while not recorder.over:
         observations, *_ = env.step(controller.act(observations))
         recorder.add(env.transition)

@@ -9,7 +9,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | p | all | share of the rating; an inverter's injection is negative | -1 .. boost share |
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
-| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. the feeder's largest |
+| r, x | all | R_ii, X_ii of ``Scenario.model``: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. the largest |
 | p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. boost share |
 | backlog | data centres | s at the rated power | 0 .. horizon dt boost share |
 | p_ref_next_compute | data centres* | compute-bound part of what p_ref_next has above idle | as p_ref_next |
@@ -104,7 +104,7 @@ def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 @lru_cache(maxsize=1024)
 def _electrical(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """(R_ii, X_ii) in bands, (n_bus, 2), and the impedance magnitude of the path between any two buses."""
-    r, x = scenario.feeder.sensitivity()
+    r, x = scenario.model.sensitivity()
     own = np.stack((np.diag(r), np.diag(x)), axis=-1) / (scenario.band_pu or 1.0)
     between = [np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)]
     return own, np.hypot(*between)

@@ -115,6 +115,10 @@ class Scenario:
     observe: ObservationScope = "local"
     preview: bool = True
     """Whether a data centre observes its p_ref over the coming interval."""
+    r_model_share: float = 1.0
+    """Resistance of every branch as agents and controllers believe it, as a share of the true one."""
+    x_model_share: float = 1.0
+    """The same of the reactance."""
 
     def __post_init__(self) -> None:
         for name in ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace", "inverter_trace"):
@@ -162,6 +166,14 @@ class Scenario:
     def n_agents(self) -> int:
         """Number of agents, data centres first."""
         return self.n_datacenters + self.n_inverters
+
+    @cached_property
+    def model(self) -> Feeder:
+        """The feeder as agents and controllers know it; the power flow is that of ``feeder``."""
+        if self.r_model_share == 1.0 and self.x_model_share == 1.0:
+            return self.feeder
+        r_ohm, x_ohm = self.r_model_share * self.feeder.r_ohm, self.x_model_share * self.feeder.x_ohm
+        return dataclasses.replace(self.feeder, r_ohm=r_ohm, x_ohm=x_ohm)
 
     @cached_property
     def datacenter(self) -> DataCenterParams:

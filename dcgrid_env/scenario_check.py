@@ -48,6 +48,8 @@ _RANGES: dict[str, tuple[float, float | str]] = {  # a bound may be another fiel
     "voltage_noise_pu": (0.0, 1.0),
     "dt_s": (1e-3, 3600.0),
     "band_pu": (0.0, 1.0),
+    "r_model_share": (0.0, 10.0),
+    "x_model_share": (0.0, 10.0),
 }
 _COUNTS = {"n_datacenters": 0, "horizon": 1, "measurement_delay": 0}
 
