@@ -8,6 +8,7 @@ all work that waits; ``one_step``, the printed form, is p_ref - P of the last st
 The paper says in words that alpha may be larger where the backlog is large, without a formula. The form here is ours,
 alpha_t = alpha (1 + g max(S, 0) / p_rated): at 1/g seconds of work at the rating alpha has doubled; g = 0 is no change.
 The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.
+Where the scenario hides p_ref (``preview=False``) the rating stands in its place: below 1 p.u. the site is capped.
 Inverters run the second law alone.
 """
 
@@ -64,9 +65,9 @@ class Droop(LocalController):
             raise ValueError(f"droop: memory is {self.memory!r}; choose one of {', '.join(get_args(Memory))}")
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin new episodes; ValueError where the law needs a p_ref that the scenario hides."""
-        if self.datacenters and env_info.n_datacenters and not env_info.preview:
-            raise ValueError("droop needs p_ref of the coming interval; make the scenario with preview=True")
+        """Begin new episodes; ValueError where the one-step memory needs a p_ref that the scenario hides."""
+        if self.memory == "one_step" and self.datacenters and env_info.n_datacenters and not env_info.preview:
+            raise ValueError("droop with the one-step memory needs p_ref; make the scenario with preview=True")
         super().reset(env_info)
         self._asked_kw: np.ndarray | None = None
 
@@ -81,7 +82,7 @@ class Droop(LocalController):
             return np.full_like(seen.p_ref_next_kw, s.f_max_mhz), q
         waiting = seen.backlog_kws if self.memory == "cumulative" else self._last_shortfall(seen)
         p = (
-            seen.p_ref_next_kw
+            (seen.p_ref_next_kw if s.preview else dc.p_rated_kw)
             + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0)
             + self._alpha_per_s(waiting) * waiting
         )

@@ -36,6 +36,7 @@ from dcgrid_env import (
 )
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
+Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
 
 TANGENTS = 24
 """Tangents of a quadrant of the capability circle."""
@@ -62,7 +63,9 @@ class Hindsight(NamedTuple):
         return self.J - self.bound
 
 
-def hindsight(scenario: Scenario, seed: int, rounds: int = 6, tolerance: float = 2e-5) -> Hindsight:
+def hindsight(
+    scenario: Scenario, seed: int, rounds: int = 6, tolerance: float = 2e-5, *, keep_band: bool = False
+) -> Hindsight:
     """Solve the first episode of a seed.
 
     Parameters
@@ -75,15 +78,18 @@ def hindsight(scenario: Scenario, seed: int, rounds: int = 6, tolerance: float =
         Linear programs to solve at most.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
+    keep_band
+        Whether every voltage of the program must stay within the band, whatever it costs.
 
     Raises
     ------
     ValueError
-        For a scenario with other costs or another clock law, naming them, or a program without a solution.
+        For a scenario with other costs or another clock law, naming them, or a program without a solution, naming
+        the constraint that cannot be met, where and when.
     """
     _check(scenario)
     known = forecast(scenario, seed)
-    program = _Program(scenario, known)
+    program = _Program(scenario, known, keep_band)
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
@@ -129,9 +135,9 @@ class _Program:
     Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation).
     """
 
-    def __init__(self, scenario: Scenario, known: Forecast) -> None:
+    def __init__(self, scenario: Scenario, known: Forecast, keep_band: bool) -> None:
         s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
-        self.scenario, self.known = s, known
+        self.scenario, self.known, self.keep_band = s, known, keep_band
         self.base_kw = np.minimum(known.p_ref_kw, dc.p_idle_kw)
         self.arrived_kw = np.maximum(known.p_ref_kw - dc.p_idle_kw, 0.0)
         # The first program is around serving all work as it arrives, without reactive power.
@@ -140,6 +146,7 @@ class _Program:
         room = np.sqrt(np.maximum(self.s_rated_kva[n_dc:] ** 2 - known.p_inverter_kw**2, 0.0))
         self.q_limit_kvar = np.tile(s.q_scale_kvar, (s.horizon, 1))
         self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
+        self.q_limit_kvar *= known.available
         n_bus = s.feeder.n_bus - 1
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
@@ -157,23 +164,41 @@ class _Program:
             (self._rows(d=-p_part, q=-q_part, e=minus), apart),
             *self.same,
         ]
+        result = self._optimum(limits, self._prices(), inf_w=not self.keep_band)
+        if result.status != 0:
+            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
+        found = self._named(result.x)
+        self.served_kw = found["d"].reshape(s.horizon, -1)
+        self.q_kvar = found["q"].reshape(s.horizon, -1)
+        return float(result.fun), self._actions()
+
+    def _optimum(self, limits: Limits, prices: np.ndarray, inf_w: bool) -> Any:
         rows, bounds = zip(*limits, strict=True)
         conserved, amount = self._conservation()
-        result = linprog(
-            self._prices(),
+        return linprog(
+            prices,
             A_ub=sparse.vstack(rows, format="csr"),
             b_ub=np.concatenate(bounds),
             A_eq=conserved,
             b_eq=amount,
-            bounds=self._ranges(),
+            bounds=self._ranges(inf_w),
             method="highs-ds",
         )
-        if result.x is None:
-            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {result.message}")
-        found = dict(zip(self.sizes, np.split(result.x, np.cumsum(list(self.sizes.values()))[:-1]), strict=True))
-        self.served_kw = found["d"].reshape(s.horizon, -1)
-        self.q_kvar = found["q"].reshape(s.horizon, -1)
-        return float(result.fun), self._actions()
+
+    def _named(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(self.sizes, np.split(x, np.cumsum(list(self.sizes.values()))[:-1]), strict=True))
+
+    def _unmet(self, limits: Limits, result: Any) -> str:
+        """Which constraint cannot be met and when: only the band can be asked for in vain."""
+        if not self.keep_band:
+            return result.message
+        excess_only = np.concatenate([np.full(size, float(name == "w")) for name, size in self.sizes.items()])
+        excess = self._named(self._optimum(limits, excess_only, inf_w=True).x)["w"].reshape(self.scenario.horizon, -1)
+        step, bus = np.unravel_index(np.argmax(excess), excess.shape)
+        return (
+            f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]!r} the voltage is at least "
+            f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten the load"
+        )
 
     def _slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Voltages (T, n), p.u., of the buses but the substation around the trajectory, and their slopes.
@@ -181,7 +206,7 @@ class _Program:
         By work served, (T, n, n_dc), and by reactive injection, (T, n, n_agent).
         """
         s, known, n_dc = self.scenario, self.known, self.scenario.n_datacenters
-        p_agent = np.concatenate((self.base_kw + self.served_kw, -known.p_inverter_kw), axis=1)
+        p_agent = np.concatenate((self.base_kw + self.served_kw, -known.p_inverter_kw), axis=1) * known.available
         p_kw, q_kvar = known.p_load_kw.copy(), known.q_load_kvar.copy()
         p_kw[:, known.buses] += p_agent
         q_kvar[:, known.buses] -= self.q_kvar
@@ -200,7 +225,9 @@ class _Program:
                 f"{unsolved[0] + 1}; give the feeder less load"
             )
         v_pu = solution.v_pu.reshape(shape)[:, :, 1:]
-        slopes = np.moveaxis(v_pu[1:] - v_pu[0], 0, -1) / _SPAN
+        # What a tripped data centre draws, the grid does not see.
+        seen = np.concatenate((known.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
+        slopes = np.moveaxis(v_pu[1:] - v_pu[0], 0, -1) / _SPAN * seen[:, None]
         return v_pu[0], slopes[..., :n_dc], slopes[..., n_dc:]
 
     def _prices(self) -> np.ndarray:
@@ -217,12 +244,16 @@ class _Program:
             / s.horizon
         )
 
-    def _ranges(self) -> np.ndarray:
+    def _ranges(self, inf_w: bool) -> np.ndarray:
         """Least and largest value of each unknown, (n, 2)."""
         # What arrives above the rating may be served at once, as in the environment.
-        top_kw = np.maximum(self.scenario.datacenter.p_dynamic_kw, self.arrived_kw).ravel()
+        dc = self.scenario.datacenter
+        top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
+        # At its lowest clock a site serves this much of what arrives. It serves as much of a backlog too, which no
+        # linear constraint says: there the program may do less than the environment.
+        least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)
         q_kvar, inf = self.q_limit_kvar.ravel(), np.inf
-        ranges = {"d": (0.0, top_kw), "b": (0.0, inf), "q": (-q_kvar, q_kvar)}
+        ranges = {"d": (least_kw.ravel(), top_kw.ravel()), "b": (0.0, inf), "q": (-q_kvar, q_kvar), "w": (0.0, inf if inf_w else 0.0)}
         sides = [ranges.get(name, (0.0, inf)) for name in self.sizes]
         return np.concatenate(
             [
@@ -247,7 +278,7 @@ class _Program:
         one = sparse.identity(self.sizes["q"], format="csr")
         return self._rows(q=sign * one, g=-one), np.zeros(self.sizes["q"])
 
-    def _capability(self) -> list[tuple[Sparse, np.ndarray]]:
+    def _capability(self) -> Limits:
         """cos(theta) (base + d) + sin(theta) g <= s_rated of the data centres, for each tangent of a quadrant."""
         s, n_dc = self.scenario, self.scenario.n_datacenters
         one = sparse.identity(self.sizes["d"], format="csr")

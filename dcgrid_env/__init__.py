@@ -6,7 +6,9 @@ import pettingzoo as _pettingzoo
 from dcgrid_env.actions import ActionError
 from dcgrid_env.devices import LinearDvfs, PhaseDvfs
 from dcgrid_env.env import DcgridEnv
+from dcgrid_env.fault import Fault
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.fingerprint import episode_hash, scenario_hash
 from dcgrid_env.foresight import Forecast, forecast
 from dcgrid_env.metrics import Recorder, Series
 from dcgrid_env.observation import field_names
@@ -28,6 +30,7 @@ __all__ = [
     "DcgridEnv",
     "DcgridParallelEnv",
     "DcgridVectorEnv",
+    "Fault",
     "Feeder",
     "FeederError",
     "Forecast",
@@ -41,15 +44,31 @@ __all__ = [
     "Solution",
     "distflow",
     "env",
+    "episode_hash",
     "field_names",
     "forecast",
     "lindistflow",
     "load_feeder",
     "make_scenario",
     "parallel_env",
+    "scenario_hash",
 ]
 
-IDS = {"dcgrid/Toy6-v0": "toy6", "dcgrid/IEEE123-v0": "ieee123", "dcgrid/IEEE33Weak-v0": "ieee33-weak"}
+IDS = {
+    "dcgrid/Toy6-v0": "toy6",
+    "dcgrid/IEEE123-v0": "ieee123",
+    "dcgrid/IEEE33Weak-v0": "ieee33-weak",
+    "dcgrid/IEEE33-v0": "ieee33",
+    "dcgrid/Das69-v0": "das69",
+    "dcgrid/Khodr141-v0": "khodr141",
+    "dcgrid/Bursty-v0": "bursty",
+    "dcgrid/Sync-v0": "sync",
+    "dcgrid/Training-v0": "training",
+    "dcgrid/Mixed-v0": "mixed",
+    "dcgrid/Fault-v0": "fault",
+    "dcgrid/Robust-v0": "robust",
+    "dcgrid/Scale32-v0": "scale-32",
+}
 """Registered ids, for Gymnasium and, where its release has a registry, for PettingZoo, and their scenarios."""
 
 

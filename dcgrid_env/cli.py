@@ -1,4 +1,7 @@
-"""The command line: ``dcgrid run | list | traces``. The one module that sees all others; it imports them lazily."""
+"""The command line: ``dcgrid run | benchmark | list | traces``.
+
+The one module that sees all others; it imports them lazily.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,15 @@ from typing import Annotated
 
 import tyro
 
-from dcgrid_env.commands import listing, run, traces
+from dcgrid_env.commands import benchmark, listing, run, traces
 
 Command = (
     Annotated[run.Run, tyro.conf.subcommand("run", description=run.__doc__)]
+    | Annotated[benchmark.Benchmark, tyro.conf.subcommand("benchmark", description=benchmark.__doc__)]
     | Annotated[listing.List, tyro.conf.subcommand("list", description=listing.__doc__)]
     | Annotated[traces.Traces, tyro.conf.subcommand("traces", description=traces.__doc__)]
 )
-_MAIN = {run.Run: run.main, listing.List: listing.main, traces.Traces: traces.main}
+_MAIN = {run.Run: run.main, benchmark.Benchmark: benchmark.main, listing.List: listing.main, traces.Traces: traces.main}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION = range(1, 7)
+PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT = range(1, 9)
 """Streams: what a draw is for."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -27,6 +27,8 @@ class Exogenous(NamedTuple):
     mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
     compute_share: Array | None = None
     """Compute-bound share of the work that arrives, (lane, n_dc); None under a clock law of one phase."""
+    available: Array | None = None
+    """1 for an agent that is connected to the grid and 0 for one that is not, (lane, n_agent); None where all are."""
 
 
 class State(NamedTuple):
@@ -51,7 +53,7 @@ class State(NamedTuple):
     served_kw: Array
     """Dynamic power of work served in it, kW, (lane, n_dc)."""
     p_kw: Array
-    """Draw from the grid, kW (an inverter's injection is negative), (lane, n_agent)."""
+    """Draw from the grid, kW (an inverter's injection is negative), (lane, n_agent); 0 where disconnected."""
     q_kvar: Array
     """Reactive injection as dispatched, kvar, (lane, n_agent)."""
     q_limit_kvar: Array
@@ -121,6 +123,8 @@ def _step(
     )  # fmt: skip
     p_agent = xp.concat((dc.p_kw, -exogenous.p_inverter_kw), axis=-1)
     q_agent, q_limit = converter.dispatch(known.s_rated_kva, known.q_scale_kvar, p_agent, q_setpoint_kvar)
+    if exogenous.available is not None:
+        p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
     nodes = exogenous.nodes
     p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))

@@ -1,4 +1,4 @@
-"""An episode as drawn: placement, trace windows and noise, all functions of one key per lane."""
+"""An episode as drawn: placement, trace windows, faults and noise, all functions of one key per lane."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dcgrid_env import counter, observation
 from dcgrid_env.dynamics import Exogenous
 from dcgrid_env.powerflow.threads import over_lanes
 from dcgrid_env.scenario import Scenario
-from dcgrid_env.traces import TraceRows, from_recordings, library, require_window
+from dcgrid_env.traces import TraceRows, from_recordings, library, pv_rows, require_window
 
 ROW_DURATION_S = 3600.0
 """Length of a generated trace; an episode takes a window of it."""
@@ -30,6 +30,11 @@ class Episode(NamedTuple):
     placed: observation.Placement
     start: np.ndarray
     """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
+    sun: np.ndarray
+    """The same of generated PV, (lane,); 0 where there is none."""
+    fault: np.ndarray
+    """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
+    int64, (lane, n_fault, 3)."""
 
 
 def window_steps(scenario: Scenario) -> int:
@@ -78,23 +83,26 @@ def _load(scenario: Scenario) -> _Load:
 
 
 @lru_cache(maxsize=1024)
-def _schedule(scenario: Scenario) -> np.ndarray:
-    """Active injection of the inverters over an episode, kW, (n_step, n_inv)."""
-    trace, steps = scenario.inverter_trace, scenario.horizon + 1
+def sun_rows(scenario: Scenario) -> np.ndarray:
+    """Active injection of the inverters as a share of their rating: a row for all episodes, or those of the PV drawn.
+
+    (n_row, n_step), each row as long as an episode or longer.
+    """
+    trace, steps, dt_s = scenario.inverter_trace, scenario.horizon + 1, float(scenario.dt_s)
+    if trace is None:
+        return np.zeros((1, steps))
     if isinstance(trace, tuple):
-        share = np.array(trace[:steps])
-    else:
-        assert trace is not None
-        trace.require_duration(steps * scenario.dt_s)
-        share = trace.resample(scenario.dt_s)[:steps]
-    return share[:, None] * scenario.inverter.s_rated_kva
+        return np.array(trace[:steps])[None]
+    if isinstance(trace, str):
+        return pv_rows(scenario.split, dt_s, max(ROW_DURATION_S, steps * dt_s), ROWS)
+    trace.require_duration(steps * dt_s)
+    return trace.resample(dt_s)[None, :steps]
 
 
 def check_traces(scenario: Scenario) -> None:
     """Raise TraceError unless every trace lasts as long as an episode."""
     trace_pool(scenario)
-    if scenario.inverter_trace is not None:
-        _schedule(scenario)
+    sun_rows(scenario)
 
 
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
@@ -125,12 +133,46 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
         # The upper 53 bits make a uniform number below 1, so that a correlation of 1 leaves no site out.
         uniform = (counter.bits(key, counter.CORRELATION, n_dc) >> np.uint64(11)) * 2.0**-53
         window = np.where(uniform < scenario.site_correlation, window[:, :1], window)
-    return assemble(scenario, key, buses, window)
+    sun_row, sun_start = counter.bits(key, counter.SUN, 2).T
+    rows, steps = sun_rows(scenario).shape
+    sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
+    return assemble(scenario, key, buses, window, sun.astype(np.int64), _faults(scenario, key))
 
 
-def assemble(scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray) -> Episode:
+def assemble(
+    scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray, sun: np.ndarray, fault: np.ndarray
+) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
-    return Episode(key, buses, observation.placement(scenario, buses), start)
+    return Episode(key, buses, observation.placement(scenario, buses), start, sun, fault)
+
+
+def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
+    drawn = counter.bits(key, counter.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
+    found = np.empty(drawn.shape, np.int64)
+    for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
+        # Nothing is lost at t = 0, and what lasts longer than the episode lasts to its end.
+        begin, duration = (
+            [min(round(t_s / scenario.dt_s), scenario.horizon + 1) if t_s < np.inf else scenario.horizon + 1 for t_s in pair]
+            for pair in (fault.begin_s, fault.duration_s)
+        )
+        found[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
+        found[:, i, 1] = 1 + begin[0] + drawn[:, i, 1] % np.uint64(begin[1] - begin[0] + 1)
+        found[:, i, 2] = found[:, i, 1] + duration[0] + drawn[:, i, 2] % np.uint64(duration[1] - duration[0] + 1)
+    return found
+
+
+def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
+    """What is lost in the interval that ends at ``step`` (lane,), bool: agents, then buses' capacitors.
+
+    (lane, n_agent + n_bus)
+    """
+    target, begin, end = np.moveaxis(episode.fault, -1, 0)
+    struck = (begin <= step[:, None]) & (step[:, None] < end)
+    out = np.zeros((len(step), scenario.n_agents + scenario.feeder.n_bus), bool)
+    lane, i = np.nonzero(struck)
+    out[lane, target[lane, i]] = True
+    return out
 
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
@@ -178,6 +220,11 @@ def exogenous(
     if scenario.inverter_trace is None:
         injection = np.zeros((len(step), scenario.n_inverters))
     else:
-        injection = _schedule(scenario)[step]
+        injection = sun_rows(scenario).take(episode.sun + step)[:, None] * scenario.inverter.s_rated_kva
+    available = None
+    if scenario.faults:
+        agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
+        available = 1.0 - agents
+        q += capacitors * scenario.feeder.capacitor_kvar
     share = compute_share(scenario, episode, step)
-    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, share), z
+    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, share, available), z

@@ -22,6 +22,8 @@ class Forecast(NamedTuple):
     """What the data centres would draw at the top clock with nothing queued, kW, (T, n_dc)."""
     p_inverter_kw: np.ndarray
     """Scheduled active injection of the inverters, kW, (T, n_inv)."""
+    available: np.ndarray
+    """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
@@ -35,5 +37,6 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
         step = np.array([k])
         p_ref = episode.p_ref_kw(scenario, drawn, step)
         outside, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
-        found.append((outside.p_load_kw[0], outside.q_load_kvar[0], p_ref[0], outside.p_inverter_kw[0]))
+        available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]
+        found.append((outside.p_load_kw[0], outside.q_load_kvar[0], p_ref[0], outside.p_inverter_kw[0], available))
     return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*found, strict=True)))

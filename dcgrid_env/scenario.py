@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs, phases_of
+from dcgrid_env.fault import KINDS, Fault
 from dcgrid_env.feeder import BusId, Feeder
 from dcgrid_env.scenario_check import (
     ObservationScope,
@@ -72,12 +73,15 @@ class Scenario:
 
     inverter_buses: tuple[BusId, ...] = ()
     inverter_s_kva: float | tuple[float, ...] = 0.0
-    inverter_trace: PowerTrace | tuple[float, ...] | None = None
-    """Active injection of every inverter from the episode's beginning; none by default.
+    inverter_trace: PowerTrace | tuple[float, ...] | str | None = None
+    """Active injection of every inverter; none by default.
 
-    A recording in which 1 kW stands for the inverter's rating (PV), or shares of the rating from -1 to 1, one for t = 0
-    and one for each step (storage following a schedule; negative charges).
+    "pv": generated PV under passing clouds, a window drawn in each episode, the same for all inverters. Or, from the
+    episode's beginning, a recording in which 1 kW stands for the inverter's rating, or shares of the rating from -1 to
+    1, one for t = 0 and one for each step (storage following a schedule; negative charges).
     """
+    faults: tuple[Fault, ...] = ()
+    """Devices lost in an episode, see :class:`Fault`."""
 
     trace: str | tuple[PowerTrace, ...] = "inference"
     """Source of the data centres' load: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
@@ -121,7 +125,8 @@ class Scenario:
     """The same of the reactance."""
 
     def __post_init__(self) -> None:
-        for name in ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace", "inverter_trace"):
+        sequences = ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace", "inverter_trace")
+        for name in (*sequences, "faults"):
             value = getattr(self, name)
             if isinstance(value, list | np.ndarray):
                 object.__setattr__(self, name, tuple(value))
@@ -200,6 +205,28 @@ class Scenario:
         """Reactive limit of each agent at zero active power, kvar, (n_agent,): what a reactive action is a share of."""
         dc = self.datacenter
         return np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), self.inverter.s_rated_kva))
+
+    @cached_property
+    def fault_targets(self) -> tuple[np.ndarray, ...]:
+        """What each fault draws from: an agent's position, or n_agents + the position of a capacitor's bus."""
+        found = []
+        for fault in self.faults:
+            targets: list[int] = []
+            for name in fault.among:
+                if name in KINDS:
+                    targets += self._of_kind(name)
+                else:
+                    targets.append(self.agents.index(name))
+            found.append(np.unique(targets))
+        return tuple(found)
+
+    def _of_kind(self, kind: str) -> list[int]:
+        if kind == "datacenter":
+            return list(range(self.n_datacenters))
+        if kind == "inverter":
+            return list(range(self.n_datacenters, self.n_agents))
+        connected = self.feeder.capacitor_kvar > 0 if self.capacitors else np.zeros(self.feeder.n_bus, bool)
+        return [self.n_agents + int(bus) for bus in np.flatnonzero(connected)]
 
     @cached_property
     def candidates(self) -> np.ndarray:

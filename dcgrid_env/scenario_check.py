@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env.devices import phases_of
+from dcgrid_env.fault import KINDS, Fault
 from dcgrid_env.feeder import Feeder, FeederError
-from dcgrid_env.traces import ALL_SPLITS, TRACE_SOURCES, PowerTrace
+from dcgrid_env.traces import ALL_SPLITS, SUN, TRACE_SOURCES, PowerTrace
 
 if TYPE_CHECKING:
     from dcgrid_env.scenario import Scenario
@@ -88,6 +89,7 @@ def check(s: Scenario) -> None:
     _check_ratings(s)
     _check_placement(s)
     _check_traces(s)
+    _check_faults(s)
 
 
 def _refuse(s: Scenario, name: str, remedy: str) -> None:
@@ -151,12 +153,34 @@ def _check_traces(s: Scenario) -> None:
                 + (f", {wrong[0]!r} among them" if wrong else "")
                 + f"; give {s.horizon + 1} numbers from -1 to 1, for t = 0 and each step"
             )
-    elif s.inverter_trace is not None:
+    elif s.inverter_trace is not None and s.inverter_trace != SUN:
         if not isinstance(s.inverter_trace, PowerTrace):
-            _refuse(s, "inverter_trace", "give a PowerTrace as a share of the rating, shares for each step, or None")
+            _refuse(s, "inverter_trace", f"give {SUN!r}, a PowerTrace as a share of the rating, shares for each step, or None")
         highest = float(np.max(s.inverter_trace.power_kw))
         if highest > 1.0:
             raise ScenarioError(
                 f"scenario {s.name!r}: inverter_trace rises to {highest:g}, but it is a share of the inverter's "
                 "rating; scale it, for instance trace.scaled_to(1.0)"
+            )
+
+
+def _check_faults(s: Scenario) -> None:
+    if not isinstance(s.faults, tuple) or not all(isinstance(fault, Fault) for fault in s.faults):
+        _refuse(s, "faults", "give a tuple of Fault, () for none")
+    for fault in s.faults:
+        for name in fault.among:
+            if name not in KINDS and name not in s.agents:
+                raise ScenarioError(
+                    f"scenario {s.name!r}: a fault among {name!r}; choose {', '.join(KINDS)} or an agent, "
+                    f"{', '.join(s.agents)}"
+                )
+        if fault.begin_s[1] >= s.horizon * s.dt_s:
+            raise ScenarioError(
+                f"scenario {s.name!r}: a fault begins at up to {fault.begin_s[1]:g} s, but an episode lasts "
+                f"{s.horizon * s.dt_s:g} s; let it begin earlier"
+            )
+    for fault, targets in zip(s.faults, s.fault_targets, strict=True):
+        if not len(targets):
+            raise ScenarioError(
+                f"scenario {s.name!r}: a fault among {', '.join(fault.among)}, of which there is none; name another kind"
             )

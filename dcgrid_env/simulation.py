@@ -184,6 +184,10 @@ class Simulation:
         )
 
 
+_DRAWN = ("key", "buses", "start", "sun", "fault")
+"""Fields of an episode that ``episode.assemble`` takes."""
+
+
 def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
     """``now`` with the lanes of ``drawn`` put in."""
 
@@ -196,7 +200,7 @@ def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
         return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
 
     old_episode, new_episode = now.episode, drawn.episode
-    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in ("key", "buses", "start"))
+    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in _DRAWN)
     state = put(now.state, drawn.state)
     return Snapshot(
         scenario=scenario,

@@ -11,6 +11,7 @@ from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.pv import SUN, PvParams, generate_pv, pv_rows
 from dcgrid_env.traces.recorded_rows import from_recordings
 from dcgrid_env.traces.recorder import record
 from dcgrid_env.traces.recordings import RECORDINGS, Recording, cache_folder, fetch, load_power, load_requests
@@ -38,6 +39,7 @@ __all__ = [
     "RECORDINGS",
     "SERVICES",
     "SPLITS",
+    "SUN",
     "TRACE_SOURCES",
     "Arrivals",
     "Gpu",
@@ -46,6 +48,7 @@ __all__ = [
     "PowerSmoothing",
     "PowerTrace",
     "Provenance",
+    "PvParams",
     "Recording",
     "Replica",
     "RequestTimes",
@@ -64,6 +67,7 @@ __all__ = [
     "from_recordings",
     "generate_inference",
     "generate_mixed",
+    "generate_pv",
     "generate_site",
     "generate_sites",
     "generate_step",
@@ -71,6 +75,7 @@ __all__ = [
     "library",
     "load_power",
     "load_requests",
+    "pv_rows",
     "read_gpu_log",
     "read_request_log",
     "record",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
+
+from dcgrid_env.benchmark.files import write_json
+
+__all__ = ["PACKAGES", "meta", "versions", "write_json"]
 
 PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
 
@@ -31,12 +33,3 @@ def meta() -> dict[str, Any]:
         "versions": {"python": platform.python_version(), **versions(PACKAGES)},
         "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
     }
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON beside ``path`` first and put it in place when it is whole; a NaN in it is a ValueError."""
-    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)

@@ -19,7 +19,7 @@ class Run:
     scenario: str = "ieee123"
     """Name of a scenario (dcgrid list)."""
     controllers: str = "none,inverters,droop"
-    """Names of controllers, separated by commas."""
+    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.npz)."""
     episodes: int = 8
     """Episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0
@@ -38,13 +38,15 @@ def main(cfg: Run) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from dcgrid_env.baselines import make_controller, rollout, stability
+    from dcgrid_env.baselines import rollout, stability
+    from dcgrid_env.baselines.user import find_controller
+    from dcgrid_env.benchmark.jobs import episode_records
 
     if cfg.episodes < 1 or cfg.seed < 0:
         raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
     scenario = _scenario(cfg)
     names = list(dict.fromkeys(name.strip() for name in cfg.controllers.split(",") if name.strip()))
-    controllers = {name: make_controller(name) for name in names}
+    controllers = {name: find_controller(name, scenario) for name in names}
     if not controllers:
         raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
     seeds = range(cfg.seed, cfg.seed + cfg.episodes)
@@ -56,9 +58,9 @@ def main(cfg: Run) -> None:
             task = progress.add_task(name, total=scenario.horizon)
             recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task))
     records = [
-        {"scenario": scenario.name, "controller": name, "episode": i, "seed": seed, **metrics}
+        record
         for name, recorder in recorders.items()
-        for i, (seed, metrics) in enumerate(zip(seeds, recorder.metrics(), strict=True))
+        for record in episode_records(scenario.name, name, seeds, recorder.metrics())
     ]
     console.print(table(scenario, records, names, cfg))
     console.print(linear_difference(scenario, seeds))

@@ -1,0 +1,74 @@
+"""From units to a benchmark's results: what was done of each scenario, summed up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.benchmark.figures import Replay
+from dcgrid_env.benchmark.jobs import V_EDGES_PU, Unit, on_test_split
+from dcgrid_env.benchmark.summary import REFERENCE, Published, ScenarioSummary, summarise
+
+
+@dataclass(frozen=True)
+class Results:
+    """One scenario's results."""
+
+    summary: ScenarioSummary
+    records: Mapping[str, Sequence[Mapping[str, Any]]]
+    """Episodes of each controller that did not fail, in the order of their seeds."""
+    voltages: Mapping[str, np.ndarray]
+    """Counts in the bins of ``jobs.V_EDGES_PU``, of the same controllers."""
+
+    def worst(self) -> Replay | None:
+        """The costliest episode of the best controller beside the reference, under both; None where all failed."""
+        rows = {row.controller: row.means or {} for row in self.summary.working}
+        others = [name for name in rows if name != REFERENCE]
+        if not rows:
+            return None
+        best = min(others, key=lambda name: rows[name]["J"]) if others else REFERENCE
+        seed = max(self.records[best], key=lambda record: record["J"])["seed"]
+        both = (best, REFERENCE) if others and REFERENCE in rows else (best,)
+        return Replay(self.summary.scenario, both, seed)
+
+
+def gather(
+    scenarios: Sequence[str],
+    controllers: Sequence[str],
+    episodes: int,
+    done: Mapping[Unit, Mapping[str, Any]],
+    failures: Mapping[tuple[str, str], str],
+    published: Callable[[Scenario], Published | None],
+) -> list[Results]:
+    """Results of each scenario.
+
+    Parameters
+    ----------
+    scenarios, controllers, episodes
+        As planned.
+    done
+        Records of the finished units; those of a pair that failed elsewhere are left out.
+    failures
+        Why a (scenario, controller) has no results.
+    published
+        Hindsight's figures for a scenario, None where there are none.
+    """
+    found = []
+    for name in scenarios:
+        failed = {controller: text for (scenario, controller), text in failures.items() if scenario == name}
+        own = sorted((u for u in done if u.scenario == name and u.controller not in failed), key=lambda u: u.first)
+        records: dict[str, list[Mapping[str, Any]]] = {u.controller: [] for u in own}
+        voltages = {u.controller: np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64) for u in own}
+        observes = {u.controller: done[u]["observes"] for u in own}
+        for unit in own:
+            records[unit.controller] += done[unit]["episodes"]
+            first, counts = done[unit]["voltage"]["first_bin"], done[unit]["voltage"]["counts"]
+            voltages[unit.controller][first : first + len(counts)] += counts
+        hindsight = published(on_test_split(name))
+        summary = summarise(name, episodes, records, observes, failed, controllers, hindsight)
+        found.append(Results(summary, records, voltages))
+    return found

@@ -1,0 +1,118 @@
+"""Tasks spread over processes that are started afresh (spawn), one task each at a time.
+
+A process of the pool runs its numerical libraries on one thread, leaves Ctrl-C to the parent, and ends with it. One
+that dies (a crash in compiled code, out of memory) costs its task alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import TypeVar
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Died:
+    """In place of a result: the process ended with this exit code, a signal's number negative, before it had one."""
+
+    exit_code: int | None
+
+
+def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Result | Died]]:
+    """``work`` of every task, in the order in which they are done; what it raises is raised here.
+
+    ``work`` is a function of a module, and tasks and results are sent as pickles. With one job all is done in this
+    process. Leaving the iterator (Ctrl-C included) ends the processes.
+    """
+    jobs = min(jobs, len(tasks))
+    if jobs <= 1:
+        yield from ((task, work(task)) for task in tasks)
+        return
+    waiting = list(reversed(tasks))
+    busy: dict[Connection, tuple[SpawnProcess, Task]] = {}
+    try:
+        for _ in range(jobs):
+            _give(_start(work), waiting, busy)
+        while busy:
+            for pipe in wait(list(busy)):
+                assert isinstance(pipe, Connection)
+                process, task = busy.pop(pipe)
+                try:
+                    result = pipe.recv()
+                except (EOFError, ConnectionError):
+                    process.join()
+                    result = Died(process.exitcode)
+                    process, pipe = _start(work) if waiting else (process, pipe)
+                _give((process, pipe), waiting, busy)
+                if isinstance(result, BaseException):
+                    raise result
+                yield task, result
+    finally:
+        for process, _ in busy.values():
+            process.terminate()
+        for process, _ in busy.values():
+            process.join()
+
+
+def _start(work: Callable[[Task], Result]) -> tuple[SpawnProcess, Connection]:
+    spawn = get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    with _one_thread():
+        process = spawn.Process(target=_serve, args=(work, theirs), daemon=True)
+        process.start()
+    theirs.close()
+    return process, ours
+
+
+def _give(
+    worker: tuple[SpawnProcess, Connection], waiting: list[Task], busy: dict[Connection, tuple[SpawnProcess, Task]]
+) -> None:
+    """Hand a worker its next task, or let it end."""
+    process, pipe = worker
+    if not waiting:
+        pipe.close()
+        return
+    task = waiting.pop()
+    busy[pipe] = (process, task)
+    with contextlib.suppress(ConnectionError):  # dead already: the next read tells
+        pipe.send(task)
+
+
+def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            task = pipe.recv()
+        except (EOFError, ConnectionError):
+            return
+        try:
+            result = work(task)
+        except Exception as error:
+            result = error
+        pipe.send(result)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """The environment that a process is started with; numerical libraries read it as they are loaded."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

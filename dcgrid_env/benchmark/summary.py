@@ -1,0 +1,161 @@
+"""What the episodes of a scenario under a controller come to, and its score."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from dcgrid_env.baselines.score import Estimate, score
+
+REFERENCE = "droop-tuned"
+"""The controller of score 0."""
+
+
+class Published(Protocol):
+    """Perfect foresight on the published test episodes, see ``baselines.published``."""
+
+    @property
+    def seeds(self) -> np.ndarray:
+        """(n,)"""
+        ...
+
+    @property
+    def J(self) -> np.ndarray:
+        """Cost that hindsight reaches, replayed, (n,)."""
+        ...
+
+    @property
+    def bound(self) -> np.ndarray:
+        """The relaxation's own optimum, (n,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One controller on one scenario; of one that failed there is only ``failure``."""
+
+    scenario: str
+    controller: str
+    failure: str | None = None
+    observes: str = ""
+    means: Mapping[str, float] | None = None
+    """Mean over the episodes of each metric of a record."""
+    interquartile_mean: float | None = None
+    """Of J; like the next two None where there are fewer than 2 episodes or no reference to compare with."""
+    difference: Estimate | None = None
+    """Mean of J - J_reference."""
+    score: Estimate | None = None
+
+    def record(self) -> dict[str, Any]:
+        """As results.json holds it."""
+        if self.failure is not None:
+            return {"scenario": self.scenario, "controller": self.controller, "failure": self.failure}
+        named = {"score": self.score, "difference": self.difference}
+        return {
+            "scenario": self.scenario,
+            "controller": self.controller,
+            "observes": self.observes,
+            **{name: found._asdict() if found else None for name, found in named.items()},
+            "interquartile_mean": self.interquartile_mean,
+            "means": dict(self.means or {}),
+        }
+
+
+@dataclass(frozen=True)
+class ScenarioSummary:
+    """All controllers on one scenario."""
+
+    scenario: str
+    episodes: int
+    rows: tuple[Summary, ...]
+    no_score: str | None
+    """Why there are no scores, None if there are."""
+    hindsight: tuple[float, float] | None
+    """Mean J of hindsight and its mean bound over these episodes."""
+
+    @property
+    def working(self) -> list[Summary]:
+        """Rows of the controllers that did not fail."""
+        return [row for row in self.rows if row.failure is None]
+
+
+def summarise(
+    scenario: str,
+    episodes: int,
+    records: Mapping[str, Sequence[Mapping[str, Any]]],
+    observes: Mapping[str, str],
+    failures: Mapping[str, str],
+    order: Sequence[str],
+    published: Published | None,
+) -> ScenarioSummary:
+    """Sum up a scenario.
+
+    Parameters
+    ----------
+    scenario, episodes
+        Its name, and how many episodes each controller was to have; their seeds are 0, 1, ...
+    records, observes, failures
+        By controller: its episodes in the order of their seeds and what it observes, or why there are none.
+    order
+        The controllers in the order of the rows.
+    published
+        Hindsight's figures, None where there are none for the scenario.
+    """
+    droop = [r["J"] for r in records[REFERENCE]] if REFERENCE in records else None
+    best, bound = _of_seeds(published, episodes)
+    reason = _why_no_score(failures, droop, best, published, episodes)
+    rows = []
+    for name in order:
+        if name in failures:
+            rows.append(Summary(scenario, name, failures[name]))
+            continue
+        own = records[name]
+        j = [r["J"] for r in own]
+        numbers = [
+            key for key, value in own[0].items() if not isinstance(value, str) and key not in ("episode", "seed")
+        ]
+        means = {key: float(np.mean([r[key] for r in own])) for key in numbers}
+        row = Summary(scenario, name, None, observes[name], means)
+        if droop is not None and episodes > 1:
+            # The difference and the interquartile mean hold whatever hindsight costs; anything below the droop serves.
+            found = score(j, droop, np.subtract(droop, 1.0) if reason else best)  # type: ignore[arg-type]
+            share = None if reason else found.score
+            row = Summary(
+                scenario, name, None, observes[name], means, found.interquartile_mean, found.difference, share
+            )
+        rows.append(row)
+    hindsight = None if best is None or bound is None else (float(best.mean()), float(bound.mean()))
+    return ScenarioSummary(scenario, episodes, tuple(rows), reason, hindsight)
+
+
+def _of_seeds(published: Published | None, episodes: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    if published is None:
+        return None, None
+    at = {int(seed): i for i, seed in enumerate(published.seeds)}
+    if not all(seed in at for seed in range(episodes)):
+        return None, None
+    index = [at[seed] for seed in range(episodes)]
+    return published.J[index], published.bound[index]
+
+
+def _why_no_score(
+    failures: Mapping[str, str],
+    droop: Sequence[float] | None,
+    best: np.ndarray | None,
+    published: Published | None,
+    episodes: int,
+) -> str | None:
+    if droop is None:
+        return f"no score: {REFERENCE} {failures.get(REFERENCE, 'was not run')}"
+    if published is None:
+        return "no score: no hindsight values are published for this scenario"
+    if best is None:
+        return f"no score: hindsight is published for {len(published.seeds)} episodes, not for all of these {episodes}"
+    if episodes < 2:
+        return "no score: an interval takes at least 2 episodes"
+    if np.mean(droop - best) <= 0.0:
+        return f"no score: hindsight (J {best.mean():.4f}) does not beat {REFERENCE} (J {np.mean(droop):.4f})"
+    return None

@@ -1,0 +1,51 @@
+"""The benchmark's files: results.json, results.md and report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.benchmark import report
+from dcgrid_env.benchmark.figures import Replay, png, scenario_figure, score_figure
+from dcgrid_env.benchmark.files import write_json, write_text
+from dcgrid_env.benchmark.gather import Results
+from dcgrid_env.benchmark.jobs import on_test_split
+from dcgrid_env.benchmark.tables import LEGEND, scenario_table, score_table
+
+
+def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]) -> None:
+    """results.json, with every episode, and results.md, with the tables."""
+    summaries = [result.summary for result in results]
+    rows = [row for summary in summaries for row in summary.rows]
+    content = {
+        "meta": dict(meta),
+        "failures": [row.record() for row in rows if row.failure is not None],
+        "summaries": [row.record() for row in rows if row.failure is None],
+        "episodes": [
+            record for result in results for row in result.summary.working for record in result.records[row.controller]
+        ],
+    }
+    write_json(out / "results.json", content)
+    tables = [score_table(summaries), *map(scenario_table, summaries)]
+    head = f"# dcgrid benchmark\n\n    {meta['command']}\n\n" + "\n\n".join(LEGEND) + "\n"
+    write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
+
+
+def write_report(
+    out: Path, results: Sequence[Results], replays: Mapping[Replay, bytes | str], meta: Mapping[str, Any]
+) -> None:
+    """report.html; ``replays`` holds the worst episode of each scenario, or why there is no figure of it."""
+    summaries = [result.summary for result in results]
+    sections = []
+    for result in results:
+        name = result.summary.scenario
+        task = result.worst()
+        drawn = None
+        if task is not None:
+            drawn = png(scenario_figure(result.summary, result.voltages, on_test_split(name).band_pu))
+        worst = (task, replays[task]) if task is not None else None
+        sections.append(report.Section(name, scenario_table(result.summary), drawn, worst))
+    scores = score_figure(summaries)
+    text = report.page(score_table(summaries), png(scores) if scores else None, sections, meta)
+    write_text(out / "report.html", text)

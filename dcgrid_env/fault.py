@@ -1,0 +1,36 @@
+"""Faults of an episode: a device is lost at a time drawn anew in each episode, and may return.
+
+A lost inverter injects nothing. A data centre that trips goes on with its work on its own supply and draws nothing from
+the grid until it returns (so did some 1,500 MW of data centres in July 2024, NERC, "Incident review: considering
+simultaneous voltage-sensitive load reductions", 2025). A lost capacitor injects nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+KINDS = ("inverter", "datacenter", "capacitor")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One device is lost for a while."""
+
+    among: tuple[str, ...]
+    """Which: one drawn evenly among all of these kinds (inverter, datacenter, capacitor) or agent ids (dc_0, inv_2)."""
+    begin_s: tuple[float, float]
+    """Earliest and latest beginning, s from the episode's beginning."""
+    duration_s: tuple[float, float] = (math.inf, math.inf)
+    """Shortest and longest; infinite is until the episode's end."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.among, str) or not self.among:
+            raise ValueError(f"fault: among is {self.among!r}; give a tuple of {', '.join(KINDS)} or agent ids")
+        object.__setattr__(self, "among", tuple(self.among))
+        for name in ("begin_s", "duration_s"):
+            low, high = getattr(self, name)
+            if not 0.0 <= low <= high or (name == "begin_s" and math.isinf(high)):
+                raise ValueError(f"fault: {name} is {(low, high)!r}; give a shortest and a longest of at least 0 s")
+        if math.isinf(self.duration_s[1]) and not math.isinf(self.duration_s[0]):
+            raise ValueError(f"fault: duration_s is {self.duration_s!r}; give two finite times, or two infinite ones")

@@ -1,0 +1,104 @@
+"""Generated PV output around noon under passing clouds, as a share of the inverter's rating.
+
+    share(t) = clear (1 - shade(t))
+
+`clear` is drawn for each trace. Sun and cloud take turns for exponential times; each cloud has its own depth and comes
+and goes in a straight line over some seconds, the time in which its edge crosses the modules. That output falls by half
+and more within tens of seconds, and faster the smaller the plant, is measured (A. Mills et al., "Understanding
+variability and uncertainty of photovoltaics for integration with the electric power system", LBNL-2855E, 2009); the
+numbers below are choices, made so that two minutes hold one or two clouds.
+"""
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+
+from dcgrid_env.traces.grid import GRID_S, grid_steps, rounded, stream
+from dcgrid_env.traces.library import row_seed
+from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, steps_in
+
+SUN = "pv"
+"""Name of this generator, as a scenario's ``inverter_trace``."""
+
+_RANGES = {
+    "clear_share": (0.0, 1.0),
+    "sun_mean_s": (1.0, 1e6),
+    "cloud_mean_s": (1.0, 1e6),
+    "shade": (0.0, 1.0),
+    "edge_s": (0.1, 600.0),
+}
+
+
+@dataclass(frozen=True)
+class PvParams:
+    """A sky; pairs are ranges drawn from evenly. A field out of its range raises TraceError."""
+
+    clear_share: tuple[float, float] = (0.75, 1.0)
+    """Output without clouds as a share of the rating."""
+    sun_mean_s: float = 50.0
+    cloud_mean_s: float = 25.0
+    shade: tuple[float, float] = (0.4, 0.8)
+    """What a cloud takes."""
+    edge_s: tuple[float, float] = (4.0, 20.0)
+    """Time in which a cloud comes, and goes, s."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value, (low, high) = getattr(self, field.name), _RANGES[field.name]
+            ends = value if isinstance(value, tuple) else (value, value)
+            if not (len(ends) == 2 and low <= ends[0] <= ends[1] <= high):
+                raise TraceError(f"PvParams.{field.name} = {value} is not within [{low:g}, {high:g}]")
+
+
+def generate_pv(duration_s: float, seed: int, params: PvParams | None = None) -> PowerTrace:
+    """Generate PV output.
+
+    Parameters
+    ----------
+    duration_s : length, s; rounded up to the grid of 0.1 s.
+    seed : integer of at least 0; the same seed is the same trace.
+    params : the sky.
+
+    Returns
+    -------
+    PowerTrace with power in [0, 1], share of the rating, on a grid of 0.1 s
+
+    Raises
+    ------
+    TraceError
+        If the duration or the seed is out of range.
+    """
+    params = params or PvParams()
+    n_steps = grid_steps(duration_s)
+    rng = stream(SUN, seed)
+    clear = rng.uniform(*params.clear_share)
+    # The first turn of sun began before the trace does.
+    time_s, end_s = -float(rng.exponential(params.sun_mean_s)), n_steps * GRID_S
+    at_s, shade = [time_s], [0.0]
+    while time_s < end_s:
+        depth = rng.uniform(*params.shade)
+        for level, mean_s in ((depth, params.cloud_mean_s), (0.0, params.sun_mean_s)):
+            at_s += [time_s := time_s + rng.uniform(*params.edge_s), time_s := time_s + rng.exponential(mean_s)]
+            shade += [level, level]
+    grid_s = np.arange(n_steps + 1) * GRID_S
+    share = rounded(clear * (1.0 - np.interp(grid_s, at_s, shade)))
+    provenance = generated(SUN, seed, duration_s, params=params)
+    return PowerTrace(grid_s, share, f"{SUN}-{seed}", provenance, rated_kw=1.0)
+
+
+@lru_cache(maxsize=32)
+def pv_rows(split: str, dt_s: float, duration_s: float, count: int) -> FloatArray:
+    """Rows of generated PV, (count, n_steps), read-only; the splits share no seed, see `library`.
+
+    Raises
+    ------
+    TraceError
+        For an unknown split.
+    """
+    n_steps = steps_in(duration_s, dt_s)
+    rows = [generate_pv(duration_s, row_seed(split, i)).resample(dt_s)[:n_steps] for i in range(count)]
+    found = np.array(rows)
+    found.setflags(write=False)
+    return found
