@@ -197,7 +197,8 @@ class _Program:
         step, bus = np.unravel_index(np.argmax(excess), excess.shape)
         return (
             f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]!r} the voltage is at least "
-            f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten the load"
+            f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten "
+            "the load"
         )
 
     def _slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -253,7 +254,12 @@ class _Program:
         # linear constraint says: there the program may do less than the environment.
         least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)
         q_kvar, inf = self.q_limit_kvar.ravel(), np.inf
-        ranges = {"d": (least_kw.ravel(), top_kw.ravel()), "b": (0.0, inf), "q": (-q_kvar, q_kvar), "w": (0.0, inf if inf_w else 0.0)}
+        ranges = {
+            "d": (least_kw.ravel(), top_kw.ravel()),
+            "b": (0.0, inf),
+            "q": (-q_kvar, q_kvar),
+            "w": (0.0, inf if inf_w else 0.0),
+        }
         sides = [ranges.get(name, (0.0, inf)) for name in self.sizes]
         return np.concatenate(
             [

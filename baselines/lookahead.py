@@ -14,8 +14,9 @@ statistical learning via the alternating direction method of multipliers", 2011)
 
 so that each part has a solution in closed form: soft thresholds at 0 and at the band, the projection on box and circle,
 and one least-squares problem, whose inverse the eigenvectors of the time axis split into one of the size of a single
-step for each. Started from the last second's solution moved on by a step, some ten rounds are enough. The number of
-rounds is fixed, so that a lane's solution is the same whatever stands beside it.
+step for each. On states of validation episodes 100 rounds from the last second's solution moved on by a step leave the
+objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on ieee123 and
+toy6). The number of rounds is fixed, so that a lane's solution is the same whatever stands beside it.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Program(NamedTuple):
     """Least and largest work served, (L, H, n_dc)."""
     high: np.ndarray
     s_rated: np.ndarray
-    """Apparent-power rating of the sites, (n_dc,)."""
+    """Apparent-power rating of the sites, (L, H, n_dc)."""
     q_high: np.ndarray
     """Largest reactive magnitude beside the circle, (L, n_agent)."""
     work: np.ndarray
@@ -67,69 +68,69 @@ class Iterate(NamedTuple):
     u_b: np.ndarray
 
 
-def cost(program: Program, x: np.ndarray) -> np.ndarray:
-    """Objective (L,) of x, (L, H, n), inside its limits; more served than there is counts as what there is."""
-    n_dc = program.base.shape[-1]
-    served, there = [], program.work[:, 0]
-    coming = np.diff(program.work, axis=1)
-    for k in range(x.shape[1]):
-        served.append(np.minimum(x[:, k, :n_dc], there))
-        there = there - served[-1] + (coming[:, k] if k < coming.shape[1] else 0.0)
-    d = np.stack(served, axis=1)
-    q = x[..., n_dc:]
-    e = np.abs(program.offset + np.matmul(np.concatenate((d, q), axis=-1), program.slopes))
-    waits = program.work - np.cumsum(d, axis=1)
-    return (
-        program.voltage * e.sum(axis=(1, 2))
-        + program.violation * np.maximum(e - program.band_pu, 0.0).sum(axis=(1, 2))
-        + (np.abs(q) * program.effort).sum(axis=(1, 2))
-        + (program.price * waits).sum(axis=(1, 2))
-    )
-
-
-class Steps(NamedTuple):
-    """Penalties of ADMM: weight of each split; larger holds its two sides together more tightly."""
+class Penalties(NamedTuple):
+    """Weights of ADMM's splits, relative to the program's own size; a larger one holds its sides together more
+    tightly."""
 
     e: float
     y: float
     b: float
 
 
-STEPS = Steps(200.0, 0.3, 1.0)
+PENALTIES = Penalties(200.0, 0.3, 1.0)
+"""Chosen on such states: 60 rounds from cold leave 0.09 % over 8 steps of ieee33-weak on average, 0.16 % with half the
+first, 1.5 % with five times the first and three times the last."""
+_BLOCK = 12_000  # voltages of a block of lanes: its arrays stay in the cache
 
 
-def solve(program: Program, start: Iterate | None, rounds: int, steps: Steps = STEPS) -> Iterate:
-    """Go on from ``start``, or from serving all work at once without reactive power, for a number of rounds.
+def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
+    """Go on from ``start``, or from serving work as it comes without reactive power, for a number of rounds.
 
-    ``y`` of the result is (L, H, n), within all limits of the devices; work not there yet may be served from the second
-    step on until the rounds have settled that.
+    ``y`` of the result, (L, H, n), is within all limits of the devices; from the second step on it may serve a little
+    work that is not there yet until the rounds have settled that.
     """
-    p, n_dc = program, program.base.shape[-1]
-    rho_e = steps.e * p.voltage
-    size = (p.slopes**2).sum(axis=-1)
-    size[:, :n_dc] = size[:, n_dc : 2 * n_dc] = np.maximum(size[:, :n_dc], size[:, n_dc : 2 * n_dc])
-    rho_y = steps.y * rho_e * size  # (L, n)
-    rho_b = steps.b * rho_e * size[:, :n_dc]
-    over_time, inverse = _inverse(p, rho_e, rho_y, rho_b)
-    at = _begin(p) if start is None else start
+    at = _begin(program) if start is None else start
+    lanes, steps, n_bus = program.offset.shape
+    size = max(1, _BLOCK // (steps * n_bus))
+    done = [
+        _rounds(_lanes(program, block), Iterate(*(part[block] for part in at)), rounds)
+        for block in (slice(a, a + size) for a in range(0, lanes, size))
+    ]
+    return Iterate(*map(np.concatenate, zip(*done, strict=True)))
+
+
+def _lanes(program: Program, block: slice) -> Program:
+    """Some lanes of a program."""
+    by_lane = ("offset", "slopes", "base", "low", "high", "s_rated", "q_high", "work")
+    return program._replace(**{name: getattr(program, name)[block] for name in by_lane})
+
+
+def _rounds(program: Program, at: Iterate, rounds: int) -> Iterate:
+    p, n_dc, kept = program, program.base.shape[-1], 1.0 - RELAXATION
+    system = _system(p)
+    w_e, w_y, w_b = system.w_e, system.w_y[:, None], system.w_b[:, None]
+    effort, price, excess = p.effort / w_y[..., n_dc:], p.price / w_b, p.violation / w_e
     slopes_t = np.ascontiguousarray(p.slopes.swapaxes(1, 2))
     e, y, b, u_e, u_y, u_b = at
-    w_e, w_y, w_b = rho_e, rho_y[:, None], rho_b[:, None]
-    effort, price = p.effort / w_y[..., n_dc:], p.price / w_b
     for _ in range(rounds):
-        right = np.matmul(w_e * (e - u_e - p.offset), slopes_t) + w_y * (y - u_y)
-        right[..., :n_dc] += np.flip(np.cumsum(np.flip(w_b * (p.work - b + u_b), 1), axis=1), 1)
-        modes = np.matmul(over_time.T, right)
-        x = np.matmul(over_time, np.matmul(inverse, modes[..., None])[..., 0])
-        ex = RELAXATION * (np.matmul(x, p.slopes) + p.offset) + (1.0 - RELAXATION) * e
-        yx = RELAXATION * x + (1.0 - RELAXATION) * y
-        bx = RELAXATION * (p.work - np.cumsum(x[..., :n_dc], axis=1)) + (1.0 - RELAXATION) * b
-        e = _shrink(ex + u_e, p.voltage / w_e, p.violation / w_e, p.band_pu)
-        y = _within(p, yx + u_y, effort)
-        b = np.maximum(bx + u_b - price, 0.0)
-        u_e = u_e + ex - e
-        u_y = u_y + yx - y
-        u_b = u_b + bx - b
+        right = w_e * np.matmul(e - u_e - p.offset, slopes_t)
+        right += w_y * (y - u_y)
+        right[..., :n_dc] += np.cumsum((w_b * (p.work - b + u_b))[:, ::-1], axis=1)[:, ::-1]
+        x = system.solve(right)
+        # Each part's target is its over-relaxed value and its multiplier; what it leaves of that is the new multiplier.
+        e_to = np.matmul(x, p.slopes)
+        e_to += p.offset
+        e_to *= RELAXATION
+        e_to += kept * e
+        e_to += u_e
+        e = _shrink(e_to, p.voltage / w_e, excess, p.band_pu)
+        u_e = np.subtract(e_to, e, out=e_to)
+        y_to = RELAXATION * x + kept * y + u_y
+        y = _within(p, y_to, effort)
+        u_y = y_to - y
+        b_to = RELAXATION * (p.work - np.cumsum(x[..., :n_dc], axis=1)) + kept * b + u_b
+        b = np.maximum(b_to - price, 0.0)
+        u_b = b_to - b
     return Iterate(e, y, b, u_e, u_y, u_b)
 
 
@@ -148,22 +149,65 @@ def _begin(program: Program) -> Iterate:
     return Iterate(e, y, b, 0.0 * e, 0.0 * y, 0.0 * b)
 
 
-def _inverse(program: Program, rho_e: float, rho_y: np.ndarray, rho_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvectors (H, H) of the cumulated sum's square over time, and the inverse for each, (L, H, n, n)."""
-    steps, n, n_dc = program.offset.shape[1], rho_y.shape[-1], rho_b.shape[-1]
+class _System(NamedTuple):
+    """ADMM's least-squares problem of a batch, ready to be solved.
+
+    With C the cumulated sum over time, C'C = U diag(g) U', and E the sites' part of x, the matrix of mode k is
+    M + g_k E diag(w_b) E', M = w_e S S' + diag(w_y). With w_b^(1/2) E' M^-1 E w_b^(1/2) = V diag(c) V' and
+    W = M^-1 E w_b^(1/2) V its inverse is M^-1 - W diag(g_k / (1 + g_k c)) W' (Woodbury).
+    """
+
+    w_e: float
+    """Penalties: of e, of y (L, n), of b (L, n_dc)."""
+    w_y: np.ndarray
+    w_b: np.ndarray
+    over_time: np.ndarray
+    """U, (H, H)."""
+    inverse: np.ndarray
+    """M^-1, (L, n, n)."""
+    sites: np.ndarray
+    """W, (L, n, n_dc)."""
+    share: np.ndarray
+    """g_k / (1 + g_k c), (L, H, n_dc)."""
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """x (L, H, n) for right-hand sides (L, H, n)."""
+        modes = np.matmul(self.over_time.T, right)
+        x = np.matmul(modes, self.inverse)
+        x -= np.matmul(np.matmul(modes, self.sites) * self.share, self.sites.swapaxes(1, 2))
+        return np.matmul(self.over_time, x)
+
+
+def _system(program: Program) -> _System:
+    p, steps, n_dc = program, program.offset.shape[1], program.base.shape[-1]
+    w_e = PENALTIES.e * (max(p.voltage, 0.01 * p.violation) or 1.0)
+    squares = np.matmul(p.slopes, p.slopes.swapaxes(1, 2))
+    i, n = np.arange(squares.shape[-1]), squares.shape[-1]
+    size = np.maximum(squares[:, i, i], 1e-9)
+    # p and q of a site have one penalty, so that the projection on the circle is one.
+    size[:, :n_dc] = size[:, n_dc : 2 * n_dc] = np.maximum(size[:, :n_dc], size[:, n_dc : 2 * n_dc])
+    w_y, w_b = PENALTIES.y * w_e * size, PENALTIES.b * w_e * size[:, :n_dc]
+    matrix = w_e * squares
+    matrix[:, i, i] += w_y
+    inverse = np.linalg.inv(matrix)
+    root = np.sqrt(w_b)
+    curvature, vectors = np.linalg.eigh(root[:, :, None] * inverse[:, :n_dc, :n_dc] * root[:, None])
     summed = np.tril(np.ones((steps, steps)))
-    values, vectors = np.linalg.eigh(summed.T @ summed)
-    matrix = np.repeat(rho_e * np.matmul(program.slopes, program.slopes.swapaxes(1, 2))[:, None], steps, axis=1)
-    i, d = np.arange(n), np.arange(n_dc)
-    matrix[..., i, i] += rho_y[:, None]
-    matrix[..., d, d] += values[:, None] * rho_b[:, None]
-    return vectors, np.linalg.inv(matrix)
+    growth, over_time = np.linalg.eigh(summed.T @ summed)
+    share = growth[:, None] / (1.0 + growth[:, None] * curvature[:, None])
+    sites = np.matmul(inverse[:, :, :n_dc] * root[:, None], vectors) if n_dc else np.zeros((len(size), n, 0))
+    return _System(w_e, w_y, w_b, over_time, inverse, sites, share)
 
 
 def _shrink(value: np.ndarray, by: float, by_more: float, band: float) -> np.ndarray:
     """Proximal point of by |e| + by_more max(|e| - band, 0)."""
-    size = np.maximum(np.abs(value) - by, 0.0)
-    return np.copysign(np.minimum(size, np.maximum(band, size - by_more)), value)
+    size = np.abs(value)
+    size -= by
+    np.maximum(size, 0.0, out=size)
+    beyond = size - by_more
+    np.maximum(beyond, band, out=beyond)
+    np.minimum(size, beyond, out=size)
+    return np.copysign(size, value, out=size)
 
 
 def _within(program: Program, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
@@ -171,19 +215,16 @@ def _within(program: Program, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
     p, n_dc = program, program.base.shape[-1]
     d, q = np.clip(x[..., :n_dc], p.low, p.high), x[..., n_dc:]
     size = np.minimum(np.maximum(np.abs(q) - effort, 0.0), p.q_high[:, None])
-    # A corner of the box that the circle cuts off: the nearest point is on the arc, or where the box ends it. What is
-    # outside box and circle but nearest to a side of the box has been put there.
     own, s = size[..., :n_dc], p.s_rated
-    real = p.base + d
-    if (real * real + own * own > s * s).any():
-        p_out = p.base + x[..., :n_dc]
-        q_out = np.maximum(np.abs(q[..., :n_dc]) - effort[..., :n_dc], 0.0)
-        radius = np.maximum(np.hypot(p_out, q_out), 1e-12)
-        q_top = p.q_high[:, None, :n_dc]
-        p_arc = np.clip(p_out * s / radius, np.sqrt(np.maximum(s * s - q_top * q_top, 0.0)), s)
+    p_own = p.base + d
+    cut = p_own * p_own + own * own > s * s
+    if cut.any():
+        # A corner of the box is outside the circle: the nearest point is on the arc, or at an end of it in the box.
+        p_to, q_top = p.base + x[..., :n_dc], p.q_high[:, None, :n_dc]
+        q_to = np.maximum(np.abs(q[..., :n_dc]) - effort[..., :n_dc], 0.0)
+        p_arc = p_to * s / np.maximum(np.hypot(p_to, q_to), 1e-12)
+        p_arc = np.maximum(p_arc, np.sqrt(np.maximum(s * s - q_top * q_top, 0.0)))
         p_arc = np.clip(p_arc, p.base + p.low, p.base + p.high)
-        q_arc = np.minimum(np.sqrt(np.maximum(s * s - p_arc * p_arc, 0.0)), q_top)
-        cut = real * real + own * own > s * s
         d = np.where(cut, p_arc - p.base, d)
-        size[..., :n_dc] = np.where(cut, q_arc, own)
+        size[..., :n_dc] = np.where(cut, np.minimum(np.sqrt(np.maximum(s * s - p_arc * p_arc, 0.0)), q_top), own)
     return np.concatenate((d, np.copysign(size, q)), axis=-1)

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.deadband import DeadbandDroop
 from dcgrid_env.baselines.droop import Droop
+from dcgrid_env.baselines.feedback import FeedbackOptimisation
+from dcgrid_env.baselines.mpc import Mpc
 from dcgrid_env.baselines.none import NoControl
 from dcgrid_env.baselines.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.switching import SwitchingReference
+from dcgrid_env.baselines.tune import TUNABLE
+from dcgrid_env.baselines.tuned import SUFFIX, tuned_controller
 from dcgrid_env.baselines.volt_var import VoltVar
 
 CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
@@ -30,12 +35,33 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "switching": ("reactive droop to two references, for AI-training loads (arXiv 2603.15588)", SwitchingReference),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
+    "feedback": (
+        "online feedback optimisation: projected primal-dual steps on the measured voltages of all buses",
+        FeedbackOptimisation,
+    ),
+    "mpc-one-step": ("model predictive control of the next step", lambda: Mpc(horizon=1)),
+    "mpc": ("model predictive control over 12 steps with preview and forecast", Mpc),
 }
 """Description and factory of each."""
 
+TUNED: dict[str, str] = {
+    f"{law}{SUFFIX}": f"{law}, its parameters tuned on the validation split of the preset" for law in TUNABLE
+}
+"""Description of those whose parameters depend on the scenario."""
 
-def make_controller(name: str) -> Controller:
-    """A fresh controller; ValueError for an unknown name, listing those that exist."""
-    if name not in CONTROLLERS:
-        raise ValueError(f"unknown controller {name!r}; there are {', '.join(CONTROLLERS)}")
-    return CONTROLLERS[name][1]()
+
+def make_controller(name: str, scenario: Scenario | None = None) -> Controller:
+    """A fresh controller.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, listing those that exist, or a tuned one without a scenario for which parameters ship.
+    """
+    if name in CONTROLLERS:
+        return CONTROLLERS[name][1]()
+    if name not in TUNED:
+        raise ValueError(f"unknown controller {name!r}; there are {', '.join((*CONTROLLERS, *TUNED))}")
+    if scenario is None:
+        raise ValueError(f"controller {name!r} is tuned for each preset; say which scenario it is for")
+    return tuned_controller(name.removesuffix(SUFFIX), scenario)

@@ -10,9 +10,11 @@ from types import ModuleType
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.named import CONTROLLERS, make_controller
+from dcgrid_env.baselines.named import CONTROLLERS, TUNED, make_controller
 from dcgrid_env.baselines.policy import load_policy
 
+NAMES = (*CONTROLLERS, *TUNED)
+"""All that ship."""
 FORMS = "give package.module:Class or path/to/file.py:Class for one of your own, or a saved policy's .npz file"
 
 
@@ -22,7 +24,7 @@ def find_controller(spec: str, scenario: Scenario) -> Controller:
     Parameters
     ----------
     spec
-        A name of ``CONTROLLERS``; ``package.module:Class`` or ``path/to/file.py:Class``, constructed without arguments
+        A name (``NAMES``); ``package.module:Class`` or ``path/to/file.py:Class``, constructed without arguments
         (this runs the user's code; modules of the working directory are found too); or the path of a saved policy,
         ending in .npz (this runs no code).
     scenario
@@ -33,18 +35,18 @@ def find_controller(spec: str, scenario: Scenario) -> Controller:
     ValueError
         For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario.
     """
-    if spec in CONTROLLERS:
-        return make_controller(spec)  # SHIM
+    if spec in CONTROLLERS or spec in TUNED:
+        return make_controller(spec, scenario)
     if spec.endswith(".npz"):
         if not Path(spec).is_file():
             raise ValueError(f"controller {spec!r}: there is no such file; {FORMS}")
         return load_policy(spec)
     where, colon, name = spec.rpartition(":")
     if not colon:
-        raise ValueError(f"unknown controller {spec!r}; there are {', '.join(CONTROLLERS)}; or {FORMS}")
+        raise ValueError(f"unknown controller {spec!r}; there are {', '.join(NAMES)}; or {FORMS}")
     made = _construct(spec, _module(spec, where), name)
     if not isinstance(made, Controller):
-        raise ValueError(f"controller {spec!r}: a {type(made).__name__} is no controller; give it reset and act")
+        raise ValueError(f"controller {spec!r}: {type(made).__name__} is no controller; give it reset and act")
     return made
 
 

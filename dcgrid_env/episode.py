@@ -153,7 +153,10 @@ def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
     for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
         # Nothing is lost at t = 0, and what lasts longer than the episode lasts to its end.
         begin, duration = (
-            [min(round(t_s / scenario.dt_s), scenario.horizon + 1) if t_s < np.inf else scenario.horizon + 1 for t_s in pair]
+            [
+                min(round(t_s / scenario.dt_s), scenario.horizon + 1) if t_s < np.inf else scenario.horizon + 1
+                for t_s in pair
+            ]
             for pair in (fault.begin_s, fault.duration_s)
         )
         found[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]

@@ -20,7 +20,7 @@ class Fault:
     among: tuple[str, ...]
     """Which: one drawn evenly among all of these kinds (inverter, datacenter, capacitor) or agent ids (dc_0, inv_2)."""
     begin_s: tuple[float, float]
-    """Earliest and latest beginning, s from the episode's beginning."""
+    """Earliest and latest beginning, s from the episode's; one that would begin after its end does not happen."""
     duration_s: tuple[float, float] = (math.inf, math.inf)
     """Shortest and longest; infinite is until the episode's end."""
 

@@ -10,6 +10,9 @@ from dcgrid_env.layout import agent_colour
 from dcgrid_env.metrics import Series
 from dcgrid_env.scenario import Scenario
 
+MOST_NAMED = 10
+"""Data centres up to which a figure names each; beyond, colours have repeated and a legend would hide the curves."""
+
 
 def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figure:
     """Columns are controllers; rows are voltages, clocks and backlog, each on one scale for all."""
@@ -31,14 +34,14 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
             ax.grid(alpha=0.25, linewidth=0.6)
             ax.spines[["top", "right"]].set_visible(False)
     lowest = min(float(run.v_pu.min()) for run in series.values())
-    axes[0, 0].set_ylim(min(lowest, 1.0 - scenario.band_pu) - 0.01, 1.0 + 1.6 * scenario.band_pu)  # room for the legend
+    axes[0, 0].set_ylim(min(lowest, 1.0 - scenario.band_pu) - 0.01, 1.0 + 1.9 * scenario.band_pu)  # room for the legend
     column = axes[:, 0]
     for ax, label in zip(column, ("voltage (p.u.)", "GPU clock (MHz)", "backlog (kW s)"), strict=True):
         ax.set_ylabel(label)
     peak = max(float(run.backlog_kws.max(initial=0.0)) for run in series.values())
     column[2].set_ylim(-0.02 * max(peak, 1.0), 1.05 * max(peak, 1.0))
-    column[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=4, columnspacing=1.0)
-    if n_dc:
+    column[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2, columnspacing=1.0)
+    if 0 < n_dc <= MOST_NAMED:
         column[1].legend(loc="lower right", fontsize=8, frameon=False, ncols=min(n_dc, 5))
     figure.suptitle(f"{scenario.name}, {scenario.split} split, seed {seed}: the same episode under each controller")
     return figure

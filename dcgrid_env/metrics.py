@@ -146,6 +146,14 @@ class Recorder:
         taken = self._transitions[: int(self._length[lane]) + 1]
         return Series(self.scenario, taken, lane)
 
+    def costs(self) -> np.ndarray:
+        """J of each lane's episode, (lane,); ValueError before all have ended."""
+        if not self.over:
+            raise ValueError("costs of an episode that has not ended; step until every lane is over")
+        charged = np.array([t.cost_j for t in self._transitions[1:]])
+        within = np.arange(len(charged))[:, None] < self._length
+        return (charged * within).sum(axis=0) / self.scenario.horizon
+
     def metrics(self) -> list[dict[str, float]]:
         """The figures of each lane's episode; ValueError before all have ended."""
         if not self.over:

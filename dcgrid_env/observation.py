@@ -9,7 +9,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | p | all | share of the rating; an inverter's injection is negative | -1 .. boost share |
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
-| r, x | all | R_ii, X_ii of ``Scenario.model``: drop of the own voltage per MW and per Mvar drawn, / band | 0 .. the largest |
+| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
 | p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. boost share |
 | backlog | data centres | s at the rated power | 0 .. horizon dt boost share |
 | p_ref_next_compute | data centres* | compute-bound part of what p_ref_next has above idle | as p_ref_next |

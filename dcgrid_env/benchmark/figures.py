@@ -24,6 +24,8 @@ from dcgrid_env.figure import run_figure
 
 REFERENCE_COLOUR, FRONT_COLOUR, REST_COLOUR = "#D55E00", "#0072B2", "#6b6b6b"
 NAME_LENGTH = 28
+LABEL_HEIGHT_IN, OTHER_HEIGHT_IN = 0.17, 1.1
+"""Height of a name beside a point, and of what is not axes in its figure, inches."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,32 @@ class Replay:
     scenario: str
     controllers: tuple[str, ...]
     seed: int
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is drawn of a scenario where not every controller failed."""
+
+    summary: ScenarioSummary
+    voltages: Mapping[str, np.ndarray]
+    """As for :func:`scenario_figure`."""
+    worst: Replay
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A sheet's figures."""
+
+    scenario: bytes
+    """PNG."""
+    worst: bytes | str
+    """PNG, or why there is none."""
+
+
+def draw(sheet: Sheet) -> Drawn:
+    """The figures of a scenario."""
+    band_pu = on_test_split(sheet.summary.scenario).band_pu
+    return Drawn(png(scenario_figure(sheet.summary, sheet.voltages, band_pu)), replay(sheet.worst))
 
 
 def replay(task: Replay) -> bytes | str:
@@ -97,7 +125,7 @@ def _scores(ax: Axes, rows: Mapping[str, Summary], names: Sequence[str]) -> None
     for y, name in enumerate(names):
         found = rows[name].score if name in rows else None
         if found is None:
-            ax.text(0.03, y, "failed or does not apply", fontsize=7, color=REST_COLOUR, va="center")
+            ax.text(left, y, "no result", fontsize=7, color=REST_COLOUR, va="center")
         elif found.value < left:
             ax.plot(left, y, marker="<", color=REST_COLOUR, markersize=5)
             ax.text(left + 0.08, y, f"{found.value:.1f}", fontsize=7, color=REST_COLOUR, va="center")
@@ -110,25 +138,25 @@ def _scores(ax: Axes, rows: Mapping[str, Summary], names: Sequence[str]) -> None
     _plain(ax)
 
 
-def scenario_figure(
-    summary: ScenarioSummary, voltages: Mapping[str, np.ndarray], band_pu: float, metric: str = "delay_mean_s"
-) -> Figure:
+def scenario_figure(summary: ScenarioSummary, voltages: Mapping[str, np.ndarray], band_pu: float) -> Figure:
     """Voltage against delay, and where the voltages lie.
 
     ``voltages`` holds, for each controller that did not fail, counts in the bins of ``jobs.V_EDGES_PU``.
     """
     rows = summary.working
-    figure = _figure(12.6, max(4.4, 1.2 + 0.36 * len(rows)))
+    height_in = max(4.4, 1.2 + 0.36 * len(rows))
+    figure = _figure(12.6, height_in)
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    _pareto(left, rows, metric)
+    _pareto(left, rows, LABEL_HEIGHT_IN / (height_in - OTHER_HEIGHT_IN))
     _violins(right, [row.controller for row in rows], voltages, band_pu)
     figure.suptitle(f"{summary.scenario}, {summary.episodes} test episodes", fontsize=11)
     return figure
 
 
-def _pareto(ax: Axes, rows: Sequence[Summary], metric: str) -> None:
+def _pareto(ax: Axes, rows: Sequence[Summary], line: float) -> None:
+    """``line``: room for a name, as a share of the height."""
     means = [row.means or {} for row in rows]
-    x = np.array([m[metric] for m in means])
+    x = np.array([m["delay_mean_s"] for m in means])
     y = np.array([m["voltage_deviation_mean_pu"] for m in means])
     front = pareto_front(x, y)
     order = np.flatnonzero(front)[np.argsort(x[front], kind="stable")]
@@ -140,22 +168,24 @@ def _pareto(ax: Axes, rows: Sequence[Summary], metric: str) -> None:
     colours = [REFERENCE_COLOUR if r.controller == REFERENCE else FRONT_COLOUR if f else REST_COLOUR for r, f in
                zip(rows, front, strict=True)]  # fmt: skip
     ax.scatter(x, y, c=colours, s=34, zorder=3, edgecolor="white", linewidth=0.6)
-    _names_at_the_side(ax, x, y, [short(row.controller) for row in rows], colours)
+    _names_at_the_side(ax, x, y, [short(row.controller) for row in rows], colours, line)
     ax.set_xlabel("mean delay of work (s)")
     ax.set_ylabel("mean |V - 1| (p.u.)")
-    ax.set_title("voltage against delay (blue: Pareto front, lower left is better)", fontsize=9)
+    ax.set_title("voltage against delay (blue: Pareto front; lower left is better)", fontsize=9)
     _plain(ax)
 
 
-def _names_at_the_side(ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[str], colours: Sequence[str]) -> None:
+def _names_at_the_side(
+    ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[str], colours: Sequence[str], line: float
+) -> None:
     """Names in a column to the right, in the order of the points' heights, each with a line to its point."""
     low, high = ax.get_ylim()
     share = (y - low) / (high - low)
     order = np.argsort(share, kind="stable")
-    places = np.linspace(0.02, 0.98, len(order)) if len(order) > 14 else _apart(share[order], 0.065)
+    places = _apart(share[order], min(line, 1.0 / max(len(order) - 1, 1)))
     for at, i in zip(places, order.tolist(), strict=True):
         ax.annotate(
-            names[i],
+            str(names[i]),
             xy=(x[i], y[i]),
             xytext=(1.06, at),
             textcoords="axes fraction",
@@ -163,7 +193,7 @@ def _names_at_the_side(ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[s
             color=colours[i],
             va="center",
             annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colours[i], "linewidth": 0.6, "alpha": 0.55, "shrinkB": 3},
+            arrowprops={"arrowstyle": "-", "color": colours[i], "linewidth": 0.6, "alpha": 0.55, "relpos": (0.0, 0.5)},
         )
 
 
@@ -206,7 +236,7 @@ def _violins(ax: Axes, names: Sequence[str], voltages: Mapping[str, np.ndarray],
     ax.set_yticks(range(len(names)), [short(name) for name in names], fontsize=8)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlabel("voltage of all buses and steps (p.u.)")
-    ax.set_title("thin 1 to 99 %, thick 25 to 75 %, tick median, dots extremes, dashed the band", fontsize=9)
+    ax.set_title("voltages (tick: median, thick: 25 to 75 %, thin: 1 to 99 %, dots: extremes)", fontsize=9, loc="right")
     _plain(ax)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario
-from dcgrid_env.benchmark.figures import Replay
+from dcgrid_env.benchmark.figures import Replay, Sheet
 from dcgrid_env.benchmark.jobs import V_EDGES_PU, Unit, on_test_split
 from dcgrid_env.benchmark.summary import REFERENCE, Published, ScenarioSummary, summarise
 
@@ -24,8 +24,10 @@ class Results:
     voltages: Mapping[str, np.ndarray]
     """Counts in the bins of ``jobs.V_EDGES_PU``, of the same controllers."""
 
-    def worst(self) -> Replay | None:
-        """The costliest episode of the best controller beside the reference, under both; None where all failed."""
+    def sheet(self) -> Sheet | None:
+        """What to draw: of episodes the costliest of the best controller beside the reference, under both; None where
+        every controller failed.
+        """
         rows = {row.controller: row.means or {} for row in self.summary.working}
         others = [name for name in rows if name != REFERENCE]
         if not rows:
@@ -33,7 +35,7 @@ class Results:
         best = min(others, key=lambda name: rows[name]["J"]) if others else REFERENCE
         seed = max(self.records[best], key=lambda record: record["J"])["seed"]
         both = (best, REFERENCE) if others and REFERENCE in rows else (best,)
-        return Replay(self.summary.scenario, both, seed)
+        return Sheet(self.summary, self.voltages, Replay(self.summary.scenario, both, seed))
 
 
 def gather(
@@ -68,7 +70,12 @@ def gather(
             records[unit.controller] += done[unit]["episodes"]
             first, counts = done[unit]["voltage"]["first_bin"], done[unit]["voltage"]["counts"]
             voltages[unit.controller][first : first + len(counts)] += counts
-        hindsight = published(on_test_split(name))
-        summary = summarise(name, episodes, records, observes, failed, controllers, hindsight)
+        hindsight, doubt = published(on_test_split(name)), None
+        if hindsight is not None:
+            try:
+                hindsight.check_episodes(on_test_split(name), episodes)
+            except ValueError as error:
+                doubt = str(error)
+        summary = summarise(name, episodes, records, observes, failed, controllers, hindsight, doubt)
         found.append(Results(summary, records, voltages))
     return found

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-import dcgrid_env
-from dcgrid_env import Scenario, make_scenario, scenario_hash
+from dcgrid_env import Scenario, __version__, make_scenario, scenario_hash
 from dcgrid_env.baselines import Controller, Placed, rollout
 from dcgrid_env.baselines.user import find_controller
 from dcgrid_env.metrics import Recorder
@@ -71,16 +70,19 @@ def plan(
     failures: dict[tuple[str, str], str] = {}
     for name in scenarios:
         scenario = on_test_split(name)
+        form = scenario_hash(scenario)
         for spec in controllers:
             try:
                 identity = controller_hash(find_controller(spec, scenario))
             except ValueError as error:
                 failures[name, spec] = f"does not apply: {_line(error)}"
                 continue
+            except Exception as error:
+                failures[name, spec] = f"failed: {type(error).__name__}: {_line(error)}"
+                continue
             for first in range(0, episodes, UNIT_EPISODES):
                 count = min(UNIT_EPISODES, episodes - first)
-                version = dcgrid_env.__version__
-                units.append(Unit(name, spec, first, count, scenario_hash(scenario), identity, version))
+                units.append(Unit(name, spec, first, count, form, identity, __version__))
     return units, failures
 
 

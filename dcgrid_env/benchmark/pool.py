@@ -33,7 +33,7 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
     """``work`` of every task, in the order in which they are done; what it raises is raised here.
 
     ``work`` is a function of a module, and tasks and results are sent as pickles. With one job all is done in this
-    process. Leaving the iterator (Ctrl-C included) ends the processes.
+    process. Leaving the iterator (Ctrl-C included) ends the processes. To be called from the main thread.
     """
     jobs = min(jobs, len(tasks))
     if jobs <= 1:
@@ -68,7 +68,7 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
 def _start(work: Callable[[Task], Result]) -> tuple[SpawnProcess, Connection]:
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe()
-    with _one_thread():
+    with _settings_of_a_child():
         process = spawn.Process(target=_serve, args=(work, theirs), daemon=True)
         process.start()
     theirs.close()
@@ -90,7 +90,7 @@ def _give(
 
 
 def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited everywhere
     while True:
         try:
             task = pipe.recv()
@@ -104,13 +104,15 @@ def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
 
 
 @contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """The environment that a process is started with; numerical libraries read it as they are loaded."""
+def _settings_of_a_child() -> Iterator[None]:
+    """What a process is started with: one thread for libraries as they are loaded, and no Ctrl-C from the first on."""
     before = {name: os.environ.get(name) for name in THREADS}
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
+        signal.signal(signal.SIGINT, handler or signal.SIG_DFL)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dcgrid_env.benchmark.figures import Replay
+from dcgrid_env.benchmark.figures import Drawn, Replay
+from dcgrid_env.benchmark.pool import Died
 from dcgrid_env.benchmark.tables import LEGEND, Table
 
 STYLE = """
@@ -27,12 +28,12 @@ nav a { margin-right: .9rem }
 class Section:
     """A scenario in the report."""
 
-    name: str
     table: Table
-    figure: bytes | None
-    """PNG; None where every controller failed."""
-    worst: tuple[Replay, bytes | str] | None
-    """The episode replayed, and its PNG or why there is none; None likewise."""
+    name: str
+    worst: Replay | None
+    """The episode that is replayed; None where every controller failed."""
+    figures: Drawn | Died | None
+    """None likewise."""
 
 
 def page(scores: Table, score_figure: bytes | None, sections: Sequence[Section], meta: Mapping[str, Any]) -> str:
@@ -50,17 +51,14 @@ def page(scores: Table, score_figure: bytes | None, sections: Sequence[Section],
 
 
 def _section(section: Section) -> str:
-    parts = [
-        f'<h2 id="{html.escape(section.name)}">{html.escape(section.table.title)}</h2>',
-        section.table.html(),
-    ]
-    if section.figure:
-        parts.append(_image(section.figure, f"Voltage against delay and voltages on {section.name}"))
-    if section.worst:
-        task, drawn = section.worst
-        name = html.escape(task.controllers[0])
-        parts.append(f"<p>The worst episode of {name} (seed {task.seed}, where its J is highest), replayed:</p>")
-        text = f"Seed {task.seed} of {section.name}"
+    parts = [f'<h2 id="{html.escape(section.name)}">{html.escape(section.table.title)}</h2>', section.table.html()]
+    if isinstance(section.figures, Died):
+        parts.append("<p class=note>The process that drew the figures died.</p>")
+    elif section.figures and section.worst:
+        parts.append(_image(section.figures.scenario, f"Voltage against delay and voltages on {section.name}"))
+        best, seed, drawn = html.escape(section.worst.controllers[0]), section.worst.seed, section.figures.worst
+        parts.append(f"<p>The worst episode of {best} (seed {seed}, where its J is highest), replayed:</p>")
+        text = f"Seed {seed} of {section.name}"
         parts.append(_image(drawn, text) if isinstance(drawn, bytes) else f"<p class=note>{html.escape(drawn)}</p>")
     return "\n".join(parts)
 

@@ -4,7 +4,8 @@
     OUT/units/SCENARIO/CONTROLLER/FIRST-LAST.json           what ``jobs.run`` gave for the seeds FIRST to LAST
 
 A unit counts as done if all that defines it is the same. Of another package version or another form of its scenario the
-whole folder is refused, lest two benchmarks mix; where only the controller has changed the unit is computed anew.
+whole folder is refused, lest two benchmarks mix; where only the controller has changed (its parameters, or the file of
+its class) the unit is computed anew. Other code changed under one version goes unseen: give another OUT then.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import dcgrid_env
+from dcgrid_env import __version__
 from dcgrid_env.benchmark.files import write_json
 from dcgrid_env.benchmark.jobs import Unit
 
@@ -35,7 +36,7 @@ class Store:
     def __init__(self, out: Path):
         self.out = out
         self.folder = out / "units"
-        self._about = FORMAT | {"version": dcgrid_env.__version__}
+        self._about = FORMAT | {"version": __version__}
         at = self.folder / "about.json"
         if at.is_file():
             found = _read(at)

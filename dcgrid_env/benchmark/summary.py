@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from dcgrid_env import Scenario
 from dcgrid_env.baselines.score import Estimate, score
 
 REFERENCE = "droop-tuned"
@@ -32,6 +33,10 @@ class Published(Protocol):
         """The relaxation's own optimum, (n,)."""
         ...
 
+    def check_episodes(self, scenario: Scenario, n: int) -> None:
+        """ValueError unless the first ``n`` episodes are drawn here as they were there."""
+        ...
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -44,7 +49,7 @@ class Summary:
     means: Mapping[str, float] | None = None
     """Mean over the episodes of each metric of a record."""
     interquartile_mean: float | None = None
-    """Of J; like the next two None where there are fewer than 2 episodes or no reference to compare with."""
+    """Of J; like the next two None where there are fewer than 2 episodes, and they also without a reference."""
     difference: Estimate | None = None
     """Mean of J - J_reference."""
     score: Estimate | None = None
@@ -90,6 +95,7 @@ def summarise(
     failures: Mapping[str, str],
     order: Sequence[str],
     published: Published | None,
+    doubt: str | None = None,
 ) -> ScenarioSummary:
     """Sum up a scenario.
 
@@ -103,10 +109,14 @@ def summarise(
         The controllers in the order of the rows.
     published
         Hindsight's figures, None where there are none for the scenario.
+    doubt
+        Why they cannot be used, None if they can.
     """
     droop = [r["J"] for r in records[REFERENCE]] if REFERENCE in records else None
-    best, bound = _of_seeds(published, episodes)
-    reason = _why_no_score(failures, droop, best, published, episodes)
+    best, bound = (None, None) if doubt else _of_seeds(published, episodes)
+    reason = doubt or _why_no_score(failures, droop, best, published, episodes)
+    if reason:
+        reason = f"no score: {reason}"
     rows = []
     for name in order:
         if name in failures:
@@ -119,12 +129,15 @@ def summarise(
         ]
         means = {key: float(np.mean([r[key] for r in own])) for key in numbers}
         row = Summary(scenario, name, None, observes[name], means)
-        if droop is not None and episodes > 1:
-            # The difference and the interquartile mean hold whatever hindsight costs; anything below the droop serves.
-            found = score(j, droop, np.subtract(droop, 1.0) if reason else best)  # type: ignore[arg-type]
-            share = None if reason else found.score
-            row = Summary(
-                scenario, name, None, observes[name], means, found.interquartile_mean, found.difference, share
+        if episodes > 1:
+            # Difference and interquartile mean do not hang on what hindsight costs: anything below serves for them.
+            against = j if droop is None else droop
+            found = score(j, against, np.subtract(against, 1.0) if reason or best is None else best)
+            row = replace(
+                row,
+                interquartile_mean=found.interquartile_mean,
+                difference=None if droop is None else found.difference,
+                score=None if reason else found.score,
             )
         rows.append(row)
     hindsight = None if best is None or bound is None else (float(best.mean()), float(bound.mean()))
@@ -149,13 +162,13 @@ def _why_no_score(
     episodes: int,
 ) -> str | None:
     if droop is None:
-        return f"no score: {REFERENCE} {failures.get(REFERENCE, 'was not run')}"
+        return f"{REFERENCE} {failures.get(REFERENCE, 'was not run')}"
     if published is None:
-        return "no score: no hindsight values are published for this scenario"
+        return "no hindsight values are published for this scenario"
     if best is None:
-        return f"no score: hindsight is published for {len(published.seeds)} episodes, not for all of these {episodes}"
+        return f"hindsight is published for {len(published.seeds)} episodes, not for all of these {episodes}"
     if episodes < 2:
-        return "no score: an interval takes at least 2 episodes"
+        return "an interval takes at least 2 episodes"
     if np.mean(droop - best) <= 0.0:
-        return f"no score: hindsight (J {best.mean():.4f}) does not beat {REFERENCE} (J {np.mean(droop):.4f})"
+        return f"hindsight (J {best.mean():.4f}) does not beat {REFERENCE} (J {np.mean(droop):.4f})"
     return None

@@ -31,7 +31,7 @@ COLUMNS = (
 
 LEGEND = (
     f"Score: 0 is {REFERENCE}, 1 is perfect foresight; mean(J_ref - J) / mean(J_ref - J_hindsight) over the same test "
-    "episodes. In brackets its 95 % paired bootstrap interval, and that of the paired difference of J.",
+    "episodes. In parentheses its 95 % paired bootstrap interval, and that of the paired difference of J.",
     "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
     "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
     "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",
@@ -58,10 +58,7 @@ class Table:
         """As HTML, all text escaped."""
         head = "".join(f"<th>{html.escape(_plain(text))}</th>" for text in self.header)
         body = "".join(
-            f"<tr><th>{html.escape(row[0])}</th>"
-            + "".join(f"<td>{html.escape(text)}</td>" for text in row[1:])
-            + "</tr>"
-            for row in self.rows
+            f"<tr><th>{html.escape(row[0])}</th>" + "".join(map(_td, row[1:])) + "</tr>" for row in self.rows
         )
         notes = "".join(f"<p class=note>{html.escape(note)}</p>" for note in self.notes)
         return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{notes}"
@@ -86,7 +83,11 @@ def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> 
     names = [row.controller for row in summaries[0].rows]
     found = {(s.scenario, row.controller): row for s in summaries for row in s.rows}
     rows = [(name, *(_score_cell(found[s.scenario, name], interval) for s in summaries)) for name in names]
-    notes = [f"{s.scenario}: {s.no_score}" for s in summaries if s.no_score]
+    reasons: dict[str, list[str]] = {}
+    for s in summaries:
+        if s.no_score:
+            reasons.setdefault(s.no_score, []).append(s.scenario)
+    notes = [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
     return Table("Score", ("controller", *(s.scenario for s in summaries)), tuple(rows), tuple(notes))
 
 
@@ -125,7 +126,7 @@ def _score_cell(row: Summary, interval: bool) -> str:
 def _estimate(estimate: Estimate | None, form: str) -> str:
     if estimate is None:
         return NONE
-    return f"{estimate.value:{form}} [{estimate.low:{form}}, {estimate.high:{form}}]"
+    return f"{estimate.value:{form}} ({estimate.low:{form}} to {estimate.high:{form}})"
 
 
 def _row(cells) -> str:
@@ -134,9 +135,15 @@ def _row(cells) -> str:
 
 def _cell(text: str) -> str:
     """Text of a user's as Markdown shows it literally."""
-    for sign in "\\|`*_<>[]":
+    for sign in "\\|`*_<>[]$~":
         text = text.replace(sign, "\\" + sign)
     return text
+
+
+def _td(text: str) -> str:
+    """A figure's interval goes below it, smaller."""
+    value, bracket, interval = text.partition(" (")
+    return f"<td>{html.escape(value)}" + (f"<br><small>({html.escape(interval)}</small>" if bracket else "") + "</td>"
 
 
 def _plain(text: str) -> str:

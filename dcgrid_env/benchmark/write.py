@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.benchmark import report
-from dcgrid_env.benchmark.figures import Replay, png, scenario_figure, score_figure
+from dcgrid_env.benchmark.figures import draw, png, score_figure
 from dcgrid_env.benchmark.files import write_json, write_text
 from dcgrid_env.benchmark.gather import Results
-from dcgrid_env.benchmark.jobs import on_test_split
+from dcgrid_env.benchmark.pool import each
 from dcgrid_env.benchmark.tables import LEGEND, scenario_table, score_table
 
 
@@ -32,20 +32,12 @@ def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]
     write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
 
 
-def write_report(
-    out: Path, results: Sequence[Results], replays: Mapping[Replay, bytes | str], meta: Mapping[str, Any]
-) -> None:
-    """report.html; ``replays`` holds the worst episode of each scenario, or why there is no figure of it."""
+def write_report(out: Path, results: Sequence[Results], jobs: int, meta: Mapping[str, Any]) -> None:
+    """report.html, its figures drawn by so many processes."""
     summaries = [result.summary for result in results]
-    sections = []
-    for result in results:
-        name = result.summary.scenario
-        task = result.worst()
-        drawn = None
-        if task is not None:
-            drawn = png(scenario_figure(result.summary, result.voltages, on_test_split(name).band_pu))
-        worst = (task, replays[task]) if task is not None else None
-        sections.append(report.Section(name, scenario_table(result.summary), drawn, worst))
+    sheets = [sheet for result in results if (sheet := result.sheet())]
+    drawn = {sheet.summary.scenario: (sheet.worst, figures) for sheet, figures in each(draw, sheets, jobs)}
+    sections = [report.Section(scenario_table(s), s.scenario, *drawn.get(s.scenario, (None, None))) for s in summaries]
     scores = score_figure(summaries)
     text = report.page(score_table(summaries), png(scores) if scores else None, sections, meta)
     write_text(out / "report.html", text)

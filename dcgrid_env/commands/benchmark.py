@@ -1,18 +1,18 @@
 """Run controllers over scenarios on the test split and score them: a table, results.json, results.md and report.html.
 
 Finished units are kept in OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or
-episodes can be added by the same command. An OUT of another version of the package or of a changed scenario is refused;
-units of a controller that has changed are computed anew.
+episodes can be added by the same command; the files hold what the last one asked for. An OUT of another version of the
+package or of a changed scenario is refused; units of a controller that has changed are computed anew.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.commands.named import scenario_names, split_names
 from dcgrid_env.commands.results import meta
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ MOST_EPISODES = 100
 """Test episodes that are published, seeds 0 to 99."""
 STATIC = ("constant-q-tuned", "placement-tuned")
 """The simplest rivals of a learner; where they are run they stand just below the reference."""
+NAME_WIDTH, SCORE_WIDTH = 24, 13
+"""Room for a controller's name and for a scenario's column on the terminal, characters."""
 
 
 @dataclass(frozen=True)
@@ -49,17 +51,18 @@ def main(cfg: Benchmark) -> None:
     """Run what is not done yet, sum up, write the files. ValueError for bad settings, before anything is written."""
     from rich.console import Console
 
-    published = lambda s: None  # SHIM
+    from dcgrid_env.baselines import published
     from dcgrid_env.benchmark.gather import gather
     from dcgrid_env.benchmark.jobs import plan
     from dcgrid_env.benchmark.store import Store
+    from dcgrid_env.powerflow.threads import n_threads
 
     if not 1 <= cfg.episodes <= MOST_EPISODES:
         raise ValueError(f"episodes is {cfg.episodes}; give 1 to {MOST_EPISODES}, the published test episodes")
-    jobs = _cores() if cfg.jobs is None else cfg.jobs
+    jobs = n_threads() if cfg.jobs is None else cfg.jobs
     if jobs < 1:
         raise ValueError(f"jobs is {jobs}; give at least 1")
-    scenarios = _scenarios(cfg.scenarios)
+    scenarios = scenario_names(cfg.scenarios)
     controllers = _controllers(cfg.controllers, scenarios[0])
     units, failures = plan(scenarios, controllers, cfg.episodes)
     store = Store(cfg.out)
@@ -69,48 +72,28 @@ def main(cfg: Benchmark) -> None:
         console.print(f"{len(done)} of {len(units)} units are done already with these settings, in {store.folder}")
     try:
         failures |= _run(units, done, store, jobs, console)
-        results = gather(scenarios, controllers, cfg.episodes, done, failures, published)
+        with console.status("checking the episodes' hashes and summing up"):
+            results = gather(scenarios, controllers, cfg.episodes, done, failures, published)
         _write(cfg, results, jobs, console)
     except KeyboardInterrupt:
         console.print(f"interrupted with {len(done)} of {len(units)} units done; the same command goes on from there")
         raise SystemExit(130) from None
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _scenarios(asked: str) -> list[str]:
-    from dcgrid_env import PRESETS
-    from dcgrid_env.benchmark.jobs import on_test_split
-
-    names = list(dict.fromkeys(name.strip() for name in asked.split(",") if name.strip()))
-    if "all" in names:
-        names = list(PRESETS)
-    if not names:
-        raise ValueError(f"scenarios is {asked!r}; name at least one, or all (dcgrid list)")
-    for name in names:
-        on_test_split(name)  # ScenarioError for an unknown one
-    return names
-
-
 def _controllers(asked: str, scenario: str) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
-    from dcgrid_env.baselines import CONTROLLERS
-    from dcgrid_env.baselines.user import find_controller
+    from dcgrid_env.baselines.user import NAMES, find_controller
     from dcgrid_env.benchmark.jobs import on_test_split
     from dcgrid_env.benchmark.summary import REFERENCE
 
     names: list[str] = []
-    for name in (name.strip() for name in asked.split(",")):
-        if name in ("all", "local"):
-            names += [known for known in CONTROLLERS if name == "all" or _is_local(known)]
-        elif name:
-            names.append(name)
+    for name in split_names(asked):
+        group = name in ("all", "local")
+        names += [known for known in NAMES if name == "all" or _is_local(known)] if group else [name]
     if not names:
         raise ValueError(f"controllers is {asked!r}; name at least one, local or all (dcgrid list)")
     for name in names:
-        if name not in CONTROLLERS:
+        if name not in NAMES:
             find_controller(name, on_test_split(scenario))  # ValueError for what is none
     return list(dict.fromkeys([REFERENCE, *(name for name in STATIC if name in names), *names]))
 
@@ -167,9 +150,7 @@ def _run(
 def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Console) -> None:
     """The files, the records before the figures, and the scores on the terminal."""
     from dcgrid_env import scenario_hash
-    from dcgrid_env.benchmark.figures import replay
     from dcgrid_env.benchmark.jobs import SPLIT, on_test_split
-    from dcgrid_env.benchmark.pool import Died, each
     from dcgrid_env.benchmark.tables import score_table
     from dcgrid_env.benchmark.write import write_report, write_results
 
@@ -178,15 +159,12 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     about = meta() | {"split": SPLIT, "episodes": cfg.episodes, "scenarios": hashes}
     write_results(cfg.out, results, about)
     with console.status("drawing the report"):
-        worst = [task for result in results if (task := result.worst())]
-        replays = {
-            task: "the process that drew it died" if isinstance(drawn, Died) else drawn
-            for task, drawn in each(replay, worst, jobs)
-        }
-        write_report(cfg.out, results, replays, about)
-    table = score_table([result.summary for result in results], interval=len(results) < 3)
-    console.print(table.rich())
-    for note in table.notes:
+        write_report(cfg.out, results, jobs, about)
+    summaries = [result.summary for result in results]
+    fit = max(1, (console.width - NAME_WIDTH) // SCORE_WIDTH)
+    for first in range(0, len(summaries), fit):
+        console.print(score_table(summaries[first : first + fit], interval=False).rich())
+    for note in score_table(summaries).notes:
         console.print(note, highlight=False, markup=False)
     for row in (row for result in results for row in result.summary.rows if row.failure):
         console.print(f"{row.scenario}, {row.controller}: {row.failure}", highlight=False, markup=False)

@@ -16,7 +16,7 @@ class List:
 def main(cfg: List) -> None:
     """Print the tables."""
     from dcgrid_env import FEEDERS, IDS, PRESETS
-    from dcgrid_env.baselines import CONTROLLERS
+    from dcgrid_env.baselines import CONTROLLERS, TUNED
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.recordings import RECORDINGS
 
@@ -24,7 +24,7 @@ def main(cfg: List) -> None:
     tables = {
         "scenario": {f"{name}  ({id_of[name]})": text for name, text in PRESETS.items()},
         "feeder": FEEDERS,
-        "controller": {name: text for name, (text, _) in CONTROLLERS.items()},
+        "controller": {name: text for name, (text, _) in CONTROLLERS.items()} | TUNED,
         "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
         "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
     }

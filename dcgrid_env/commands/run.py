@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from dcgrid_env.commands.named import split_names
 from dcgrid_env.commands.results import meta, write_json
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def main(cfg: Run) -> None:
     if cfg.episodes < 1 or cfg.seed < 0:
         raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
     scenario = _scenario(cfg)
-    names = list(dict.fromkeys(name.strip() for name in cfg.controllers.split(",") if name.strip()))
+    names = split_names(cfg.controllers)
     controllers = {name: find_controller(name, scenario) for name in names}
     if not controllers:
         raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")

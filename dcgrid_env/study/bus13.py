@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from dcgrid_env import Scenario
@@ -48,7 +48,7 @@ def _run(runs: Runs, scenario: Scenario, name: str) -> dict[str, float]:
     }
 
 
-def _leaves_band_kw(scenario: Scenario, load_kw: Callable[[float], dict[int, float]]) -> float | None:
+def _leaves_band_kw(scenario: Scenario, load_kw: Callable[[float], Mapping[int, float]]) -> float | None:
     """Draw at bus 13 from which its voltage is below the band at base load, kW, to 1 kW; None if it never is."""
     at, edge = scenario.feeder.index(BUS), 1.0 - scenario.band_pu
 

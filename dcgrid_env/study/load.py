@@ -54,4 +54,4 @@ def _recorded(trace: PowerTrace) -> Load:
     # of them leave one to the split, and that whole.
     fields = {"trace": (trace,) * 3, "recording_split": "recording", "split": "train"}
     known = trace.provenance
-    return Load("recorded", f"recording {known}, the whole {trace.duration_s:.0f} s", fields)
+    return Load("recorded", f"recording {known}, the whole {trace.duration_s:.1f} s", fields)

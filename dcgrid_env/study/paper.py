@@ -6,9 +6,7 @@ figures here, none is given.
 
 from __future__ import annotations
 
-CITATION = (
-    'Y. Chen and B. Zhang, "Voltage Regulation in Distribution Systems with Data Center Loads", arXiv 2507.06416'
-)
+CITATION = 'Y. Chen and B. Zhang, "Voltage Regulation in Distribution Systems with Data Center Loads", arXiv 2507.06416'
 RECORDING = "chen-zhang-2025-inference"
 """Name of the recording that the paper published."""
 

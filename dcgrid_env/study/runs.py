@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -105,13 +104,10 @@ class Runs:
     ----------
     setting
         Its episodes are those of the seeds 0, 1, ...
-    on_run
-        Called after each run that is really done (for progress).
     """
 
-    def __init__(self, setting: Setting, on_run: Callable[[], None] | None = None):
+    def __init__(self, setting: Setting):
         self.setting = setting
-        self._on_run = on_run
         self._kept: dict[tuple[Scenario, Law], Run] = {}
 
     def of(self, scenario: Scenario, law: Law) -> Run:
@@ -121,8 +117,6 @@ class Runs:
             recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
             lanes = (recorder.lane(i) for i in range(self.setting.episodes))
             self._kept[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
-            if self._on_run is not None:
-                self._on_run()
         return self._kept[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from dcgrid_env import DcgridEnv, DcgridVectorEnv, PhaseDvfs, make_scenario, parallel_env
-from dcgrid_env.baselines import CONTROLLERS, Controller, Droop, Local, LocalController, make_controller, rollout
+from dcgrid_env.baselines import (
+    CONTROLLERS,
+    Controller,
+    Droop,
+    Local,
+    LocalController,
+    Placed,
+    make_controller,
+    rollout,
+)
 
 
 def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
@@ -83,7 +92,7 @@ def test_inverters_only_leaves_the_data_centres_alone():
 
 
 @pytest.mark.parametrize("law", [{}, {"dvfs": PhaseDvfs(), "boost_share": 1.3}], ids=["linear", "phases"])
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", [name for name, (_, make) in CONTROLLERS.items() if not isinstance(make(), Placed)])
 def test_one_object_drives_every_interface(name, law):
     """Joined, per agent and batched observations lead to the same course of the same episode."""
     scenario = make_scenario("ieee123", horizon=15, **law)
@@ -151,9 +160,14 @@ def test_bad_gains(arguments, message):
         Droop(**arguments)
 
 
-def test_droop_refuses_a_scenario_that_hides_its_input():
-    with pytest.raises(ValueError, match="preview=True"):
-        Droop().reset(make_scenario("ieee123", preview=False))
+def test_without_preview_the_droop_caps_at_the_rating():
+    droop = Droop(k_p_mw_per_pu=10.0, alpha_per_s=0.3)
+    scenario = started(droop, preview=False)
+    # P = 2500 + 10,000 (0.97 - 1) + 0.3 * 400 = 2320 kW, whatever is coming
+    f, _ = droop.control(seen(scenario, 0.97, p_ref_kw=[0.0], backlog_kws=400.0))
+    assert f == pytest.approx([clock_of(2320.0)])
+    with pytest.raises(ValueError, match="one-step memory needs p_ref; make the scenario with preview=True"):
+        Droop(memory="one_step").reset(make_scenario("ieee123", preview=False))
     make_controller("inverters").reset(make_scenario("ieee123", preview=False))
 
 

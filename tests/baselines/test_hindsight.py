@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dcgrid_env import CostWeights, PhaseDvfs, distflow, forecast, make_scenario
+from dcgrid_env import CostWeights, Fault, PhaseDvfs, distflow, forecast, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.hindsight import hindsight, replay
 
@@ -89,6 +89,41 @@ def test_the_forecast_is_what_the_environment_draws():
     p, q = known.p_load_kw.copy(), known.q_load_kvar
     p[:, known.buses[:5]] += known.p_ref_kw
     np.testing.assert_allclose(distflow(scenario.feeder, p, q, scenario.v0_pu).v_pu, series.v_pu[1:], atol=1e-7)
+
+
+def test_what_is_lost_is_foreseen():
+    """A tripped site draws nothing, a lost inverter gives nothing, and the program knows when."""
+    faults = (Fault(("dc_1",), (5.0, 5.0), (10.0, 10.0)), Fault(("inv_2",), (12.0, 12.0)))
+    scenario = make_scenario("ieee33-weak", split="validation", horizon=30, faults=faults, inverter_s_kva=600.0)
+    best = hindsight(scenario, 0)
+    series = best.recorder.lane(0)
+    assert abs(best.gap) < 2e-3 * best.J
+    assert not series.p_kw[5:15, 1].any()
+    assert not series.q_kvar[12:, 5].any()
+    assert series.q_kvar[:12, 5].any()
+    blind = replay(scenario, hindsight(scenario.replace(faults=()), 0).actions, 0).metrics()[0]["J"]
+    assert blind > best.J
+
+
+def test_the_band_is_kept_where_it_can_be_and_told_where_it_cannot():
+    scenario = make_scenario("ieee33-weak", split="validation", horizon=40)
+    free, kept = hindsight(scenario, 0), hindsight(scenario, 0, keep_band=True)
+    assert kept.bound >= free.bound - 1e-9
+    v = kept.recorder.lane(0).v_pu[1:]
+    assert v.min() > 0.95 - 1e-4
+    with pytest.raises(
+        ValueError, match=r"keep_band cannot be met; at bus 18 .* 0\.\d+ p\.u\. beyond the band at step \d+"
+    ):
+        hindsight(scenario.replace(v0_pu=0.97), 0, keep_band=True)
+
+
+def test_at_the_lowest_clock_a_site_still_serves():
+    """The program knows that work is served at f_min too, so the replay does as it says where nothing waits."""
+    scenario = make_scenario("ieee33-weak", split="validation", f_min_mhz=700.0)
+    best = hindsight(scenario, 3)
+    assert abs(best.gap) < 5e-3 * best.J
+    loose = hindsight(scenario.replace(f_min_mhz=1.0), 3)
+    assert best.bound > loose.bound
 
 
 @pytest.mark.parametrize(

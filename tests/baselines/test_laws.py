@@ -12,13 +12,13 @@ from dcgrid_env.baselines import (
     DeadbandDroop,
     Droop,
     Local,
+    Placed,
     PlacementRule,
     SwitchingReference,
     VoltVar,
     make_controller,
     rollout,
 )
-from dcgrid_env.baselines.static_fit import fit, mean_j
 
 
 def seen(v_pu, q_kvar: Any = 0.0, p_ref_kw=2500.0, backlog_kws=0.0, p_kw=0.0, r: Any = 0.01, x: Any = 0.02):
@@ -200,22 +200,19 @@ def test_bad_parameters(make, arguments, message):
 
 @pytest.mark.parametrize("law", [{}, {"dvfs": PhaseDvfs()}, {"dt_s": 0.1}], ids=["linear", "phases", "fast"])
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_every_controller_runs_under_every_preset(name, preset, law):
-    metrics = rollout(make_scenario(preset, horizon=5, **law), make_controller(name), [0, 1]).metrics()
-    assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics)
+def test_every_controller_runs_under_every_preset(preset, law):
+    scenario = make_scenario(preset, horizon=5, **law)
+    for name in CONTROLLERS:
+        if name == "droop-one-step" and not scenario.preview:
+            continue  # it refuses what it cannot do, see test_controllers
+        controller = make_controller(name)
+        if isinstance(controller, Placed) and scenario.phases == 2:
+            continue  # the models know the linear clock law alone, see test_model
+        metrics = rollout(scenario, controller, [0, 1]).metrics()
+        assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics), name
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_controller_runs_without_data_centres_or_inverters(name):
     for overrides in ({"n_datacenters": 0, "datacenter_buses": None}, {"inverter_buses": ()}):
         rollout(make_scenario("ieee123", horizon=3, **overrides), make_controller(name), [0])
-
-
-def test_fit_finds_the_best_constant():
-    """Toy6 at idle wants some reactive power and not all there is, whatever the search."""
-    scenario = make_scenario("toy6", split="validation", horizon=10)
-    found, score = fit([scenario], lambda x: ConstantQ(float(x[0])), [(-1.0, 1.0)], episodes=2)
-    none = mean_j(scenario, ConstantQ(0.0), 2)
-    assert score == pytest.approx(mean_j(scenario, found, 2) / none)
-    assert score <= min(mean_j(scenario, ConstantQ(q), 2) / none for q in np.linspace(-1.0, 1.0, 21)) + 0.01

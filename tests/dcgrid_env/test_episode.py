@@ -31,13 +31,15 @@ def test_same_seed_same_episode_in_any_lane(name):
     scenario = make_scenario(name)
     together = draw(scenario, range(50))
     again = draw(make_scenario(name), range(50))
-    for field in ("key", "buses", "start"):
+    for field in ("key", "buses", "start", "sun", "fault"):
         np.testing.assert_array_equal(getattr(together, field), getattr(again, field))
     for seed in (0, 17, 49):
         alone = draw(scenario, [seed])
         assert alone.key[0] == together.key[seed]
         assert alone.buses[0].tolist() == together.buses[seed].tolist()
         assert alone.start[0].tolist() == together.start[seed].tolist()
+        assert alone.sun[0] == together.sun[seed]
+        assert alone.fault[0].tolist() == together.fault[seed].tolist()
         assert alone.placed.distance[0].tolist() == together.placed.distance[seed].tolist()
 
 
@@ -431,7 +433,7 @@ def test_unusable_inverter_schedules_are_refused_before_the_first_episode():
     short = make_scenario("toy6", inverter_trace=recording([0.1, 0.2, 0.3], "short"))
     with pytest.raises(TraceError, match="short"):
         Simulation(short, 1)
-    with pytest.raises(ScenarioError, match="inverter_trace is 'sun'; give a PowerTrace"):
+    with pytest.raises(ScenarioError, match="inverter_trace is 'sun'; give 'pv', a PowerTrace"):
         make_scenario("toy6", inverter_trace="sun")
 
 

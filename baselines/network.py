@@ -1,0 +1,119 @@
+"""A small network of NumPy arrays: a multilayer perceptron with the normalisation it was trained with.
+
+A layer is x W + b with W of shape (n_in, n_out); the network is, in float32,
+
+    x = clip((observation - mean) / std, -clip, clip)        x = activation(x W + b) for each layer but the last
+    action = squash(x W + b)                                 clip to [-1, 1], or tanh
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+ACTIVATIONS = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, np.float32(0.0)),
+    "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, np.float32(0.0)))),
+    "silu": lambda x: x * (np.float32(0.5) + np.float32(0.5) * np.tanh(np.float32(0.5) * x)),
+}
+SQUASHES = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+
+
+class PolicyError(ValueError):
+    """A policy, or a file of one, that cannot be used; the message names file, field, value and remedy."""
+
+
+class Network:
+    """A multilayer perceptron with its normalisation; its arrays are float32.
+
+    Parameters
+    ----------
+    layers
+        (weight, bias) of each layer, (n_in, n_out) and (n_out,).
+    activation
+        Of every layer but the last: tanh, relu, elu or silu.
+    squash
+        Of the output: clip or tanh.
+    mean, std
+        Of the observation, (n_observation,) each; none by default.
+    clip
+        Largest normalised observation; none by default.
+
+    Raises
+    ------
+    PolicyError
+        For shapes that do not fit each other, figures that are not finite, or an unknown name.
+    """
+
+    def __init__(
+        self,
+        layers: Sequence[tuple[ArrayLike, ArrayLike]],
+        activation: str = "tanh",
+        squash: str = "clip",
+        mean: ArrayLike | None = None,
+        std: ArrayLike | None = None,
+        clip: float | None = None,
+    ):
+        for field, value, known in (("activation", activation, ACTIVATIONS), ("squash", squash, SQUASHES)):
+            if value not in known:
+                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(known)}")
+        if clip is not None and not (isinstance(clip, int | float) and 0 < clip < np.inf):
+            raise PolicyError(f"clip is {clip!r}; give a number above 0, or none")
+        if not len(layers):
+            raise PolicyError("layers is empty; give at least one (weight, bias)")
+        self.layers = [(_array(f"w{i}", w, 2), _array(f"b{i}", b, 1)) for i, (w, b) in enumerate(layers)]
+        self.activation, self.squash, self.clip = activation, squash, clip
+        n = self.n_in
+        for i, (weight, bias) in enumerate(self.layers):
+            if weight.shape != (n, len(bias)):
+                raise PolicyError(f"w{i} has shape {weight.shape}; with {n} inputs and b{i} it must be {n, len(bias)}")
+            n = len(bias)
+        self.mean = None if mean is None else self._of_inputs("mean", mean)
+        self.std = None if std is None else self._of_inputs("std", std)
+        if self.std is not None and not (self.std > 0).all():
+            raise PolicyError(f"std is {self.std.min()} somewhere; give figures above 0")
+
+    def _of_inputs(self, name: str, value: ArrayLike) -> np.ndarray:
+        array = _array(name, value, 1)
+        if array.shape != (self.n_in,):
+            raise PolicyError(f"{name} has shape {array.shape}; give one figure for each of {self.n_in} inputs")
+        return array
+
+    @property
+    def n_in(self) -> int:
+        """Width of the observation."""
+        return len(self.layers[0][0])
+
+    @property
+    def n_out(self) -> int:
+        """Width of the action."""
+        return len(self.layers[-1][1])
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Action in [-1, 1], float32, (..., n_out), for an observation (..., n_in)."""
+        x = np.asarray(observation, dtype=np.float32)
+        if self.mean is not None:
+            x = x - self.mean
+        if self.std is not None:
+            x = x / self.std
+        if self.clip is not None:
+            x = np.clip(x, np.float32(-self.clip), np.float32(self.clip))
+        for i, (weight, bias) in enumerate(self.layers):
+            x = (ACTIVATIONS[self.activation](x) if i else x) @ weight + bias
+        return SQUASHES[self.squash](x)
+
+
+def _array(name: str, value: Any, dimensions: int) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise PolicyError(f"{name} is no array of numbers; give float32") from None
+    if array.ndim != dimensions or array.size == 0:
+        raise PolicyError(f"{name} has shape {array.shape}; give {dimensions} dimensions, none of them 0")
+    if not np.isfinite(array).all():
+        raise PolicyError(f"{name} holds {array[~np.isfinite(array)][0]}; give finite numbers (did training diverge?)")
+    return array

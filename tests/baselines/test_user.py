@@ -1,0 +1,97 @@
+"""Controllers as the command line names them."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import Droop, rollout
+from dcgrid_env.baselines.policy import Network, Policy, save_policy
+from dcgrid_env.baselines.user import find_controller
+
+MODULE = """
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Still:
+    q: float = 0.25
+
+    def reset(self, env_info):
+        self.n = 2 * env_info.n_datacenters + env_info.n_inverters
+
+    def act(self, observations):
+        return np.full((*np.shape(observations)[:-1], self.n), self.q)
+
+
+class Needy:
+    def __init__(self, gain): ...
+
+
+class Idle: ...
+
+
+number = 3
+"""
+
+
+@pytest.fixture
+def toy6():
+    return make_scenario("toy6", split="test", horizon=5)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working directory with a user's module and package, forgotten afterwards."""
+    (tmp_path / "own").mkdir()
+    for name in ("mine.py", "own/laws.py"):
+        (tmp_path / name).write_text(MODULE)
+    (tmp_path / "broken.py").write_text("def f(:\n")
+    (tmp_path / "missing.py").write_text("import a_module_that_is_not_there\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def test_names_modules_files_and_policies(here, toy6):
+    assert isinstance(find_controller("droop", toy6), Droop)
+    save_policy("p.npz", Policy({"joint": Network([(np.zeros((23, 4)), np.full(4, 0.25))])}))
+    with_q = []
+    for spec in ("own.laws:Still", "mine:Still", "mine.py:Still", f"{here / 'own' / 'laws.py'}:Still", "p.npz"):
+        recorder = rollout(toy6, find_controller(spec, toy6), [0])
+        with_q.append(recorder.lane(0).q_kvar)
+    assert with_q[0].any()
+    for other in with_q[1:]:
+        np.testing.assert_array_equal(other, with_q[0])
+
+
+def test_a_file_is_read_anew(here, toy6):
+    assert find_controller("mine.py:Still", toy6).q == 0.25  # pyright: ignore[reportAttributeAccessIssue]
+    (here / "mine.py").write_text(MODULE.replace("0.25", "0.5"))
+    assert find_controller("mine.py:Still", toy6).q == 0.5  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("pid", r"unknown controller 'pid'; there are none, .*; or give package.module:Class"),
+        ("nowhere.py:Still", "'nowhere.py:Still': there is no file nowhere.py; give package.module:Class"),
+        ("no.such:Still", "importing no.such fails: ModuleNotFoundError: No module named 'no'"),
+        ("broken.py:Still", "importing broken.py fails: SyntaxError"),
+        ("missing.py:Still", "importing missing.py fails: ModuleNotFoundError: .*a_module_that_is_not_there"),
+        ("mine.py:Moving", "has no class 'Moving'"),
+        ("mine.py:number", "has no class 'number'"),
+        ("mine.py:Needy", "constructing it without arguments fails: TypeError: .*gain"),
+        ("mine.py:Idle", "Idle is no controller; give it reset and act"),
+        ("nowhere.npz", "'nowhere.npz': there is no such file"),
+    ],
+)
+def test_what_names_no_controller(here, toy6, spec, message):
+    with pytest.raises(ValueError, match=message):
+        find_controller(spec, toy6)

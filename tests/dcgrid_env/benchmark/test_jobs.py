@@ -1,0 +1,102 @@
+"""Units: how work is cut, what is kept, and what tells two controllers apart."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import ConstantQ, Droop, NoControl, rollout
+from dcgrid_env.benchmark import jobs
+from dcgrid_env.benchmark.jobs import UNIT_EPISODES, V_EDGES_PU, Unit, controller_hash, plan, run
+
+
+def test_units_cover_the_seeds_once():
+    units, failures = plan(["toy6"], ["none", "droop"], 2 * UNIT_EPISODES + 3)
+    assert failures == {}
+    for name in ("none", "droop"):
+        own = [unit for unit in units if unit.controller == name]
+        assert [seed for unit in own for seed in unit.seeds] == list(range(2 * UNIT_EPISODES + 3))
+        assert len({unit.scenario_hash for unit in own}) == len({unit.controller_hash for unit in own}) == 1
+    assert plan(["toy6"], ["none"], 4)[0][0] == units[0].__class__("toy6", "none", 0, 4, *_rest(units[0]))
+
+
+def _rest(unit: Unit):
+    return unit.scenario_hash, unit.controller_hash, unit.version
+
+
+def test_a_units_record_is_its_episodes_and_all_its_voltages():
+    unit = Unit("toy6", "droop", 4, 3, "a", "b", "c")
+    record = run(unit)
+    recorder = rollout(make_scenario("toy6", split="test"), Droop(), [4, 5, 6])
+    for i, (found, expected) in enumerate(zip(record["episodes"], recorder.metrics(), strict=True)):
+        assert found == {"scenario": "toy6", "controller": "droop", "episode": 4 + i, "seed": 4 + i, **expected}
+    assert record["unit"]["scenario_hash"] == "a"
+    assert record["observes"] == "local"
+    counts = record["voltage"]["counts"]
+    assert sum(counts) == 3 * 100 * 5
+    v = np.concatenate([recorder.lane(i).v_pu[1:, 1:].ravel() for i in range(3)])
+    first = record["voltage"]["first_bin"]
+    assert V_EDGES_PU[first] <= v.min() < V_EDGES_PU[first + 1]
+    assert V_EDGES_PU[first + len(counts) - 1] <= v.max() < V_EDGES_PU[first + len(counts)]
+    expected, _ = np.histogram(v, V_EDGES_PU)
+    assert counts == expected[first : first + len(counts)].tolist()
+
+
+class Refusing(NoControl):
+    def reset(self, env_info):
+        raise ValueError("needs\na crystal ball " + 400 * "x")
+
+
+class Leaving(NoControl):
+    def act(self, observations):
+        raise SystemExit(7)
+
+
+@pytest.mark.parametrize(
+    ("controller", "text"),
+    [(Refusing, "does not apply: needs a crystal ball x"), (Leaving, "failed: SystemExit: 7")],
+)
+def test_a_refusal_and_a_failure_are_one_line(monkeypatch, controller, text):
+    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario: controller())
+    failure = run(Unit("toy6", "x", 0, 1, "a", "b", "c"))["failure"]
+    assert failure.startswith(text)
+    assert len(failure.splitlines()) == 1
+    assert len(failure) < 330
+
+
+def test_a_wider_scope_and_places_pass_through_and_are_told(monkeypatch):
+    seen = {}
+
+    class Wide(NoControl):
+        observe = "feeder"
+
+        def place(self, buses):
+            seen["buses"] = buses
+
+        def act(self, observations):
+            seen["width"] = observations.shape[-1]
+            return super().act(observations)
+
+    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario: Wide())
+    record = run(Unit("toy6", "x", 0, 2, "a", "b", "c"))
+    assert record["observes"] == "feeder, feeder's model"
+    assert seen["buses"].shape == (2, 3)
+    assert seen["width"] == 9 + 2 * 7 + 3 * 5
+
+
+def test_the_hash_of_a_controller_follows_its_parameters():
+    assert controller_hash(Droop()) == controller_hash(Droop())
+    hashes = [
+        Droop(),
+        Droop(k_p_mw_per_pu=2.0),
+        NoControl(),
+        ConstantQ(0.5),
+        ConstantQ((0.5, 0.4)),
+        ConstantQ((0.5, 0.3)),
+    ]
+    assert len(set(map(controller_hash, hashes))) == len(hashes)
+    one, two = NoControl(), NoControl()
+    one.gain = two.gain = np.arange(3.0)  # type: ignore[attr-defined]
+    one.itself, two.itself = one, two  # type: ignore[attr-defined]
+    assert controller_hash(one) == controller_hash(two)
+    two.gain = np.arange(3.0) + 1e-12  # type: ignore[attr-defined]
+    assert controller_hash(one) != controller_hash(two)

@@ -1,0 +1,69 @@
+"""Hashes: the same for the same, another for anything that differs, in another process too."""
+
+import subprocess
+import sys
+
+import pytest
+
+from dcgrid_env import CostWeights, Fault, PhaseDvfs, episode_hash, make_scenario, scenario_hash
+from dcgrid_env.traces import PowerTrace
+
+CHANGES = {
+    "horizon": 119,
+    "split": "validation",
+    "weights": CostWeights(backlog=0.31),
+    "dvfs": PhaseDvfs(),
+    "faults": (Fault(("inverter",), (1.0, 2.0)),),
+    "trace": (PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own"),),
+    "feeder": "ieee123",
+    "inverter_s_kva": 51.0,
+    "datacenter_buses": (1, 3, 4, 5, 6),
+    "preview": False,
+}
+
+
+def test_every_change_shows():
+    hashes = {scenario_hash(make_scenario("ieee123", split="test"))}
+    for name, value in CHANGES.items():
+        if name != "feeder":
+            hashes.add(scenario_hash(make_scenario("ieee123", split="test").replace(**{name: value})))
+    assert len(hashes) == len(CHANGES)
+    assert all(len(h) == 16 and int(h, 16) >= 0 for h in hashes)
+    moved = make_scenario("ieee33").feeder
+    assert scenario_hash(make_scenario("ieee33-weak")) != scenario_hash(make_scenario("ieee33-weak", name="other"))
+    assert scenario_hash(make_scenario("ieee33-weak")) == scenario_hash(make_scenario("ieee33-weak", feeder=moved))
+
+
+def test_a_law_of_ones_own_shows_by_its_figures():
+    class Law:
+        phases = 1
+
+        def __init__(self, slope):
+            self.slope = slope
+
+        def serve(self, params, f_mhz, work_kw):
+            return work_kw, work_kw
+
+    one, two, again = (scenario_hash(make_scenario("toy6", dvfs=Law(slope))) for slope in (1.0, 2.0, 1.0))
+    assert one == again != two
+
+
+def test_an_episode_is_known_by_what_comes_from_outside():
+    scenario = make_scenario("ieee33-weak", split="test")
+    first = episode_hash(scenario, 0)
+    assert first == episode_hash(make_scenario("ieee33-weak", split="test"), 0)
+    assert first != episode_hash(scenario, 1)
+    assert first != episode_hash(scenario.replace(split="train"), 0)
+    # What the controllers are told changes nothing of what comes from outside.
+    assert first == episode_hash(scenario.replace(voltage_noise_pu=0.01, preview=False, observe="feeder"), 0)
+
+
+@pytest.mark.slow
+def test_hashes_are_the_same_in_another_process():
+    code = (
+        "from dcgrid_env import episode_hash, make_scenario, scenario_hash; s = make_scenario('fault', split='test');"
+        "print(scenario_hash(s), episode_hash(s, 3))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    scenario = make_scenario("fault", split="test")
+    assert done.stdout.split() == [scenario_hash(scenario), episode_hash(scenario, 3)]
