@@ -109,9 +109,10 @@ class Network:
 
 def _array(name: str, value: Any, dimensions: int) -> np.ndarray:
     try:
-        array = np.asarray(value, dtype=np.float32)
+        with np.errstate(over="ignore"):  # infinite then, and refused as such
+            array = np.asarray(value).astype(np.float32, casting="same_kind")
     except (TypeError, ValueError):
-        raise PolicyError(f"{name} is no array of numbers; give float32") from None
+        raise PolicyError(f"{name} is no array of real numbers; give float32") from None
     if array.ndim != dimensions or array.size == 0:
         raise PolicyError(f"{name} has shape {array.shape}; give {dimensions} dimensions, none of them 0")
     if not np.isfinite(array).all():

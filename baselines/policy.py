@@ -24,6 +24,8 @@ __all__ = ["Network", "Policy", "PolicyError", "load_policy", "save_policy"]
 FORMAT = "dcgrid policy"
 VERSION = 1
 SCOPES = ("local", "neighbours", "feeder")
+MOST_MIB = 256
+"""Largest policy that is read, unpacked."""
 KINDS = {"joint": ("joint",), "shared": ("datacenter", "inverter")}
 """Networks of each kind of policy: one for all agents together, or one for each kind of agent."""
 
@@ -145,19 +147,12 @@ def save_policy(path: str | Path, policy: Policy) -> None:
 
 
 def load_policy(path: str | Path) -> Policy:
-    """Read a policy. PolicyError for what is none, of an unknown version or broken; OSError if it cannot be opened."""
+    """Read a policy.
+
+    PolicyError for what is none, of an unknown version, broken or too large; OSError if it cannot be opened.
+    """
     path = Path(path)
-    about: dict[str, Any] = {}
-    arrays: dict[str, np.ndarray] = {}
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        about = json.loads(arrays.pop("meta").tobytes())
-        known = about["format"] == FORMAT
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
-        known = False
-    if not known:
-        raise PolicyError(f"{path}: not a policy file; give one that save_policy wrote")
+    about, arrays = _contents(path)
     if about.get("version") != VERSION:
         raise PolicyError(
             f"{path}: version is {about.get('version')!r}, this dcgrid reads {VERSION}; export the policy again"
@@ -177,6 +172,30 @@ def load_policy(path: str | Path) -> Policy:
         )
     policy.source = str(path)
     return policy
+
+
+def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What ``meta`` says, and the other arrays."""
+    about: dict[str, Any] = {}
+    arrays: dict[str, np.ndarray] = {}
+    with path.open("rb") as raw:
+        try:
+            with zipfile.ZipFile(raw) as packed:
+                size_mib = sum(member.file_size for member in packed.infolist()) / 2**20
+            if size_mib > MOST_MIB:
+                raise PolicyError(f"{path}: unpacks to {size_mib:.0f} MiB; give a policy of at most {MOST_MIB} MiB")
+            raw.seek(0)
+            with np.load(raw, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            about = json.loads(arrays.pop("meta").tobytes())
+            known = about["format"] == FORMAT
+        except PolicyError:
+            raise
+        except Exception:  # zip, its ways of packing, the arrays' headers and JSON each have errors of their own
+            known = False
+    if not known:
+        raise PolicyError(f"{path}: not a policy file; give one that save_policy wrote")
+    return about, arrays
 
 
 def _network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Network:

@@ -23,7 +23,7 @@ class Published(NamedTuple):
     J: np.ndarray
     """Hindsight's actions, replayed."""
     bound: np.ndarray
-    """Optimum of the linear program behind them."""
+    """Optimum of the linear program behind them, see ``hindsight``."""
     episode_hashes: tuple[str, ...]
 
     def check_episodes(self, scenario: Scenario, n: int) -> None:

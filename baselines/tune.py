@@ -35,6 +35,8 @@ class Tunable:
     parameters: Callable[[np.ndarray, Sequence[Scenario]], Parameters]
     """From x and the scenarios that share the parameters to the law's keyword arguments."""
     bounds: Callable[[Sequence[Scenario]], list[tuple[float, float]]]
+    generations: int = 3
+    """Of differential evolution, where there are up to three parameters."""
 
 
 class Tuned(NamedTuple):
@@ -67,10 +69,25 @@ def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]
 
 
 def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    # x is what the rule adds where R_ii and X_ii are largest.
-    largest = [max(float(m[k].max()) for m in (s.model.sensitivity() for s in scenarios)) for k in (0, 1)]
+    """sinh(x): the share at the agents' mean R_ii and X_ii, and its change over the range of each among them.
+
+    By sinh gentle rules are searched more finely than steep ones, which saturate at most agents.
+    """
+    own = np.concatenate([_distances(s) for s in scenarios])
+    middle, *changes = np.sinh(x)
+    slopes = changes / np.ptp(own, axis=0)
     names = ("at_substation", "per_r_mw_per_pu", "per_x_mvar_per_pu")
-    return dict(zip(names, map(_rounded, x / [1.0, *largest]), strict=True))
+    return dict(zip(names, map(_rounded, (middle - slopes @ own.mean(axis=0), *slopes)), strict=True))
+
+
+def _distances(scenario: Scenario) -> np.ndarray:
+    """R_ii and X_ii wherever an agent may stand, (n, 2)."""
+    if scenario.datacenter_buses is None:
+        at = scenario.candidates.tolist()
+    else:
+        at = [scenario.feeder.index(bus) for bus in scenario.datacenter_buses]
+    at += [scenario.feeder.index(bus) for bus in scenario.inverter_buses]
+    return np.stack([np.diag(m)[at] for m in scenario.model.sensitivity()], axis=-1)
 
 
 TUNABLE: dict[str, Tunable] = {
@@ -84,7 +101,8 @@ TUNABLE: dict[str, Tunable] = {
         lambda _: [(0.0, 3.5), (0.0, 0.03)],
     ),
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
-    "placement": Tunable(PlacementRule, _placement, lambda _: [(-4.0, 4.0), (-12.0, 12.0), (-12.0, 12.0)]),
+    # The cost has plateaus and several valleys: the rule saturates.
+    "placement": Tunable(PlacementRule, _placement, lambda _: [(-2.0, 2.0), (-3.5, 3.5), (-3.5, 3.5)], 12),
 }
 """Laws that can be tuned, by the names of ``CONTROLLERS``."""
 
@@ -136,7 +154,7 @@ def tune(
     starts = [np.full(n, 0.5)]
     if n <= 3:
         seeded: dict[str, Any] = {"seed": 0}  # newer releases of scipy also call it rng
-        differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=3, polish=False, **seeded)
+        differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=law.generations, polish=False, **seeded)
         starts.append(min(tried, key=lambda pair: pair[0])[1])
     budget = {"maxfev": 30 * n, "initial_tr_radius": 0.25, "final_tr_radius": 5e-4}
     for start in starts:

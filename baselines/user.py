@@ -60,7 +60,7 @@ def _module(spec: str, where: str) -> ModuleType:
         return importlib.import_module(where)
     except FileNotFoundError:
         raise ValueError(f"controller {spec!r}: there is no file {where}; {FORMS}") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"controller {spec!r}: importing {where} fails: {type(error).__name__}: {error}") from error
 
 
@@ -80,7 +80,7 @@ def _construct(spec: str, module: ModuleType, name: str) -> object:
         raise ValueError(f"controller {spec!r}: {module.__file__} has no class {name!r}; {FORMS}")
     try:
         return kind()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(
             f"controller {spec!r}: constructing it without arguments fails: {type(error).__name__}: {error}"
         ) from error

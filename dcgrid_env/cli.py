@@ -32,16 +32,39 @@ _MAIN = {
 }
 
 
+_INTERRUPTED = 130
+"""Status that shells give to what Ctrl-C has ended."""
+
+
 def main(args: list[str] | None = None) -> None:
-    """Entry point of ``dcgrid``; bad input ends with one line on standard error and status 2."""
+    """Entry point of ``dcgrid``; bad input ends with one line on standard error and status 2, Ctrl-C with 130."""
     about = "Voltage control of feeders with data centres."
     bare = (tyro.conf.OmitSubcommandPrefixes,)  # `dcgrid traces fetch`, not `traces action:fetch`
-    command = tyro.cli(Command, args=args, prog="dcgrid", description=about, config=bare)
+    resumes = False
+    try:
+        command = tyro.cli(Command, args=args, prog="dcgrid", description=about, config=bare)
+        resumes = _resumes(command)
+        _run(command)
+    except KeyboardInterrupt:
+        print("dcgrid: interrupted" + "; the same command goes on from there" * resumes, file=sys.stderr)
+        raise SystemExit(_INTERRUPTED) from None
+
+
+def _run(command: Command) -> None:
     try:
         _MAIN[type(command)](command)
     except (ValueError, OSError) as error:
         print(f"dcgrid: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def _resumes(command: Command) -> bool:
+    """Whether a command keeps what it has done, and does not do it again."""
+    if isinstance(command, traces.Traces):
+        return isinstance(command.action, traces.Fetch)
+    if isinstance(command, tune.Tune):
+        return not command.again
+    return isinstance(command, hindsight.HindsightValues)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ ROW_DURATION_S = 3600.0
 """Length of a generated trace; an episode takes a window of it."""
 ROWS = 24
 """How many there are."""
+FOR_GOOD = 2**40
+"""Steps that outlast every episode."""
 
 
 class Episode(NamedTuple):
@@ -150,18 +152,15 @@ def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
     """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
     drawn = counter.bits(key, counter.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
     found = np.empty(drawn.shape, np.int64)
+
+    def steps(times_s: tuple[float, float], between: np.ndarray) -> np.ndarray:
+        low, high = (round(min(t_s / scenario.dt_s, FOR_GOOD)) for t_s in times_s)
+        return low + (between % np.uint64(high - low + 1)).astype(np.int64)
+
     for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
-        # Nothing is lost at t = 0, and what lasts longer than the episode lasts to its end.
-        begin, duration = (
-            [
-                min(round(t_s / scenario.dt_s), scenario.horizon + 1) if t_s < np.inf else scenario.horizon + 1
-                for t_s in pair
-            ]
-            for pair in (fault.begin_s, fault.duration_s)
-        )
         found[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
-        found[:, i, 1] = 1 + begin[0] + drawn[:, i, 1] % np.uint64(begin[1] - begin[0] + 1)
-        found[:, i, 2] = found[:, i, 1] + duration[0] + drawn[:, i, 2] % np.uint64(duration[1] - duration[0] + 1)
+        found[:, i, 1] = 1 + steps(fault.begin_s, drawn[:, i, 1])  # nothing is lost at t = 0
+        found[:, i, 2] = found[:, i, 1] + steps(fault.duration_s, drawn[:, i, 2])
     return found
 
 

@@ -185,7 +185,7 @@ class Scenario:
         """Ratings of the data centres."""
         p = _per_device(self.p_rated_kw, self.n_datacenters)
         one = np.ones_like(p)
-        return DataCenterParams(
+        params = DataCenterParams(
             p_rated_kw=p,
             p_idle_kw=self.idle_share * p,
             p_dynamic_kw=p - self.idle_share * p,
@@ -194,17 +194,18 @@ class Scenario:
             s_rated_kva=self.s_rated_share * p,
             q_max_kvar=self.q_max_share * p,
         )
+        return DataCenterParams(*map(_read_only, params))
 
     @cached_property
     def inverter(self) -> InverterParams:
         """Ratings of the inverters."""
-        return InverterParams(s_rated_kva=_per_device(self.inverter_s_kva, self.n_inverters))
+        return InverterParams(s_rated_kva=_read_only(_per_device(self.inverter_s_kva, self.n_inverters)))
 
     @cached_property
     def q_scale_kvar(self) -> np.ndarray:
         """Reactive limit of each agent at zero active power, kvar, (n_agent,): what a reactive action is a share of."""
         dc = self.datacenter
-        return np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), self.inverter.s_rated_kva))
+        return _read_only(np.concatenate((np.minimum(dc.q_max_kvar, dc.s_rated_kva), self.inverter.s_rated_kva)))
 
     @cached_property
     def fault_targets(self) -> tuple[np.ndarray, ...]:
@@ -218,7 +219,7 @@ class Scenario:
                 else:
                     targets.append(self.agents.index(name))
             found.append(np.unique(targets))
-        return tuple(found)
+        return tuple(map(_read_only, found))
 
     def _of_kind(self, kind: str) -> list[int]:
         if kind == "datacenter":
@@ -232,7 +233,14 @@ class Scenario:
     def candidates(self) -> np.ndarray:
         """Positions in ``bus_ids`` where a data centre may be drawn: load buses without an inverter."""
         taken = {0, *(self.feeder.index(b) for b in self.inverter_buses)}
-        return np.array([i for i in np.flatnonzero(self.feeder.p_load_kw > 0) if i not in taken], dtype=np.int64)
+        free = [i for i in np.flatnonzero(self.feeder.p_load_kw > 0) if i not in taken]
+        return _read_only(np.array(free, dtype=np.int64))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Controllers are handed the scenario; what they do to it must not change the physics."""
+    array.setflags(write=False)
+    return array
 
 
 def _per_device(value: float | tuple[float, ...], n: int) -> np.ndarray:

@@ -1,6 +1,8 @@
 """What all generators share: the 0.1 s grid, the random stream of a seed, and the idle draw of a site."""
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,25 @@ def grid_steps(duration_s: float) -> int:
     """Steps of the grid that cover `duration_s`; TraceError unless it is finite and above zero."""
     duration_s = require_positive(duration_s, "duration_s", "give the length of the trace in seconds")
     return max(1, math.ceil(duration_s / GRID_S - 1e-9))
+
+
+def check_range(params: Any, field: dataclasses.Field, limits: tuple[float, float]) -> None:
+    """Check a field of a generator's parameters.
+
+    A field whose default is a pair holds the range from which is drawn, any other a number.
+
+    Raises
+    ------
+    TraceError
+        Unless the number, or both ends of the rising pair, lie within the limits, both allowed.
+    """
+    value, (low, high) = getattr(params, field.name), limits
+    where = f"{type(params).__name__}.{field.name} = {value}"
+    if not isinstance(field.default, tuple):
+        if isinstance(value, tuple) or not low <= value <= high:
+            raise TraceError(f"{where} is not in {low:g} to {high:g}")
+    elif not (isinstance(value, tuple) and len(value) == 2 and low <= value[0] <= value[1] <= high):
+        raise TraceError(f"{where} is not a rising pair within {low:g} to {high:g}")
 
 
 def stream(generator: str, seed: int) -> np.random.Generator:

@@ -14,10 +14,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, grid_steps, rounded, stream
+from dcgrid_env.traces.grid import GRID_S, check_range, grid_steps, rounded, stream
 from dcgrid_env.traces.library import row_seed
 from dcgrid_env.traces.provenance import generated
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, steps_in
+from dcgrid_env.traces.trace import FloatArray, PowerTrace, steps_in
 
 SUN = "pv"
 """Name of this generator, as a scenario's ``inverter_trace``."""
@@ -46,10 +46,7 @@ class PvParams:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, (low, high) = getattr(self, field.name), _RANGES[field.name]
-            ends = value if isinstance(value, tuple) else (value, value)
-            if not (len(ends) == 2 and low <= ends[0] <= ends[1] <= high):
-                raise TraceError(f"PvParams.{field.name} = {value} is not within [{low:g}, {high:g}]")
+            check_range(self, field, _RANGES[field.name])
 
 
 def generate_pv(duration_s: float, seed: int, params: PvParams | None = None) -> PowerTrace:

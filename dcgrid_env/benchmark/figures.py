@@ -30,11 +30,16 @@ LABEL_HEIGHT_IN, OTHER_HEIGHT_IN = 0.17, 1.1
 
 @dataclass(frozen=True)
 class Replay:
-    """One episode of a scenario to run again and draw, under each of the controllers."""
+    """Episodes of a scenario to run again and draw, each under all of the controllers."""
 
     scenario: str
-    controllers: tuple[str, ...]
-    seed: int
+    costliest: Mapping[str, int]
+    """Of each of the controllers the seed of its costliest episode."""
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Each episode once."""
+        return tuple(dict.fromkeys(self.costliest.values()))
 
 
 @dataclass(frozen=True)
@@ -53,8 +58,8 @@ class Drawn:
 
     scenario: bytes
     """PNG."""
-    worst: bytes | str
-    """PNG, or why there is none."""
+    worst: tuple[bytes, ...] | str
+    """A PNG for each of the replayed seeds, or why there is none."""
 
 
 def draw(sheet: Sheet) -> Drawn:
@@ -63,16 +68,19 @@ def draw(sheet: Sheet) -> Drawn:
     return Drawn(png(scenario_figure(sheet.summary, sheet.voltages, band_pu)), replay(sheet.worst))
 
 
-def replay(task: Replay) -> bytes | str:
-    """The episode as a PNG, or why there is none."""
+def replay(task: Replay) -> tuple[bytes, ...] | str:
+    """Each episode as a PNG, or why there is none."""
     scenario = on_test_split(task.scenario)
     runs = {}
-    for name in task.controllers:
+    for name in task.costliest:
         try:
-            runs[short(name)] = rollout(scenario, find_controller(name, scenario), [task.seed]).lane(0)
-        except Exception as error:  # in a batch it worked; the user's code, so anything
-            return f"{name} failed when this one episode was run again: {type(error).__name__}: {error}"
-    return png(run_figure(scenario, runs, task.seed), dpi=80)
+            runs[short(name)] = rollout(scenario, find_controller(name, scenario), task.seeds)
+        except (Exception, SystemExit) as error:  # in a batch it worked; the user's code, so anything
+            return f"{name} failed when this was run again: {type(error).__name__}: {error}"
+    return tuple(
+        png(run_figure(scenario, {name: recorder.lane(i) for name, recorder in runs.items()}, seed), dpi=80)
+        for i, seed in enumerate(task.seeds)
+    )
 
 
 def png(figure: Figure, dpi: int = 110) -> bytes:

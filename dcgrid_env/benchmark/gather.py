@@ -25,17 +25,17 @@ class Results:
     """Counts in the bins of ``jobs.V_EDGES_PU``, of the same controllers."""
 
     def sheet(self) -> Sheet | None:
-        """What to draw: of episodes the costliest of the best controller beside the reference, under both; None where
-        every controller failed.
+        """What to draw: of episodes the costliest of the best controller and the costliest of the reference, each under
+        both; None where every controller failed.
         """
         rows = {row.controller: row.means or {} for row in self.summary.working}
         others = [name for name in rows if name != REFERENCE]
         if not rows:
             return None
         best = min(others, key=lambda name: rows[name]["J"]) if others else REFERENCE
-        seed = max(self.records[best], key=lambda record: record["J"])["seed"]
         both = (best, REFERENCE) if others and REFERENCE in rows else (best,)
-        return Sheet(self.summary, self.voltages, Replay(self.summary.scenario, both, seed))
+        costliest = {name: max(self.records[name], key=lambda record: record["J"])["seed"] for name in both}
+        return Sheet(self.summary, self.voltages, Replay(self.summary.scenario, costliest))
 
 
 def gather(

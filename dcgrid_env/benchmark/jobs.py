@@ -6,9 +6,11 @@ import contextlib
 import hashlib
 import inspect
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -48,6 +50,10 @@ class Unit:
         return range(self.first, self.first + self.episodes)
 
 
+CODE = (type, FunctionType, BuiltinFunctionType, ModuleType, np.ufunc)
+"""What a controller may hold that is code and no parameter."""
+
+
 class DoesNotApply(ValueError):
     """A controller refuses a scenario."""
 
@@ -73,7 +79,7 @@ def plan(
         form = scenario_hash(scenario)
         for spec in controllers:
             try:
-                identity = controller_hash(find_controller(spec, scenario))
+                identity = controller_hash(find_controller(spec, scenario), spec)
             except ValueError as error:
                 failures[name, spec] = f"does not apply: {_line(error)}"
                 continue
@@ -116,12 +122,17 @@ def observed(controller: Controller, scenario: Scenario) -> str:
     return f"{scope}, feeder's model" if isinstance(controller, Placed) else scope
 
 
-def controller_hash(controller: Controller) -> str:
-    """SHA-256 of a fresh controller's parameters and of the file its class stands in, 16 hexadecimal digits."""
+def controller_hash(controller: Controller, spec: str = "") -> str:
+    """SHA-256 of a fresh controller's parameters, of the file its class stands in and of the one that ``spec``, as the
+    command line names it, is or begins with, 16 hexadecimal digits.
+    """
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
-    _add(digest, vars(controller) if hasattr(controller, "__dict__") else None, ())
+    named = Path(spec if spec.endswith(".npz") else spec.rpartition(":")[0])
+    if named.suffix in (".npz", ".py"):
+        digest.update(named.read_bytes())
+    _add(digest, controller, {})
     return digest.hexdigest()[:16]
 
 
@@ -159,24 +170,62 @@ def _line(error: BaseException) -> str:
     return text if len(text) <= 300 else text[:297] + "..."
 
 
-def _add(digest: Any, value: Any, above: tuple[int, ...]) -> None:
-    """Feed a parameter by value; of what holds itself, and of what has no value to read, the type alone."""
+def _add(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+    """Feed a parameter by value; of code its name, of what has no value to read the type alone.
+
+    ``seen`` holds the place and the object of those fed before, by ``id``: one met again is fed as its place.
+    """
     digest.update(f"{type(value).__qualname__}:".encode())
-    if id(value) in above:
-        return
-    above = (*above, id(value))
-    if isinstance(value, str | bytes | int | float | complex | np.generic | None):
+    if isinstance(value, str | bytes | int | float | complex | np.generic | PurePath | None):
         digest.update(f"{value!r};".encode())
-    elif isinstance(value, Mapping):
+    elif isinstance(value, CODE):
+        digest.update(f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')};".encode())
+    elif isinstance(value, tuple):
+        _add_all(digest, value, seen)
+    elif id(value) in seen:
+        digest.update(f"{seen[id(value)][0]};".encode())
+    else:
+        seen[id(value)] = (len(seen), value)
+        _add_held(digest, value, seen)
+
+
+def _add_held(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+    """Feed what an object holds: its items or figures, and its attributes."""
+    if isinstance(value, Mapping):
         for key, held in value.items():
             digest.update(f"{key!r}=".encode())
-            _add(digest, held, above)
-    elif isinstance(value, list | tuple):
-        digest.update(f"{len(value)};".encode())
-        for held in value:
-            _add(digest, held, above)
+            _add(digest, held, seen)
+    elif isinstance(value, list):
+        _add_all(digest, value, seen)
+    elif isinstance(value, AbstractSet):
+        _add_all(digest, sorted(value, key=repr), seen)
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.shape}{value.dtype}".encode())
-        digest.update(value.tobytes() if value.dtype != object else repr(value).encode())
-    elif hasattr(value, "__dict__") and not callable(value):
-        _add(digest, vars(value), above)
+        if value.dtype == object:
+            _add_all(digest, value.ravel().tolist(), seen)
+        else:
+            digest.update(value.tobytes())
+    elif isinstance(value, MethodType):
+        digest.update(f"{value.__qualname__};".encode())
+        _add(digest, value.__self__, seen)
+    elif hasattr(value, "tolist"):  # another library's array
+        with contextlib.suppress(Exception):
+            digest.update(f"{value.tolist()!r};".encode())
+    for name, held in _attributes(value):
+        digest.update(f".{name}=".encode())
+        _add(digest, held, seen)
+
+
+def _attributes(value: Any) -> list[tuple[str, Any]]:
+    found = list(getattr(value, "__dict__", {}).items())
+    for kind in type(value).__mro__:
+        slots = vars(kind).get("__slots__", ())
+        names = (slots,) if isinstance(slots, str) else slots
+        found += [(name, getattr(value, name)) for name in names if name[:2] != "__" and hasattr(value, name)]
+    return found
+
+
+def _add_all(digest: Any, values: Sequence[Any], seen: dict[int, tuple[int, Any]]) -> None:
+    digest.update(f"{len(values)};".encode())
+    for value in values:
+        _add(digest, value, seen)

@@ -31,7 +31,7 @@ class Section:
     table: Table
     name: str
     worst: Replay | None
-    """The episode that is replayed; None where every controller failed."""
+    """The episodes that are replayed; None where every controller failed."""
     figures: Drawn | Died | None
     """None likewise."""
 
@@ -56,11 +56,20 @@ def _section(section: Section) -> str:
         parts.append("<p class=note>The process that drew the figures died.</p>")
     elif section.figures and section.worst:
         parts.append(_image(section.figures.scenario, f"Voltage against delay and voltages on {section.name}"))
-        best, seed, drawn = html.escape(section.worst.controllers[0]), section.worst.seed, section.figures.worst
-        parts.append(f"<p>The worst episode of {best} (seed {seed}, where its J is highest), replayed:</p>")
-        text = f"Seed {seed} of {section.name}"
-        parts.append(_image(drawn, text) if isinstance(drawn, bytes) else f"<p class=note>{html.escape(drawn)}</p>")
+        parts += _replayed(section.name, section.worst, section.figures.worst)
     return "\n".join(parts)
+
+
+def _replayed(name: str, worst: Replay, drawn: tuple[bytes, ...] | str) -> list[str]:
+    """A heading for each of the worst episodes and its figure, or why there is none."""
+    if isinstance(drawn, str):
+        return [f"<p class=note>{html.escape(drawn)}</p>"]
+    parts = []
+    for seed, png in zip(worst.seeds, drawn, strict=True):
+        whose = html.escape(" and of ".join(of for of, own in worst.costliest.items() if own == seed))
+        parts.append(f"<p>The worst episode of {whose} (seed {seed}, where J is highest), replayed:</p>")
+        parts.append(_image(png, f"Seed {seed} of {name}"))
+    return parts
 
 
 def _image(png: bytes, text: str) -> str:

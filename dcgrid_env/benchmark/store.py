@@ -1,7 +1,7 @@
 """Finished units on disk, one file each, so that an interrupted benchmark goes on where it was.
 
     OUT/units/about.json                                    format and version of the package
-    OUT/units/SCENARIO/CONTROLLER/FIRST-LAST.json           what ``jobs.run`` gave for the seeds FIRST to LAST
+    OUT/units/SCENARIO/CONTROLLER/FIRST-LAST.json           what ``jobs.run`` gave for FIRST to LAST, and its hash
 
 A unit counts as done if all that defines it is the same. Of another package version or another form of its scenario the
 whole folder is refused, lest two benchmarks mix; where only the controller has changed (its parameters, or the file of
@@ -21,7 +21,7 @@ from dcgrid_env import __version__
 from dcgrid_env.benchmark.files import write_json
 from dcgrid_env.benchmark.jobs import Unit
 
-FORMAT = {"what": "units of dcgrid benchmark", "format": 1}
+FORMAT = {"what": "units of dcgrid benchmark", "format": 2}
 
 
 class Store:
@@ -44,7 +44,7 @@ class Store:
                 if found.get(key) != value:
                     raise ValueError(
                         f"{self.folder} holds units of {key} {found.get(key)!r}, this is {value!r}; give another "
-                        "--out, or delete that folder"
+                        f"--out, or delete that folder and {out / 'results.json'}"
                     )
         elif (out / "results.json").exists():
             raise ValueError(f"{out} holds the results of another command (results.json); give another --out")
@@ -52,13 +52,15 @@ class Store:
     def get(self, unit: Unit) -> dict[str, Any] | None:
         """The unit's record if it is done; None if not, or if its controller has changed since.
 
-        ValueError where it is of another form of the scenario, or unreadable.
+        ValueError where it is of another form of the scenario, or damaged in any way.
         """
         path = self.path(unit)
         if not path.is_file():
             return None
         record = _read(path)
-        own = record.get("unit", {})
+        if record.pop("sha256", None) != _digest(record):
+            raise ValueError(f"{path} is damaged (its sha256 is another); delete it, and it is computed anew")
+        own = record["unit"]
         if own.get("scenario_hash") != unit.scenario_hash:
             raise ValueError(
                 f"{path} is of another {unit.scenario}, of hash {own.get('scenario_hash')} and not "
@@ -70,7 +72,7 @@ class Store:
         """Keep a finished unit."""
         if not (self.folder / "about.json").is_file():
             write_json(self.folder / "about.json", self._about)
-        write_json(self.path(unit), record)
+        write_json(self.path(unit), record | {"sha256": _digest(record)})
 
     def path(self, unit: Unit) -> Path:
         """The unit's file."""
@@ -78,6 +80,10 @@ class Store:
         if plain != unit.controller:  # two that differ only in what was left out stay apart
             plain += "-" + hashlib.sha256(unit.controller.encode()).hexdigest()[:8]
         return self.folder / unit.scenario / plain / f"{unit.first}-{unit.first + unit.episodes - 1}.json"
+
+
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Published(Protocol):
 
     @property
     def bound(self) -> np.ndarray:
-        """The relaxation's own optimum, (n,)."""
+        """The optimum of the program, linearised around the best trajectory found, (n,)."""
         ...
 
     def check_episodes(self, scenario: Scenario, n: int) -> None:
@@ -69,6 +69,17 @@ class Summary:
         }
 
 
+class Hindsight(NamedTuple):
+    """Perfect foresight over the episodes of a scenario."""
+
+    J: float
+    """Mean of what it reaches, replayed."""
+    optimum: float
+    """Mean of the linearised program's own optimum."""
+    gap_pct: float
+    """Largest distance of the two in an episode, in per cent of its J."""
+
+
 @dataclass(frozen=True)
 class ScenarioSummary:
     """All controllers on one scenario."""
@@ -78,8 +89,8 @@ class ScenarioSummary:
     rows: tuple[Summary, ...]
     no_score: str | None
     """Why there are no scores, None if there are."""
-    hindsight: tuple[float, float] | None
-    """Mean J of hindsight and its mean bound over these episodes."""
+    hindsight: Hindsight | None
+    """None where it is not published for these episodes."""
 
     @property
     def working(self) -> list[Summary]:
@@ -140,7 +151,10 @@ def summarise(
                 score=None if reason else found.score,
             )
         rows.append(row)
-    hindsight = None if best is None or bound is None else (float(best.mean()), float(bound.mean()))
+    hindsight = None
+    if best is not None and bound is not None:
+        gap_pct = 100.0 * float(np.abs((best - bound) / best).max())
+        hindsight = Hindsight(float(best.mean()), float(bound.mean()), gap_pct)
     return ScenarioSummary(scenario, episodes, tuple(rows), reason, hindsight)
 
 

@@ -6,7 +6,7 @@ One plain table of text behind all its forms: Markdown, HTML and the terminal.
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -97,7 +97,9 @@ def scenario_table(summary: ScenarioSummary) -> Table:
     notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
     if summary.hindsight:
         notes.insert(
-            0, "Hindsight: J {:.4f}; no controller can cost less than its bound, {:.4f}.".format(*summary.hindsight)
+            0,
+            "Hindsight: J {:.4f}; the linearised program's own optimum {:.4f} (largest gap of an episode {:.2f} % of J)"
+            ".".format(*summary.hindsight),
         )
     if summary.no_score:
         notes.insert(0, summary.no_score[0].upper() + summary.no_score[1:] + ".")
@@ -129,7 +131,7 @@ def _estimate(estimate: Estimate | None, form: str) -> str:
     return f"{estimate.value:{form}} ({estimate.low:{form}} to {estimate.high:{form}})"
 
 
-def _row(cells) -> str:
+def _row(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 

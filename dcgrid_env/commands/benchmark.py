@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.commands.named import scenario_names, split_names
+from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta
+from dcgrid_env.commands.settings import processes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,7 +40,7 @@ class Benchmark:
     """Names of scenarios, separated by commas, or all (dcgrid list)."""
     controllers: str = "local"
     """Separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, saved policies (.npz), local
-    (those that need no model of the feeder) or all. The tuned droop is run besides."""
+    (those that need no model of the feeder) or all. A path must not hold a comma. The tuned droop is run besides."""
     episodes: int = MOST_EPISODES
     """Test episodes of each scenario, seeds 0, 1, ...; at most the published 100."""
     out: Path = Path("results/benchmark")
@@ -55,13 +57,10 @@ def main(cfg: Benchmark) -> None:
     from dcgrid_env.benchmark.gather import gather
     from dcgrid_env.benchmark.jobs import plan
     from dcgrid_env.benchmark.store import Store
-    from dcgrid_env.powerflow.threads import n_threads
 
     if not 1 <= cfg.episodes <= MOST_EPISODES:
         raise ValueError(f"episodes is {cfg.episodes}; give 1 to {MOST_EPISODES}, the published test episodes")
-    jobs = n_threads() if cfg.jobs is None else cfg.jobs
-    if jobs < 1:
-        raise ValueError(f"jobs is {jobs}; give at least 1")
+    jobs = processes(cfg.jobs)
     scenarios = scenario_names(cfg.scenarios)
     controllers = _controllers(cfg.controllers, scenarios[0])
     units, failures = plan(scenarios, controllers, cfg.episodes)
@@ -116,21 +115,11 @@ def _run(
     units: Sequence[Unit], done: dict[Unit, dict[str, Any]], store: Store, jobs: int, console: Console
 ) -> dict[tuple[str, str], str]:
     """Run what is not done, keeping each unit at once; what failed, by (scenario, controller)."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     from dcgrid_env.benchmark.jobs import run
     from dcgrid_env.benchmark.pool import Died, each
 
     failed: dict[Unit, str] = {}
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
+    with progress_bar(console) as progress:
         bar = progress.add_task(
             "episodes", total=sum(u.episodes for u in units), completed=sum(u.episodes for u in done)
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ class Reproduce:
 def main(cfg: Reproduce) -> None:
     """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     from dcgrid_env.study.figures import draw_all
     from dcgrid_env.study.load import choose_load
@@ -44,17 +44,19 @@ def main(cfg: Reproduce) -> None:
     records: dict[str, Any] = {"meta": meta() | {"trace": _origin(runs)}}
     cfg.out.mkdir(parents=True, exist_ok=True)
     console = Console()
-    columns = (TextColumn("{task.description:>14}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("", total=len(PARTS) + 2)
+    with progress_bar(console) as progress:
+        bar = progress.add_task("", total=len(PARTS) + 1)
+        begun = 0
 
         def begin(part: str) -> None:
-            progress.update(task, advance=1, description=part.replace("_", " "))
+            nonlocal begun
+            progress.update(bar, completed=begun, description=part.replace("_", " "))
+            begun += 1
 
         records |= study(runs, begin)
         begin("figures")
         records["figures"] = draw_all(runs, cfg.out)
-        progress.update(task, advance=1)
+        progress.advance(bar)
     write_json(cfg.out / "reproduction.json", records)
     (cfg.out / "reproduction.md").write_text(render(records), encoding="utf-8")
     console.print(_claims(records["claims"]))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.commands.named import split_names
+from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
 
 if TYPE_CHECKING:
@@ -20,7 +21,8 @@ class Run:
     scenario: str = "ieee123"
     """Name of a scenario (dcgrid list)."""
     controllers: str = "none,inverters,droop"
-    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.npz)."""
+    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.npz). A path
+    must not hold a comma."""
     episodes: int = 8
     """Episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0
@@ -37,7 +39,6 @@ class Run:
 def main(cfg: Run) -> None:
     """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from dcgrid_env.baselines import rollout, stability
     from dcgrid_env.baselines.user import find_controller
@@ -52,12 +53,14 @@ def main(cfg: Run) -> None:
         raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
     seeds = range(cfg.seed, cfg.seed + cfg.episodes)
     console = Console()
-    columns = (TextColumn("{task.description:>16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     recorders = {}
-    with Progress(*columns, console=console) as progress:
+    with progress_bar(console) as progress:
         for name, controller in controllers.items():
             task = progress.add_task(name, total=scenario.horizon)
-            recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task))
+            try:
+                recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task))
+            except SystemExit as error:  # as it stands it would end the command as if all were well
+                raise ValueError(f"controller {name!r} ends the program (SystemExit: {error}); it must not") from None
     records = [
         record
         for name, recorder in recorders.items()

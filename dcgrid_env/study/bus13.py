@@ -11,6 +11,8 @@ from dcgrid_env.study.paper import PUBLISHED_BUSES
 from dcgrid_env.study.runs import INVERTERS, Runs
 
 BUS = PUBLISHED_BUSES[0]
+OWN_KW = 280.0
+"""Rating of a site, kW."""
 LARGEST_KW = 20_000.0
 """Where the search for the rating that leaves the band ends."""
 
@@ -19,7 +21,7 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
     """Runs with inverters only, and the drop at bus 13 taken apart at base load, every site at its rating."""
     five, alone = runs.setting.published(5), runs.setting.pinned((BUS,))
     low = runs.setting.published(5, v0_pu=1.0)
-    own, others = {BUS: 280.0}, dict.fromkeys(PUBLISHED_BUSES[1:5], 280.0)
+    own, others = {BUS: OWN_KW}, dict.fromkeys(PUBLISHED_BUSES[1:5], OWN_KW)
     at = five.feeder.index(BUS)
     r, x = (float(m[at, at]) for m in five.feeder.sensitivity())
     loads, with_own, with_all = (float(settled(five, p)[at]) for p in ({}, own, own | others))

@@ -8,12 +8,15 @@ from matplotlib.figure import Figure
 from dcgrid_env import Scenario, forecast
 from dcgrid_env.study.drawing import COLOURS, line, new_figure, say
 from dcgrid_env.study.paper import PUBLISHED_BUSES
-from dcgrid_env.study.runs import NONE, Runs
+from dcgrid_env.study.runs import NONE, Law, Runs
 from dcgrid_env.study.table import LAWS
 from dcgrid_env.traces import TRACE_SOURCES
 
 SITE = 85
 """Bus of Fig. 7: near the end of the feeder, where the voltage is low and the clock acts."""
+PANELS = (1.0, 20.0)
+"""k_p of Fig. 7, MW/p.u."""
+FORMS = {"both": "after, cumulative backlog", "both-one-step": "after, printed one-step backlog"}
 TASKS = ("llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
 
 
@@ -63,6 +66,11 @@ def episode_with_a_burst(runs: Runs) -> int:
     return int(np.argmax(spread))
 
 
+def panel_laws() -> list[Law]:
+    """The laws of Fig. 7."""
+    return [LAWS[name]._replace(k_p_mw_per_pu=k_p) for k_p in PANELS for name in FORMS]
+
+
 def before_and_after(runs: Runs, seed: int) -> Figure:
     """Fig. 7: power of a data centre before and after control at k_p = 1 and 20, and what waits."""
     scenario, site = all_sites(runs), PUBLISHED_BUSES.index(SITE)
@@ -70,11 +78,8 @@ def before_and_after(runs: Runs, seed: int) -> Figure:
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
     before = runs.series(scenario, NONE, seed)
     t = np.arange(1, len(before.p_kw) + 1) * scenario.dt_s
-    for (power, waiting), k_p in zip(axes.T, (1.0, 20.0), strict=True):
-        for name, label in (
-            ("both", "after, cumulative backlog"),
-            ("both-one-step", "after, printed one-step backlog"),
-        ):
+    for (power, waiting), k_p in zip(axes.T, PANELS, strict=True):
+        for name, label in FORMS.items():
             after = runs.series(scenario, LAWS[name]._replace(k_p_mw_per_pu=k_p), seed)
             power.step(t, after.p_kw[:, site], where="pre", label=label, **line(name))
             waiting.plot(t, after.backlog_kws[1:, site], **line(name))

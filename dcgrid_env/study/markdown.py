@@ -124,7 +124,7 @@ def _gains(records: Records) -> str:
     }
     last = [r for r in records["gains"] if r["n_datacenters"] == 5][-1]
     printed, kept = last["gain_active_one_step_pct"], last["gain_active_pct"]
-    share = f"{100.0 * (1.0 - kept / printed):.0f} %" if printed > 0 else "none"
+    share = f"{100.0 * (1.0 - max(kept, 0.0) / printed):.0f} %" if printed > max(kept, 0.0) else "none"
     undone = (
         f"How much of the printed law's gain is work not done: with five sites at k_p = {last['k_p_mw_per_pu']:g} its "
         f"clock gains {printed:.2f} points and leaves {last['unserved_one_step_pct']:.1f} % of the work unserved; with "

@@ -7,6 +7,7 @@ from scipy.optimize import minimize
 from dcgrid_env import CostWeights, Fault, PhaseDvfs, distflow, forecast, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.hindsight import hindsight, replay
+from dcgrid_env.traces import PowerTrace
 
 
 @pytest.fixture(scope="module", params=["toy6", "ieee33-weak", "ieee123"])
@@ -103,6 +104,21 @@ def test_what_is_lost_is_foreseen():
     assert series.q_kvar[:12, 5].any()
     blind = replay(scenario, hindsight(scenario.replace(faults=()), 0).actions, 0).metrics()[0]["J"]
     assert blind > best.J
+
+
+def test_a_boost_beyond_the_converters_rating_is_foreseen():
+    """What arrives above the rating may be served at once, though the converter then gives no reactive power."""
+    kw = np.where(np.arange(200) % 10 < 3, 1.3, 0.5)
+    trace = PowerTrace(np.arange(201.0), np.append(kw, 0.5), "boosted", rated_kw=1.0)
+    scenario = make_scenario(
+        "ieee33", trace=(trace,), trace_window="start", boost_share=1.3, horizon=20, p_rated_kw=60.0, split="train"
+    )
+    best = hindsight(scenario, 0)
+    top = best.actions.copy()
+    top[:, 0:8:2] = 1.0
+    assert replay(scenario, top, 0).metrics()[0]["J"] > best.bound - 1e-6
+    assert best.recorder.lane(0).p_kw[:, :4].max() > 1.02 * 60.0
+    assert abs(best.gap) < 0.02 * best.J
 
 
 def test_the_band_is_kept_where_it_can_be_and_told_where_it_cannot():

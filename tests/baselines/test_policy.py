@@ -4,6 +4,7 @@ import itertools
 import json
 import subprocess
 import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -128,7 +129,9 @@ def test_zero_weights_act_like_the_bias():
         (lambda: Network([(np.ones((3, 2)), np.ones(2)), (np.ones((3, 1)), [0.0])]), r"w1 has shape \(3, 1\)"),
         (lambda: Network([(np.ones(3), np.ones(3))]), r"w0 has shape \(3,\); give 2 dimensions"),
         (lambda: Network([([[np.nan]], [0.0])]), r"w0 holds nan; give finite numbers"),
-        (lambda: Network([([["a"]], [0.0])]), "w0 is no array of numbers"),
+        (lambda: Network([([["a"]], [0.0])]), "w0 is no array of real numbers; give float32"),
+        (lambda: Network([([[1j]], [0.0])]), "w0 is no array of real numbers; give float32"),
+        (lambda: Network([([[1e300]], [0.0])]), "w0 holds inf; give finite numbers"),
         (lambda: network(3, 2, mean=[0.0, 0.0]), r"mean has shape \(2,\); give one figure for each of 3 inputs"),
         (lambda: network(3, 2, std=[1.0, 0.0, 1.0]), "std is 0.0 somewhere; give figures above 0"),
         (lambda: Policy({}), "give joint alone, or datacenter, inverter or both"),
@@ -163,6 +166,7 @@ def rewritten(path, change):
         (lambda a, m: m.pop("observe"), "observe is missing"),
         (lambda a, m: m.update(kind="joint"), "kind is 'joint', its networks are"),
         (lambda a, m: a["datacenter.w0"].__setitem__((0, 0), np.inf), "datacenter: w0 holds inf"),
+        (lambda a, m: a.update({"inverter.b0": np.full(8, 1j)}), "inverter: b0 is no array of real numbers"),
         (lambda a, m: a.update({"inverter.b0": np.zeros(3)}), r"inverter: w0 has shape \(7, 8\)"),
         (lambda a, m: m["networks"]["inverter"].update(activation="x"), "inverter: activation is 'x'"),
         (lambda a, m: m["networks"]["inverter"].update(layers="2"), "policy.npz: "),
@@ -191,6 +195,61 @@ def test_what_is_no_policy_file_is_refused_and_no_pickle_is_loaded(tmp_path):
         load_policy(path)
     with pytest.raises(OSError, match=r"nowhere\.npz"):
         load_policy(tmp_path / "nowhere.npz")
+
+
+def test_every_damage_to_a_file_is_a_policy_error_that_names_it(tmp_path):
+    path = tmp_path / "policy.npz"
+    save_policy(path, shared())
+    whole = path.read_bytes()
+    told = set()
+    for at in range(0, len(whole), 7):
+        for value in (0, whole[at] ^ 1):
+            path.write_bytes(whole[:at] + bytes([value]) + whole[at + 1 :])
+            try:
+                load_policy(path)
+            except PolicyError as error:
+                told.add(str(error))
+    for n in range(0, len(whole), 40):
+        path.write_bytes(whole[:n])
+        with pytest.raises(PolicyError, match="not a policy file"):
+            load_policy(path)
+    assert f"{path}: not a policy file; give one that save_policy wrote" in told
+    assert all(text.startswith(f"{path}: ") for text in told)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("flag_bits", 1), ("compress_type", 97), ("compress_type", 12), ("compress_type", 14)],
+)
+def test_a_way_of_packing_that_cannot_be_read_is_no_policy(tmp_path, field, value):
+    path = tmp_path / "policy.npz"
+    save_policy(path, shared())
+    content = bytearray(path.read_bytes())
+    for signature, offset in (
+        (b"PK\x03\x04", {"flag_bits": 6, "compress_type": 8}),
+        (b"PK\x01\x02", {"flag_bits": 8, "compress_type": 10}),
+    ):
+        at = content.find(signature)
+        while at >= 0:
+            content[at + offset[field]] = value
+            at = content.find(signature, at + 4)
+    path.write_bytes(content)
+    with pytest.raises(PolicyError, match="not a policy file; give one that save_policy wrote") as raised:
+        load_policy(path)
+    assert str(path) in str(raised.value)
+
+
+def test_what_would_fill_the_memory_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    path = tmp_path / "policy.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for i in range(3):
+            with packed.open(f"w{i}.npy", "w") as file:
+                for _ in range(100):
+                    file.write(bytes(2**20))
+    monkeypatch.setattr(np, "load", lambda *a, **k: pytest.fail("it was unpacked"))
+    assert path.stat().st_size < 2**20
+    with pytest.raises(PolicyError, match=r"policy\.npz: unpacks to 300 MiB; give a policy of at most 256 MiB"):
+        load_policy(path)
 
 
 def test_what_does_not_fit_a_scenario_is_refused_with_both_widths(tmp_path):

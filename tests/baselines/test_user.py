@@ -31,6 +31,11 @@ class Needy:
     def __init__(self, gain): ...
 
 
+class Leaving:
+    def __init__(self):
+        raise SystemExit(0)
+
+
 class Idle: ...
 
 
@@ -50,6 +55,7 @@ def here(tmp_path, monkeypatch):
     for name in ("mine.py", "own/laws.py"):
         (tmp_path / name).write_text(MODULE)
     (tmp_path / "broken.py").write_text("def f(:\n")
+    (tmp_path / "leaving.py").write_text("import sys\nsys.exit(0)\n")
     (tmp_path / "missing.py").write_text("import a_module_that_is_not_there\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
@@ -85,6 +91,9 @@ def test_a_file_is_read_anew(here, toy6):
         ("no.such:Still", "importing no.such fails: ModuleNotFoundError: No module named 'no'"),
         ("broken.py:Still", "importing broken.py fails: SyntaxError"),
         ("missing.py:Still", "importing missing.py fails: ModuleNotFoundError: .*a_module_that_is_not_there"),
+        ("leaving.py:Still", "importing leaving.py fails: SystemExit: 0"),
+        ("leaving:Still", "importing leaving fails: SystemExit: 0"),
+        ("mine.py:Leaving", "constructing it without arguments fails: SystemExit: 0"),
         ("mine.py:Moving", "has no class 'Moving'"),
         ("mine.py:number", "has no class 'number'"),
         ("mine.py:Needy", "constructing it without arguments fails: TypeError: .*gain"),

@@ -96,6 +96,17 @@ def test_times_are_in_seconds_whatever_the_step():
         assert [1, begin, end] == expected
 
 
+def test_ranges_longer_than_the_episode_are_drawn_before_they_are_cut():
+    """Of beginnings even in 10 to 1000 s, one in 25 falls into 50 s; so do the ends of faults as long."""
+    seeds = np.arange(4000, dtype=np.uint64)
+    scenario = make_scenario("ieee33", horizon=50, faults=(Fault(("inverter",), (10.0, 1000.0)),))
+    begins = episode.draw(scenario, seeds, 0 * seeds).fault[:, 0, 1]
+    assert 0.03 < np.mean(begins <= 50) < 0.055
+    scenario = make_scenario("ieee33", horizon=50, faults=(Fault(("inverter",), (0.0, 0.0), (10.0, 1000.0)),))
+    ends = episode.draw(scenario, seeds, 0 * seeds).fault[:, 0, 2]
+    assert 0.03 < np.mean(ends <= 50) < 0.055
+
+
 def test_a_fault_survives_saving_a_masked_reset_and_the_clock_law():
     scenario = make_scenario("fault", horizon=30)
     simulation = Simulation(scenario, 3)

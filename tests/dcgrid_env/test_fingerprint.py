@@ -48,6 +48,18 @@ def test_a_law_of_ones_own_shows_by_its_figures():
     assert one == again != two
 
 
+def test_a_law_whose_figures_cannot_be_read_is_named():
+    class Slotted:
+        __slots__ = ("slope",)
+        phases = 1
+
+        def serve(self, params, f_mhz, work_kw):
+            return work_kw, work_kw
+
+    with pytest.raises(ValueError, match=r"Slotted has __slots__.*give it a __dict__ or make it a dataclass"):
+        scenario_hash(make_scenario("toy6", dvfs=Slotted()))
+
+
 def test_an_episode_is_known_by_what_comes_from_outside():
     scenario = make_scenario("ieee33-weak", split="test")
     first = episode_hash(scenario, 0)

@@ -328,3 +328,10 @@ def test_somebody_must_act():
 def test_a_refusal_is_a_value_error():
     with pytest.raises(ValueError, match="horizon"):
         scenario_of_ones_own(horizon=0)
+
+
+def test_nobody_who_is_handed_a_scenario_can_change_its_ratings():
+    s = make_scenario("fault")
+    for array in (*s.datacenter, *s.inverter, s.q_scale_kvar, s.candidates, *s.fault_targets, s.feeder.r_ohm):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0

@@ -57,7 +57,9 @@ def test_an_episode_takes_one_window_for_all_inverters():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"shade": (0.5, 1.5)}, r"PvParams.shade = \(0.5, 1.5\) is not within \[0, 1\]"),
+        ({"shade": (0.5, 1.5)}, r"PvParams.shade = \(0.5, 1.5\) is not a rising pair within 0 to 1"),
+        ({"shade": 0.5}, "PvParams.shade = 0.5 is not a rising pair"),
+        ({"sun_mean_s": (10.0, 50.0)}, r"PvParams.sun_mean_s = \(10.0, 50.0\) is not in 1 to 1e\+06"),
         ({"edge_s": (5.0, 2.0)}, "PvParams.edge_s"),
         ({"sun_mean_s": 0.0}, "PvParams.sun_mean_s = 0.0"),
         ({"clear_share": (float("nan"), 1.0)}, "PvParams.clear_share"),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from dcgrid_env.traces.grid import IDLE_SHARE
+from dcgrid_env.traces.grid import IDLE_SHARE, check_range
 from dcgrid_env.traces.trace import TraceError
 from dcgrid_env.traces.training.smoothing import PowerSmoothing
 
@@ -81,7 +81,7 @@ class TrainingParams:
     def __post_init__(self) -> None:
         for field in fields(self):
             if field.name in _RANGES:
-                _check(field.name, getattr(self, field.name), isinstance(field.default, tuple))
+                check_range(self, field, _RANGES[field.name])
         if not all(isinstance(n, int) for n in self.n_slots):
             raise TraceError(f"TrainingParams.n_slots = {self.n_slots} is not a pair of integers")
         if not (self.smoothing is None or isinstance(self.smoothing, PowerSmoothing)):
@@ -92,13 +92,3 @@ class TrainingParams:
                     f"TrainingParams.{name} = {getattr(self, name)} reaches above compute_share {self.compute_share}; "
                     "give draws that do not exceed the lowest draw while computing"
                 )
-
-
-def _check(name: str, value, is_pair: bool) -> None:
-    """Raise TraceError unless the field's value, or both of a rising pair, lies in its range."""
-    low, high = _RANGES[name]
-    if not is_pair:
-        if not low <= value <= high:
-            raise TraceError(f"TrainingParams.{name} = {value} is not in {low:g} to {high:g}")
-    elif not (isinstance(value, tuple) and len(value) == 2 and low <= value[0] <= value[1] <= high):
-        raise TraceError(f"TrainingParams.{name} = {value} is not a rising pair within {low:g} to {high:g}")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
-from dcgrid_env.traces.trace import FloatArray, TraceError
+from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, check_range
+from dcgrid_env.traces.trace import FloatArray
 
 _RANGES = {
     "floor_share": (IDLE_SHARE, 0.9),
@@ -34,10 +34,7 @@ class PowerSmoothing:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            low, high = _RANGES[field.name]
-            value = getattr(self, field.name)
-            if not low <= value <= high:
-                raise TraceError(f"PowerSmoothing.{field.name} = {value} is not in {low:g} to {high:g}")
+            check_range(self, field, _RANGES[field.name])
 
 
 def smoothed(share: FloatArray, running: np.ndarray, smoothing: PowerSmoothing) -> FloatArray:

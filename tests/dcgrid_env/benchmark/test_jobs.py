@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
-from dcgrid_env.baselines import ConstantQ, Droop, NoControl, rollout
+from dcgrid_env.baselines import ConstantQ, Droop, Network, NoControl, Policy, rollout, save_policy
 from dcgrid_env.benchmark import jobs
 from dcgrid_env.benchmark.jobs import UNIT_EPISODES, V_EDGES_PU, Unit, controller_hash, plan, run
 
@@ -100,3 +100,82 @@ def test_the_hash_of_a_controller_follows_its_parameters():
     assert controller_hash(one) == controller_hash(two)
     two.gain = np.arange(3.0) + 1e-12  # type: ignore[attr-defined]
     assert controller_hash(one) != controller_hash(two)
+
+
+def policy(q_share):
+    return Policy({"inverter": Network([(np.zeros((7, 1)), [q_share])])})
+
+
+class Slotted:
+    __slots__ = ("figure",)
+
+    def __init__(self, figure):
+        self.figure = figure
+
+
+class ForeignArray:
+    """As another library's: no attributes, but a way to a list."""
+
+    __slots__ = ("_hidden",)
+
+    def __init__(self, figures):
+        self._hidden = iter(figures)
+
+    def tolist(self):
+        return list(self._hidden)
+
+
+@pytest.mark.parametrize(
+    "hold",
+    [
+        policy,
+        lambda x: policy(x).networks["inverter"],
+        lambda x: policy(x).act,
+        lambda x: {"nets": [policy(x)]},
+        lambda x: {x, 7.0},
+        lambda x: np.array([policy(x), None]),
+        Slotted,
+        lambda x: ForeignArray([x, 1.0]),
+    ],
+)
+def test_the_hash_reaches_what_a_controller_holds(hold):
+    def controller(x):
+        made = NoControl()
+        made.held = hold(x)  # type: ignore[attr-defined]
+        return made
+
+    assert controller_hash(controller(0.5)) == controller_hash(controller(0.5))
+    assert controller_hash(controller(0.5)) != controller_hash(controller(0.25))
+    assert controller_hash(policy(0.5)) == controller_hash(policy(0.5))
+    assert controller_hash(policy(0.5)) != controller_hash(policy(0.25))
+
+
+def test_code_that_a_controller_holds_is_fed_by_its_name():
+    def controller(*held):
+        made = NoControl()
+        made.held = held  # type: ignore[attr-defined]
+        return made
+
+    one, two = (controller(np, np.tanh, len, Slotted, f) for f in (policy, test_units_cover_the_seeds_once))
+    assert controller_hash(one) == controller_hash(controller(np, np.tanh, len, Slotted, policy))
+    assert controller_hash(one) != controller_hash(two)
+    assert controller_hash(one) != controller_hash(controller(np, np.maximum, len, Slotted, policy))
+
+
+def test_another_policy_under_the_same_name_is_another_unit(tmp_path):
+    path = tmp_path / "mine.npz"
+    found = []
+    for q_share in (0.5, 0.5, 0.25):
+        save_policy(path, policy(q_share))
+        found.append(plan(["ieee123"], [str(path)], 2)[0][0])
+    assert found[0] == found[1]
+    assert found[0].controller_hash != found[2].controller_hash
+    held = policy(0.25)
+    before = controller_hash(held, str(path))
+    save_policy(path, Policy(held.networks, made_with="another command"))
+    assert controller_hash(held, str(path)) != before  # the file's own bytes
+    own = tmp_path / "own.py"
+    own.write_text("one = 1")
+    before = controller_hash(held, f"{own}:make")
+    own.write_text("one = 2")
+    assert controller_hash(held, f"{own}:make") != before

@@ -46,7 +46,10 @@ def test_another_form_of_the_scenario_is_refused(tmp_path):
 def test_another_version_is_refused(tmp_path, monkeypatch):
     Store(tmp_path).put(UNIT, record(UNIT))
     monkeypatch.setattr("dcgrid_env.benchmark.store.__version__", "9.9")
-    with pytest.raises(ValueError, match=r"holds units of version '.*', this is '9\.9'; give another --out"):
+    with pytest.raises(
+        ValueError,
+        match=r"holds units of version '.*', this is '9\.9'; give another --out, or delete that folder and .*",
+    ):
         Store(tmp_path)
 
 
@@ -65,10 +68,40 @@ def test_a_broken_unit_is_named(tmp_path, content):
         store.get(UNIT)
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda r: r.update(unit=5),
+        lambda r: r.update(unit={}),
+        lambda r: r.pop("unit"),
+        lambda r: r.pop("episodes"),
+        lambda r: r.update(episodes=7),
+        lambda r: r["episodes"].pop(),
+        lambda r: r["unit"].pop("scenario_hash"),
+        lambda r: r.update(voltage=None),
+        lambda r: r.pop("sha256"),
+        lambda r: r.clear(),
+    ],
+)
+def test_a_damaged_unit_is_named(tmp_path, damage):
+    store = Store(tmp_path)
+    store.put(UNIT, record(UNIT))
+    path = store.path(UNIT)
+    content = json.loads(path.read_text())
+    damage(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"0-24\.json is damaged .*; delete it, and it is computed anew") as raised:
+        store.get(UNIT)
+    assert len(str(raised.value).splitlines()) == 1
+    path.unlink()
+    assert store.get(UNIT) is None
+
+
 def test_a_record_that_is_not_finite_is_not_written(tmp_path):
     store = Store(tmp_path)
     with pytest.raises(ValueError, match="not JSON compliant"):
         store.put(UNIT, {"J": float("nan")})
     assert not store.path(UNIT).exists()
     store.put(UNIT, record(UNIT))
-    assert json.loads(store.path(UNIT).read_text()) == record(UNIT)
+    assert json.loads(store.path(UNIT).read_text()).keys() == {*record(UNIT), "sha256"}
+    assert store.get(UNIT) == record(UNIT)

@@ -1,16 +1,31 @@
 """Scores and what stands beside them, on costs made up by hand; tables and figures of them."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import NoControl, make_controller, rollout
 from dcgrid_env.baselines.score import score
-from dcgrid_env.benchmark.figures import _apart, pareto_front, png, scenario_figure, score_figure, short
+from dcgrid_env.benchmark import figures
+from dcgrid_env.benchmark.figures import (
+    Replay,
+    _apart,
+    pareto_front,
+    png,
+    replay,
+    scenario_figure,
+    score_figure,
+    short,
+)
 from dcgrid_env.benchmark.gather import Results
 from dcgrid_env.benchmark.jobs import V_EDGES_PU
+from dcgrid_env.benchmark.report import _replayed
 from dcgrid_env.benchmark.summary import summarise
 from dcgrid_env.benchmark.tables import COLUMNS, Table, scenario_table, score_table
+from dcgrid_env.figure import run_figure
 
 DROOP = [1.0, 1.2, 1.1, 0.9]
 BEST = [0.5, 0.7, 0.6, 0.4]
@@ -51,7 +66,12 @@ def test_the_score_is_that_of_the_same_seeds():
     assert own.interquartile_mean == pytest.approx(0.825)
     assert own.means is not None
     assert own.means["J"] == pytest.approx(0.8125)
-    assert summary.hindsight == (pytest.approx(0.55), pytest.approx(0.45))
+    assert summary.hindsight == (pytest.approx(0.55), pytest.approx(0.45), pytest.approx(25.0))
+    note = "Hindsight: J 0.5500; the linearised program's own optimum 0.4500 (largest gap of an episode 25.00 % of J)."
+    assert note in scenario_table(summary).notes
+    above = published()
+    above.bound = above.J * [1.0, 1.0, 1.02, 1.0]  # the program may overestimate
+    assert made(above).hindsight == (pytest.approx(0.55), pytest.approx(0.5535), pytest.approx(2.0))
 
 
 @pytest.mark.parametrize(
@@ -64,8 +84,6 @@ def test_the_score_is_that_of_the_same_seeds():
     ],
 )
 def test_without_hindsight_there_is_a_difference_and_a_reason(settings, reason):
-    import re
-
     summary = made(**settings)
     assert re.search(reason, summary.no_score or "")
     own = summary.rows[1]
@@ -118,11 +136,50 @@ def test_the_worst_episode_is_that_of_the_best_beside_the_reference():
     records = {"droop-tuned": episodes(DROOP), "mine": episodes(OWN)}
     sheet = Results(summary, records, {}).sheet()
     assert sheet is not None
-    task = sheet.worst
-    assert (task.scenario, task.controllers, task.seed) == ("toy6", ("mine", "droop-tuned"), 1)
+    assert sheet.worst == Replay("toy6", {"mine": 1, "droop-tuned": 1})
+    assert sheet.worst.seeds == (1,)
     alone = Results(made(published(), droop_tuned=episodes(DROOP)), records, {}).sheet()
     assert alone is not None
-    assert (alone.worst.controllers, alone.worst.seed) == (("droop-tuned",), 1)
+    assert alone.worst == Replay("toy6", {"droop-tuned": 1})
+    other = records | {"mine": episodes([0.8, 0.9, 0.85, 0.95])}
+    apart = Results(made(published(), droop_tuned=other["droop-tuned"], mine=other["mine"]), other, {}).sheet()
+    assert apart is not None
+    assert apart.worst == Replay("toy6", {"mine": 3, "droop-tuned": 1})
+    assert apart.worst.seeds == (3, 1)
+
+
+def test_two_worst_episodes_are_replayed_under_both(monkeypatch):
+    drawn = []
+
+    def figure(scenario, runs, seed):
+        drawn.append((seed, {name: series.metrics()["J"] for name, series in runs.items()}))
+        return run_figure(scenario, runs, seed)
+
+    monkeypatch.setattr(figures, "run_figure", figure)
+    worst = Replay("toy6", {"none": 4, "droop": 2})
+    pngs = replay(worst)
+    assert len(pngs) == 2
+    scenario = make_scenario("toy6", split="test")
+    j = {name: [m["J"] for m in rollout(scenario, make_controller(name), [4, 2]).metrics()] for name in worst.costliest}
+    assert drawn == [(seed, {name: j[name][i] for name in ("none", "droop")}) for i, seed in enumerate((4, 2))]
+    page = "".join(_replayed("toy6", worst, pngs))
+    headings = re.findall("The worst episode of (.*?), where J is highest", page)
+    assert headings == ["none (seed 4", "droop (seed 2"]
+    assert page.count("<img") == 2
+    both = "".join(_replayed("toy6", Replay("toy6", {"<i>": 4, "droop": 4}), (b"",)))
+    assert "The worst episode of &lt;i&gt; and of droop (seed 4, where" in both
+
+
+class Leaving(NoControl):
+    def act(self, observations):
+        raise SystemExit(3)
+
+
+def test_a_replay_that_ends_the_program_is_a_line(monkeypatch):
+    monkeypatch.setattr(figures, "find_controller", lambda spec, scenario: Leaving())
+    drawn = replay(Replay("toy6", {"mine": 0}))
+    assert drawn == "mine failed when this was run again: SystemExit: 3"
+    assert _replayed("toy6", Replay("toy6", {"mine": 0}), drawn) == [f"<p class=note>{drawn}</p>"]
 
 
 def test_the_front_is_what_no_other_beats_in_both():

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from dcgrid_env.cli import main
-from dcgrid_env.study.claims import VERDICTS
 from dcgrid_env.study.markdown import render
+from dcgrid_env.study.verdict import VERDICTS
 
 
 @pytest.mark.slow
@@ -75,6 +75,18 @@ def check_figures(folder, text, figures):
         assert f"]({figure['file']})" in text
         assert figure["caption"] in text
     assert text.count("not published") == 2
+
+
+def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dcgrid_env.study.reproduce.study", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        main(["reproduce", "--out", str(tmp_path), "--trace", "generated"])
+    assert stopped.value.code == 130
+    # Nothing of the study is kept, so nothing is said of going on.
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted"]
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,21 @@ def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("where", ["__init__(self)", "reset(self, env_info)", "act(self, observations)"])
+def test_a_controller_that_ends_the_program_does_not_end_it_as_if_all_were_well(where, tmp_path, capsys):
+    own = tmp_path / "own.py"
+    law = "class Exit:\n    def reset(self, env_info): ...\n    def act(self, observations): ...\n"
+    own.write_text(f"import sys\n{law}    def {where}:\n        sys.exit()\n")
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", "--episodes", "1", "--scenario", "toy6", "--controllers", f"none,{own}:Exit")
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"dcgrid: controller '{own}:Exit'")
+    assert "SystemExit" in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_list_shows_everything(capsys):
     main(["list"])
     printed = capsys.readouterr().out

@@ -1,12 +1,18 @@
 """The commands that tune laws and solve episodes, as a user runs them."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import NamedTuple
 
 import pytest
 
 from dcgrid_env import episode_hash, make_scenario, scenario_hash
 from dcgrid_env.baselines.hindsight import hindsight
-from dcgrid_env.baselines.tune import tune
+from dcgrid_env.baselines.tune import Tuned, tune
 from dcgrid_env.cli import main
 
 
@@ -46,18 +52,209 @@ def test_two_processes_solve_what_one_does(tmp_path):
     assert one == two
 
 
-def test_tune_writes_parameters_and_the_command(tmp_path, monkeypatch, capsys):
-    arguments = ["tune", "--scenarios", "toy6", "--laws", "droop-q", "--episodes", "1", "--jobs", "1"]
+def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, capsys):
     out = tmp_path / "tuned.json"
-    monkeypatch.setattr("sys.argv", ["dcgrid", *arguments])
-    main([*arguments, "--out", str(out)])
-    content = json.loads(out.read_text())
-    assert content["meta"]["command"] == "dcgrid " + " ".join(arguments)
+    other = {"droop-q": {"mine": {"parameters": {}}}, "droop": {"toy6": {"parameters": {}}}}
+    out.write_text(json.dumps({"laws": other}))
+    command = "dcgrid tune --laws droop-q --scenarios toy6 --episodes 1"
+    main([*command.split()[1:], "--jobs", "1", "--out", str(out)])
+    laws = json.loads(out.read_text())["laws"]
     found = tune("droop-q", [make_scenario("toy6", split="validation")], episodes=1)
-    assert content["laws"] == {
-        "droop-q": {"toy6": {"parameters": found.parameters, "J": found.score, "trials": found.trials}}
-    }
+    record = {"parameters": found.parameters, "J": found.score, "trials": found.trials, "command": command}
+    assert laws == {"droop": other["droop"], "droop-q": other["droop-q"] | {"toy6": record}}
     assert f"k_q_mvar_per_pu_s = {found.parameters['k_q_mvar_per_pu_s']}" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, capsys, monkeypatch):
+    out = tmp_path / "made" / "tuned.json"
+    arguments = ["tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
+    arguments += ["--jobs", "1", "--out", str(out)]
+    searched = _searches(monkeypatch, stop_at=3)
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    laws = json.loads(out.read_text())["laws"]
+    assert {law: list(entries) for law, entries in laws.items()} == {"droop-q": ["ieee123"], "constant-q": ["ieee123"]}
+    laws["droop-q"]["ieee123"]["J"] = 123.0
+    laws["placement"] = {"mine": {"parameters": {}}}
+    out.write_text(json.dumps({"laws": laws}))
+    searched.clear()
+    main(arguments)
+    assert searched == [("constant-q", ("toy6",)), ("droop-q", ("toy6",))]
+    assert "2 of 4 stand in" in capsys.readouterr().out
+    laws = json.loads(out.read_text())["laws"]
+    # Laws in the order in which they can be tuned, scenarios in that of the presets.
+    ordered = {"droop-q": ["toy6", "ieee123"], "constant-q": ["toy6", "ieee123"], "placement": ["mine"]}
+    assert [(law, list(entries)) for law, entries in laws.items()] == list(ordered.items())
+    assert laws["droop-q"]["ieee123"]["J"] == 123.0
+
+
+def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_again(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "tuned.json"
+    arguments = ["tune", "--laws", "droop-q", "--scenarios", "toy6", "--jobs", "1", "--out", str(out), "--episodes"]
+    searched = _searches(monkeypatch)
+    for more in (["1"], ["1"], ["2"], ["2", "--again"]):
+        main([*arguments, *more])
+    assert len(searched) == 3
+    assert "nothing to search" in capsys.readouterr().out
+    assert json.loads(out.read_text())["laws"]["droop-q"]["toy6"]["command"].endswith("--episodes 2")
+    monkeypatch.setattr("dcgrid_env.baselines.tune.tune", _interrupted)
+    with pytest.raises(SystemExit):
+        main([*arguments, "2", "--again"])
+    # The same command would search all anew.
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted"]
+
+
+def _searches(monkeypatch, stop_at=None):
+    """Let no search be done; the laws and scenarios that were asked for. The one numbered ``stop_at`` is cut off."""
+    asked = []
+
+    def search(law, scenarios, episodes):
+        asked.append((law, tuple(scenario.name for scenario in scenarios)))
+        if len(asked) == stop_at:
+            raise KeyboardInterrupt
+        return Tuned({"gain": 1.0}, 2.0, 3)
+
+    monkeypatch.setattr("dcgrid_env.baselines.tune.tune", search)
+    return asked
+
+
+def _interrupted(*_, **__):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: path.mkdir(), "a folder; give a file"),
+        (lambda path: path.write_text("{"), "is no file of tuned parameters; give another --out"),
+        (lambda path: path.write_text('{"laws": []}'), "is no file of tuned parameters"),
+        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file of tuned parameters"),
+        (lambda path: path.parent.write_text(""), "no folder"),
+    ],
+)
+def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, message, tmp_path, capsys, monkeypatch):
+    searched = _searches(monkeypatch)
+    out = tmp_path / "folder" / "out"
+    if message != "no folder":
+        out.parent.mkdir()
+    make(out)
+    with pytest.raises(SystemExit) as stopped:
+        main(["tune", "--laws", "droop-q", "--scenarios", "toy6", "--out", str(out)])
+    _is_one_line(stopped, capsys, message)
+    assert not searched
+
+
+def test_an_interrupted_hindsight_keeps_its_episodes(tmp_path, capsys, monkeypatch):
+    _solutions(monkeypatch, stop_at=3)
+    arguments = ["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes", "4"]
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    assert [e["seed"] for e in json.loads((tmp_path / "toy6.json").read_text())["episodes"]] == [0, 1]
+
+
+def _solutions(monkeypatch, stop_at=None, **of_seed):
+    """Let no episode be solved; ``of_seed`` gives (J, bound, rounds) for some, as s3=...."""
+    asked = []
+
+    def solve(scenario, seed, *_):
+        asked.append(seed)
+        if len(asked) == stop_at:
+            raise KeyboardInterrupt
+        return Solved(*of_seed.get(f"s{seed}", (1.0, 1.0, 2)))
+
+    monkeypatch.setattr("dcgrid_env.baselines.hindsight.hindsight", solve)
+
+
+class Solved(NamedTuple):
+    J: float
+    bound: float
+    rounds: int
+
+
+def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, monkeypatch):
+    # Seed 1 has the largest gap, below the bound; 1 and 2 stopped at six programs, of which 2 agrees.
+    _solutions(monkeypatch, s1=(2.0, 2.5, 6), s2=(1.0, 1.0, 6), s3=(4.0, 3.9, 5))
+    arguments = ["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes"]
+    main([*arguments, "8"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped at 6 programs with a" in said
+    assert "missing" not in said
+    path = tmp_path / "toy6.json"
+    content = json.loads(path.read_text())
+    content["episodes"] = [e for e in content["episodes"] if e["seed"] in (0, 7)]
+    path.write_text(json.dumps(content))
+    main([*arguments, "2"])
+    content = json.loads(path.read_text())
+    assert [e["seed"] for e in content["episodes"]] == [0, 1, 7]
+    assert content["command"] == "dcgrid hindsight --scenarios toy6 --split test --episodes 8"
+    assert "5 of the seeds 0 to 7 are missing" in " ".join(capsys.readouterr().out.split())
+
+
+WHOLE = {"seed": 0, "hash": "0" * 16, "J": 1.0, "bound": 1.0, "rounds": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is no JSON"),
+        ("{}", "has no 'scenario_hash' and 'episodes'"),
+        ("[]", "has no 'scenario_hash' and 'episodes'"),
+        ({}, "has 'episodes' that are no list"),
+        ([1], "has no record in its episode at place 0"),
+        ([WHOLE, {k: v for k, v in WHOLE.items() if k != "J"}], "has no 'J' in its episode at place 1"),
+        ([WHOLE | {"bound": float("nan")}], "has bound = nan in its episode at place 0"),
+        ([WHOLE | {"seed": "0"}], "has seed = '0' in its episode at place 0"),
+    ],
+)
+def test_a_damaged_file_is_named(text, message, tmp_path, capsys):
+    path = tmp_path / "toy6.json"
+    if not isinstance(text, str):
+        about = scenario_hash(make_scenario("toy6", split="test"))
+        text = json.dumps({"scenario_hash": about, "episodes": text})
+    path.write_text(text)
+    with pytest.raises(SystemExit) as stopped:
+        main(["hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
+    _is_one_line(stopped, capsys, f"{path} {message}", "; delete it, or choose another --out")
+    assert path.read_text() == text
+
+
+def test_an_out_that_hindsight_cannot_write_is_refused_at_once(tmp_path, capsys, monkeypatch):
+    _solutions(monkeypatch, stop_at=1)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit) as stopped:
+        main(["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path / "file")])
+    _is_one_line(stopped, capsys, "no folder")
+
+
+def _is_one_line(stopped, capsys, *messages):
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("dcgrid: ")
+    assert len(error.strip().splitlines()) == 1
+    for message in messages:
+        assert message in error
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
+    arguments = ["hindsight", "--scenarios", "toy6", "--episodes", "100", "--jobs", "2", "--out", str(tmp_path)]
+    started = subprocess.Popen(
+        [sys.executable, "-m", "dcgrid_env.cli", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    path, until = tmp_path / "toy6.json", time.monotonic() + 60.0
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    os.killpg(started.pid, signal.SIGINT)
+    _, error = started.communicate(timeout=60)
+    assert started.returncode == 130, error
+    assert error.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    assert json.loads(path.read_text())["episodes"]
 
 
 @pytest.mark.parametrize(
@@ -67,6 +264,8 @@ def test_tune_writes_parameters_and_the_command(tmp_path, monkeypatch, capsys):
         (["tune", "--laws", ","], "laws is ','; choose among"),
         (["tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
         (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
+        (["hindsight", "--scenarios", "toy6", "--jobs", "-1"], "jobs is -1; give at least 1"),
         (["hindsight", "--scenarios", " , "], "name at least one, or all"),
         (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
         (["hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
@@ -75,8 +274,5 @@ def test_tune_writes_parameters_and_the_command(tmp_path, monkeypatch, capsys):
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
     with pytest.raises(SystemExit) as stopped:
         main([*arguments, "--out", str(tmp_path / "out")])
-    assert stopped.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("dcgrid: ")
-    assert message in error
+    _is_one_line(stopped, capsys, message)
     assert not (tmp_path / "out").exists()

@@ -1,0 +1,1 @@
+"""Gains tuned on the validation split, and hindsight's costs of the test episodes."""
