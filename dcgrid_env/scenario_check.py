@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def check(s: Scenario) -> None:
     _check_faults(s)
 
 
-def _refuse(s: Scenario, name: str, remedy: str) -> None:
+def _refuse(s: Scenario, name: str, remedy: str) -> NoReturn:
     raise ScenarioError(f"scenario {s.name!r}: {name} is {getattr(s, name)!r}; {remedy}")
 
 
@@ -153,13 +153,10 @@ def _check_traces(s: Scenario) -> None:
                 + (f", {wrong[0]!r} among them" if wrong else "")
                 + f"; give {s.horizon + 1} numbers from -1 to 1, for t = 0 and each step"
             )
-    elif s.inverter_trace is not None and s.inverter_trace != SUN:
+    elif not (s.inverter_trace is None or s.inverter_trace == SUN):
         if not isinstance(s.inverter_trace, PowerTrace):
-            _refuse(
-                s,
-                "inverter_trace",
-                f"give {SUN!r}, a PowerTrace as a share of the rating, shares for each step, or None",
-            )
+            remedy = f"give {SUN!r}, a PowerTrace as a share of the rating, shares for each step, or None"
+            _refuse(s, "inverter_trace", remedy)
         highest = float(np.max(s.inverter_trace.power_kw))
         if highest > 1.0:
             raise ScenarioError(

@@ -8,9 +8,11 @@ import pytest
 
 import dcgrid_env
 from dcgrid_env import make_scenario
-from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.baselines import make_controller, published, rollout
+from dcgrid_env.baselines.score import score
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
 
 
 def table(scenario):
@@ -37,6 +39,44 @@ def test_results_are_those_of_the_command(scenario):
         ):
             # Half a digit, and a little for the last bits of another processor's sums.
             assert np.mean([m[key] for m in found]) == pytest.approx(rows[label][i], abs=0.51 * 10.0**-decimals), label
+
+
+SCORED = ("constant-q-tuned", "placement-tuned", "feedback", "mpc-one-step", "mpc")
+
+
+def scores():
+    """The README's score table: of each scenario J of no control, tuned droop and hindsight, then the scores."""
+    lines = README[README.index("| scenario | J: none |") :].split("\n\n")[0].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {row[0].strip("`"): [float(cell) for cell in row[1:]] for row in rows}
+
+
+def test_scores_are_those_of_the_document():
+    document = (ROOT / "docs" / "benchmark.md").read_text()
+    by_scenario = {part.partition(":")[0]: part for part in document.split("\n## ")[2:]}
+    assert set(scores()) == set(by_scenario) == set(dcgrid_env.PRESETS)
+    for scenario, row in scores().items():
+        part = by_scenario[scenario]
+        figures = {line.split("|")[1].strip(): line.split("|") for line in part.splitlines() if line.startswith("| ")}
+        assert row[:2] == [float(figures[name][3]) for name in ("none", "droop-tuned")]
+        hindsight = re.search(r"Hindsight: J (\d+\.\d+)", part)
+        assert hindsight is not None
+        assert row[2] == float(hindsight.group(1))
+        given = [float(figures[name][2].split()[0]) for name in SCORED]
+        assert row[3:] == pytest.approx(given, abs=0.00501)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["ieee33", "mixed", "training"])
+def test_scores_come_out_again(scenario):
+    test = make_scenario(scenario, split="test")
+    values = published(test)
+    assert values is not None
+    j = {c: rollout(test, make_controller(c, test), range(100)).costs() for c in ("none", "droop-tuned", *SCORED[:2])}
+    row = scores()[scenario]
+    assert [j["none"].mean(), j["droop-tuned"].mean(), values.J.mean()] == pytest.approx(row[:3], abs=0.51e-4)
+    found = [score(j[name], j["droop-tuned"], values.J).score.value for name in SCORED[:2]]
+    assert row[3:5] == pytest.approx(found, abs=0.00501)
 
 
 def test_python_examples_run(capsys):

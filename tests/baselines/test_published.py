@@ -9,6 +9,8 @@ from dcgrid_env.baselines.hindsight import hindsight
 from dcgrid_env.baselines.published import _shipped
 
 EPISODES = 100
+LINEARISED = 1e-4
+"""By how much of J the program's linearised grid may differ from the exact one; 2e-5 has been seen (mixed)."""
 PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 
 
@@ -19,8 +21,7 @@ def test_every_preset_has_its_hundred_test_episodes(name):
     assert values.seeds.tolist() == list(range(EPISODES))
     assert np.isfinite(values.J).all()
     assert len(set(values.episode_hashes)) == EPISODES
-    # Above the bound by what a linear program around the trajectory leaves open.
-    assert (values.bound - 1e-6 < values.J).all()
+    assert (values.bound < values.J * (1.0 + LINEARISED)).all()
     assert (values.J - values.bound < 0.01 * values.J).all()
     content = _shipped(name)
     assert content is not None
@@ -34,7 +35,7 @@ def test_episodes_are_drawn_here_as_there(name):
     assert values is not None
     values.check_episodes(scenario, 3)
     with pytest.raises(ValueError, match=f"episode 0 of '{name}', test split, has the hash"):
-        values._replace(episode_hashes=("0" * 16,)).check_episodes(scenario, 1)
+        values._replace(seeds=values.seeds[:1], episode_hashes=("0" * 16,)).check_episodes(scenario, 1)
 
 
 @pytest.mark.parametrize("name", ["toy6", "ieee33-weak", "mixed", "sync"])
@@ -61,10 +62,9 @@ def test_there_is_headroom(name):
     # And more than the episodes scatter: the score's denominator is a number and not noise.
     left = j["droop-tuned"] - values.J[:20]
     assert left.mean() > 4.0 * left.std(ddof=1) / np.sqrt(len(left))
-    # On every single episode, nobody beats foresight by more than its gap.
+    # On every single episode, nobody beats foresight.
     for cost in j.values():
-        assert (cost > values.bound[:20] - 1e-6).all()
-        assert (cost > values.J[:20] - (values.J - values.bound)[:20] - 1e-6).all()
+        assert (cost > values.bound[:20] * (1.0 - LINEARISED)).all()
 
 
 @pytest.mark.slow
@@ -80,9 +80,8 @@ def test_nobody_beats_the_bound_or_hindsight_by_more_than_its_gap(name):
         if controller == "mpc" or (controller == "droop-one-step" and not scenario.preview):
             continue
         cost = rollout(scenario, make_controller(controller, scenario), seeds.tolist()).costs()
-        # The program is one of a linear grid around its trajectory: what that leaves open is below 1e-4 of J.
-        assert (cost > values.bound[seeds] * (1.0 - 1e-4)).all(), controller
-        assert (cost > values.J[seeds] * (1.0 - 1e-4) - np.maximum(gap, 0.0)).all(), controller
+        assert (cost > values.bound[seeds] * (1.0 - LINEARISED)).all(), controller
+        assert (cost > values.J[seeds] * (1.0 - LINEARISED) - np.maximum(gap, 0.0)).all(), controller
 
 
 def test_another_scenario_has_none():

@@ -24,7 +24,7 @@ def test_mean_cost_is_the_records_mean():
 
 
 def test_costs_hold_where_the_power_flow_ends_an_episode():
-    scenario = make_scenario("toy6", p_rated_kw=12_000.0, split="validation")
+    scenario = make_scenario("toy6", p_rated_kw=20_000.0, split="validation")
     recorder = rollout(scenario, NoControl(), range(2))
     assert recorder.metrics()[0]["power_flow_converged"] == 0.0
     np.testing.assert_allclose(recorder.costs(), [metrics["J"] for metrics in recorder.metrics()])
