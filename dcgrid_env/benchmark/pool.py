@@ -41,9 +41,10 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
         return
     waiting = list(reversed(tasks))
     busy: dict[Connection, tuple[SpawnProcess, Task]] = {}
+    started: list[SpawnProcess] = []
     try:
         for _ in range(jobs):
-            _give(_start(work), waiting, busy)
+            _give(_start(work, started), waiting, busy)
         while busy:
             for pipe in wait(list(busy)):
                 assert isinstance(pipe, Connection)
@@ -53,7 +54,7 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
                 except (EOFError, ConnectionError):
                     process.join()
                     result = Died(process.exitcode)
-                    process, pipe = _start(work) if waiting else (process, pipe)
+                    process, pipe = _start(work, started) if waiting else (process, pipe)
                 _give((process, pipe), waiting, busy)
                 if isinstance(result, BaseException):
                     raise result
@@ -61,16 +62,17 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
     finally:
         for process, _ in busy.values():
             process.terminate()
-        for process, _ in busy.values():
+        for process in started:
             process.join()
 
 
-def _start(work: Callable[[Task], Result]) -> tuple[SpawnProcess, Connection]:
+def _start(work: Callable[[Task], Result], started: list[SpawnProcess]) -> tuple[SpawnProcess, Connection]:
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe()
     with _settings_of_a_child():
         process = spawn.Process(target=_serve, args=(work, theirs), daemon=True)
         process.start()
+    started.append(process)
     theirs.close()
     return process, ours
 

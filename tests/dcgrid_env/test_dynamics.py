@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from dcgrid_env import (
-    PRESETS,
     PhaseDvfs,
     Scenario,
     Solution,
@@ -21,6 +20,9 @@ from dcgrid_env import (
     reward,
 )
 from dcgrid_env.dynamics import Exogenous, State
+
+FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
+"""Presets of every form that a scenario takes."""
 
 LAWS: dict[str, dict[str, Any]] = {"linear": {}, "phases": {"dvfs": PhaseDvfs(), "boost_share": 1.3}}
 
@@ -83,7 +85,7 @@ def assert_alike(tensors: State, arrays: State, tolerance: float) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("power_flow", ["distflow", "lindistflow"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 @pytest.mark.usefixtures("exact")
 def test_numpy_and_torch_take_the_same_steps(name, power_flow, law):
     scenario = make_scenario(name, power_flow=power_flow, **LAWS[law])
@@ -98,7 +100,7 @@ def test_numpy_and_torch_take_the_same_steps(name, power_flow, law):
         np.testing.assert_allclose(solution_t.loss_kw.numpy(), solution.loss_kw, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_numpy_and_torch_agree_within_the_default_tolerance(name):
     scenario = make_scenario(name)
     given = outside(scenario, 6, 6, full=True)
@@ -237,7 +239,7 @@ def test_lanes_do_not_touch_each_other(law):
 
 
 @pytest.mark.parametrize("capacitors", [True, False])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_substation_imports_what_is_drawn_and_lost(name, capacitors):
     scenario = make_scenario(name, capacitors=capacitors)
     feeder, n_dc = scenario.feeder, scenario.n_datacenters
@@ -308,7 +310,7 @@ def test_capacitors_raise_the_voltage():
 # --- actions -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_actions_beyond_the_ends_act_as_the_ends(name):
     scenario = make_scenario(name)
     given = outside(scenario, 4, 1, full=True).steps
@@ -364,7 +366,7 @@ def test_reactive_power_is_cut_after_the_active_power_is_known():
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, law):
     scenario = make_scenario(name, **LAWS[law])
     given = outside(scenario, 3, 0, full=True).steps[0]
@@ -485,7 +487,7 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_collapse_keeps_the_last_voltages_and_spoils_no_other_lane(name, kind):
     convert: Callable[[Any], Any] = as_torch if kind == "torch" else lambda fields: fields
     scenario = make_scenario(name)

@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, PhaseDvfs, Recorder, Scenario, episode, make_scenario
+from dcgrid_env import PhaseDvfs, Recorder, Scenario, episode, make_scenario
 from dcgrid_env.metrics import Series
 from dcgrid_env.request_delay import RequestDelays
 from dcgrid_env.reward import Costs
 from dcgrid_env.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows
+
+FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
+"""Presets of every form that a scenario takes."""
 
 NAMES = {
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
@@ -106,7 +109,7 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
 
 @pytest.mark.parametrize("extra", [{}, {"dvfs": PhaseDvfs(), "trace": "mixed"}], ids=["linear", "phases"])
 @pytest.mark.parametrize("dt_s", [1.0, 0.5])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_metrics_of_a_short_episode(name, dt_s, extra):
     scenario = make_scenario(name, horizon=45, dt_s=dt_s, **extra)
     lanes = 3

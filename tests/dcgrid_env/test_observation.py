@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PRESETS, PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
+from dcgrid_env import PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
 from dcgrid_env.dynamics import State
 from dcgrid_env.observation import Placement
 from dcgrid_env.simulation import Simulation, Transition
+
+FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
+"""Presets of every form that a scenario takes."""
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 SITE = (*COMMON, "p_ref_next", "backlog")
@@ -254,7 +257,7 @@ def path_to_root(scenario: Scenario, bus: int) -> set[int]:
     return path
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_distances_and_neighbours_walked_along_the_feeder(name):
     scenario = make_scenario(name, observe="neighbours")
     lanes, feeder = 5, scenario.feeder
@@ -320,7 +323,7 @@ def raw(simulation: Simulation) -> np.ndarray:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scope", ["local", "neighbours", "feeder"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_everything_lies_within_its_bounds_by_itself(name, scope, law):
     scenario = make_scenario(name, observe=scope, horizon=40, **LAWS[law])
     low, high = observation.joint_bounds(scenario)
@@ -429,7 +432,7 @@ def test_a_delayed_measurement_is_that_of_so_many_steps_ago(delay, noise):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scope", ["local", "neighbours", "feeder"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_numpy_and_torch_observe_alike(name, scope, law):
     scenario = make_scenario(name, observe=scope, voltage_noise_pu=0.01, measurement_delay=1, **LAWS[law])
     simulation, transitions = play(scenario, 4, 6)

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PRESETS, CostWeights, Scenario, Solution, distflow, make_scenario, reward
+from dcgrid_env import CostWeights, Scenario, Solution, distflow, make_scenario, reward
 from dcgrid_env.dynamics import State
 from dcgrid_env.reward import Costs, charged, largest_costs, local_costs, team_costs, total, voltage_cost
 from dcgrid_env.simulation import Simulation, Transition
+
+FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
+"""Presets of every form that a scenario takes."""
 
 KINDS = ("l1", "l2", "bowl", "courant_beltrami", "bump")
 EVERY = CostWeights(clock=2.0, step=50.0, loss=3.0)
@@ -275,7 +278,7 @@ def test_voltage_cost_has_finite_derivatives(kind):
 
 
 @pytest.mark.parametrize("dt_s", [1.0, 5.0])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_costs_of_an_episode_add_up_to_the_cost_of_the_definition(name, dt_s):
     scenario = make_scenario(name, horizon=25, dt_s=dt_s)
     rng = np.random.default_rng(0)
@@ -330,7 +333,7 @@ def test_local_rewards_are_each_agents_own():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FORMS)
 def test_largest_costs_bound_every_step(name, kind):
     weights = CostWeights(clock=1.0, step=1.0, loss=1.0)
     scenario = make_scenario(name, voltage_cost=kind, weights=weights, horizon=30)
