@@ -7,7 +7,7 @@ from typing import Any
 
 from dcgrid_env.fault import Fault
 from dcgrid_env.feeder import load_feeder
-from dcgrid_env.scenario import Scenario, ScenarioError
+from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
 
 PRESETS: dict[str, str] = {
     "toy6": "6 buses; one 2.5 MW data centre steps from idle to full at t = 20 s (the paper's Fig. 3)",
@@ -115,7 +115,10 @@ def _sync() -> Scenario:
 
 
 def _training() -> Scenario:
-    return _ieee33_weak().replace(name="training", p_rated_kw=600.0, trace="training", dt_s=0.1, horizon=200)
+    # What is left costs as if it waited 30 s more, which is 300 steps here.
+    return _ieee33_weak().replace(
+        name="training", p_rated_kw=600.0, trace="training", dt_s=0.1, horizon=200, weights=CostWeights(leftover=90.0)
+    )
 
 
 def _mixed() -> Scenario:

@@ -51,7 +51,7 @@ TABLE = {
 BEYOND = {
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
-    "training": {"dt_s": 0.1},
+    "training": {"dt_s": 0.1, "weights": CostWeights(leftover=90.0)},
     "mixed": {"inverter_trace": "pv"},
     "fault": {
         "faults": (
