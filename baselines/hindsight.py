@@ -40,6 +40,10 @@ from dcgrid_env import (
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
 
+ROUNDS = 6
+"""Linear programs for an episode at most."""
+TOLERANCE = 2e-5
+"""Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
 TANGENTS = 24
 """Tangents of a quadrant of the capability circle."""
 _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
@@ -66,7 +70,7 @@ class Hindsight(NamedTuple):
 
 
 def hindsight(
-    scenario: Scenario, seed: int, rounds: int = 6, tolerance: float = 2e-5, *, keep_band: bool = False
+    scenario: Scenario, seed: int, rounds: int = ROUNDS, tolerance: float = TOLERANCE, *, keep_band: bool = False
 ) -> Hindsight:
     """Solve the first episode of a seed.
 

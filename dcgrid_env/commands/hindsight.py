@@ -21,11 +21,6 @@ from dcgrid_env.commands.settings import make_folder, processes
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
 
-MOST_ROUNDS = 6
-"""Linear programs for an episode at most."""
-TOLERANCE = 2e-5
-"""Gap to the bound, or change of J between programs, at which an episode has settled, as a share of J."""
-
 
 @dataclass(frozen=True)
 class HindsightValues:
@@ -77,7 +72,7 @@ def solve(split: str, task: tuple[str, int]) -> dict[str, Any]:
 
     name, seed = task
     scenario = make_scenario(name, split=split)
-    found = hindsight(scenario, seed, MOST_ROUNDS, TOLERANCE)
+    found = hindsight(scenario, seed)
     return {
         "seed": seed,
         "hash": episode_hash(scenario, seed),
@@ -89,13 +84,15 @@ def solve(split: str, task: tuple[str, int]) -> dict[str, Any]:
 
 def _said(episodes: dict[int, dict[str, Any]]) -> str:
     """Sum of a scenario's file on one line."""
+    from dcgrid_env.baselines.hindsight import ROUNDS, TOLERANCE
+
     j = [episode["J"] for episode in episodes.values()]
     gaps = [abs(episode["J"] - episode["bound"]) / max(abs(episode["J"]), 1e-12) for episode in episodes.values()]
-    most = sum(e["rounds"] >= MOST_ROUNDS and gap > TOLERANCE for e, gap in zip(episodes.values(), gaps, strict=True))
+    most = sum(e["rounds"] >= ROUNDS and gap > TOLERANCE for e, gap in zip(episodes.values(), gaps, strict=True))
     missing = max(episodes) + 1 - len(episodes)
     return (
         f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, "
-        f"{most} stopped at {MOST_ROUNDS} programs with a gap above {TOLERANCE:g} of J"
+        f"{most} stopped at {ROUNDS} programs with a gap above {TOLERANCE:g} of J"
         + f"; {missing} of the seeds 0 to {max(episodes)} are missing"
         * (missing > 0)
     )
