@@ -15,6 +15,7 @@ from dcgrid_env.observation import field_names
 from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
 from dcgrid_env.presets import PRESETS, make_scenario
 from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
+from dcgrid_env.tensor_env import TensorEnv, TensorStep
 from dcgrid_env.vector_env import DcgridVectorEnv
 
 from dcgrid_env.parallel_env import DcgridParallelEnv, env, parallel_env  # isort: skip  (last: its names are modules too)
@@ -42,6 +43,8 @@ __all__ = [
     "ScenarioError",
     "Series",
     "Solution",
+    "TensorEnv",
+    "TensorStep",
     "distflow",
     "env",
     "episode_hash",

@@ -18,6 +18,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from array_api_compat import is_torch_array
 
 from dcgrid_env.arrays import as_like, namespace
 from dcgrid_env.feeder.feeder import Feeder
@@ -90,9 +91,12 @@ def distflow(
     tolerance = tolerance_kva / S_BASE_KVA
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):
-        from dcgrid_env.powerflow.prefix import distflow_arrays
+        if is_torch_array(p_kw) and p_kw.device.type == "cpu":
+            from dcgrid_env.powerflow.implicit import distflow_tensors as solve
+        else:
+            from dcgrid_env.powerflow.prefix import distflow_arrays as solve
 
-        solution = distflow_arrays(feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+        solution = solve(feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
         if not bool(namespace(p_kw).all(solution.converged)):
             raise_not_finite(feeder, p_kw, q_kvar)
         return solution
