@@ -1,0 +1,106 @@
+"""The examples that need only what the tests install: they run, and treat the ends of episodes as they should."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from dcgrid_env import make_scenario
+from dcgrid_env.agents import Policy, find_controller
+from dcgrid_env.baselines import rollout
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+README = (EXAMPLES / "README.md").read_text()
+
+
+def example(name):
+    found = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def printed_figures(capsys):
+    line = capsys.readouterr().out.strip().splitlines()[-1]
+    return [float(x) for x in re.findall(r"\d+\.\d+", line)]
+
+
+def mean_j(scenario, controller, episodes):
+    validation = make_scenario(scenario, split="validation")
+    return float(rollout(validation, controller, range(episodes)).costs().mean())
+
+
+@pytest.fixture
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    before, after = example("sb3_plain").main(steps=1, num_envs=1, episodes=2, save=Path("results/sb3_plain.zip"))
+    assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
+    assert before != after
+    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    Path("mine.py").write_text(block)
+    validation = make_scenario("ieee123", split="validation")
+    assert mean_j("ieee123", find_controller("mine.py:Mine", validation), 2) == after
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_cleanrl_ppo_and_its_policy_without_torch(tmp_path, capsys):
+    cleanrl = example("cleanrl_ppo")
+    # 130 steps, so that each lane's episode of 120 ends within the rollout.
+    before, after = cleanrl.main(steps=520, num_envs=4, rollout_steps=130, episodes=2, save=tmp_path / "made")
+    assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
+    assert before != after
+    assert mean_j("ieee33-weak", Policy.load(tmp_path / "made.safetensors"), 2) == after
+
+
+def test_cleanrl_policy_acts_as_its_network_does():
+    torch.manual_seed(0)
+    env = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=3)
+    observation, _ = env.reset(seed=0)
+    agent = example("cleanrl_ppo").Agent(observation.shape[-1], env.action_space.sample().shape[-1])
+    torch.nn.init.normal_(agent.actor[-1].weight)  # so that some actions leave the range
+    policy = agent.policy()
+    policy.reset(make_scenario("ieee33-weak"))
+    with torch.no_grad():
+        mean = agent.distribution(torch.as_tensor(observation)).mean.numpy()
+    assert np.abs(mean).max() > 1.0
+    np.testing.assert_allclose(policy.act(observation), np.clip(mean, -1.0, 1.0), atol=1e-5)
+
+
+def test_cleanrl_takes_the_last_observation_of_an_episode_that_ended():
+    cleanrl = example("cleanrl_ppo")
+    envs = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, horizon=2)
+    single = gymnasium.make("dcgrid/IEEE33Weak-v0", horizon=2)
+    envs.reset(seed=0)
+    single.reset(seed=1)  # lane 1's episode
+    action = np.full_like(envs.action_space.sample(), 0.25)
+    for step in range(2):
+        returned, _, terminated, truncated, infos = envs.step(action)
+        last, *_ = single.step(action[1])
+        found = cleanrl.led_to(returned, terminated | truncated, infos)
+        np.testing.assert_array_equal(found[1], last)
+        assert np.array_equal(returned[1], last) == (step == 0)
+
+
+def test_cleanrl_advantages_stop_at_the_end_of_an_episode():
+    # One lane, gamma lambda = 0.25: surprises 1, 2, 4, and an episode that ends after the second step.
+    rewards, none = torch.tensor([[1.0], [2.0], [4.0]]), torch.zeros(3, 1)
+    ended = torch.tensor([[0.0], [1.0], [0.0]])
+    found = example("cleanrl_ppo").advantages(rewards, none, none, ended, 0.5, 0.5)
+    assert found.squeeze().tolist() == [1.0 + 0.25 * 2.0, 2.0, 4.0]
+    # The last observation's value counts, half of it, though the episode ended there.
+    found = example("cleanrl_ppo").advantages(rewards, none, none + 1.0, ended, 0.5, 0.5)
+    assert found.squeeze().tolist() == [1.5 + 0.25 * 2.5, 2.5, 4.5]

@@ -1,0 +1,135 @@
+"""The examples that need the ``frameworks`` extra, in processes of their own, where the frameworks may warn."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dcgrid_env.agents import Policy
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+LIMIT_S = 420
+
+
+def needs(*modules):
+    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    why = f"{', '.join(missing)} not installed; pip install 'dcgrid-env[frameworks]' (pip install -e '.[frameworks]')"
+    return pytest.mark.skipif(bool(missing), reason=why)
+
+
+def run(*arguments, home):
+    """Standard output of Python with so many threads as a test deserves, and a home of its own for what Ray writes."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        env=environment | {"HOME": str(home)},
+        cwd=home,
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def check_trained(printed, path):
+    before, after, droop = map(float, re.findall(r"\d+\.\d{3}", printed.strip().splitlines()[-1]))
+    assert before != after
+    assert 2.0 < droop < after < 10.0
+    policy = Policy.load(path)
+    assert set(policy.networks) == {"datacenter", "inverter"}
+    assert policy.trained_on == "ieee33-weak"
+
+
+@pytest.mark.slow
+@needs("torchrl", "tensordict")
+def test_torchrl_wrapper_takes_the_environment_as_it_is(tmp_path):
+    code = """
+import dcgrid_env
+from torchrl.envs import PettingZooWrapper
+from torchrl.envs.utils import check_env_specs
+for name in ("toy6", "ieee33-weak", "mixed", "fault", "robust"):
+    env = PettingZooWrapper(dcgrid_env.parallel_env(name, horizon=4), seed=0, return_state=True)
+    check_env_specs(env)
+    found = env.rollout(8, break_when_any_done=False)["next"]
+    assert found["done"].squeeze().tolist() == [False, False, False, True] * 2, name
+    assert found["truncated"].equal(found["done"]) and not found["terminated"].any(), name
+    for group, agents in env.group_map.items():
+        assert found[group, "done"].shape == (8, len(agents), 1), name
+        assert found[group, "reward"].isfinite().all(), name
+check_env_specs(PettingZooWrapper(dcgrid_env.env("toy6"), use_mask=True))
+print("checked")
+"""
+    assert run("-c", code, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("torchrl", "tensordict")
+def test_torchrl_example(tmp_path):
+    options = ["--updates", "1", "--rollout-steps", "120", "--episodes", "2", "--save", "made"]
+    check_trained(run(EXAMPLES / "torchrl_pettingzoo.py", *options, home=tmp_path), tmp_path / "made.safetensors")
+
+
+@pytest.mark.slow
+@needs("ray")
+def test_rllib_wrapper_takes_the_environment_as_it_is(tmp_path):
+    code = """
+import dcgrid_env
+from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+for name in ("toy6", "ieee33-weak", "mixed", "fault", "robust"):
+    env = ParallelPettingZooEnv(dcgrid_env.parallel_env(name, horizon=4))
+    for seed in (0, None):
+        observation, _ = env.reset(seed=seed)
+        for step in range(4):
+            assert set(observation) == set(env.possible_agents), name
+            assert env.observation_space.contains(observation), name
+            observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert set(reward) == set(env.possible_agents), name
+            assert truncated["__all__"] == (step == 3) and not terminated["__all__"], name
+    assert env.observation_space.contains(observation) and not env.par_env.agents, name
+print("checked")
+"""
+    assert run("-c", code, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("ray")
+def test_rllib_policy_acts_as_its_modules_do(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import dcgrid_env, numpy as np, torch
+from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from rllib_multi_agent import MODEL, exported
+
+env = dcgrid_env.parallel_env("ieee33-weak")
+seen, _ = env.reset(seed=0)
+kinds = {"datacenter": "dc_0", "inverter": "inv_0"}
+modules = {}
+for kind, agent in kinds.items():
+    spaces = {"observation_space": env.observation_space(agent), "action_space": env.action_space(agent)}
+    modules[kind] = RLModuleSpec(DefaultPPOTorchRLModule, **spaces, model_config=MODEL).build()
+policy = exported(modules.get)
+policy.reset(env.scenario)
+acted = policy.act(seen)
+for kind, agent in kinds.items():
+    with torch.no_grad():
+        out = modules[kind].forward_inference({"obs": torch.as_tensor(seen[agent])[None]})["action_dist_inputs"][0]
+    wanted = np.clip(out.numpy()[: len(acted[agent])], -1.0, 1.0)
+    assert np.abs(wanted).max() > 1e-3
+    np.testing.assert_allclose(acted[agent], wanted, atol=1e-5)
+print("checked")
+"""
+    assert run("-c", code, EXAMPLES, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("ray")
+def test_rllib_example_with_two_workers(tmp_path):
+    options = ["--iterations", "1", "--workers", "2", "--batch", "480", "--episodes", "2", "--save", "made"]
+    check_trained(run(EXAMPLES / "rllib_multi_agent.py", *options, home=tmp_path), tmp_path / "made.safetensors")
