@@ -1,1 +1,12 @@
-"""Learned policies and their training. Empty so far: training arrives with the first algorithm."""
+"""Learned policies: their files, finding and scoring them, and one training algorithm a file.
+
+Importing the package, or running a policy, needs no torch; the algorithms import it themselves.
+"""
+
+from dcgrid_env.agents.card import Card
+from dcgrid_env.agents.evaluate import Evaluation, evaluate
+from dcgrid_env.agents.find import find_controller
+from dcgrid_env.agents.network import Network, PolicyError
+from dcgrid_env.agents.policy import Policy
+
+__all__ = ["Card", "Evaluation", "Network", "Policy", "PolicyError", "evaluate", "find_controller"]

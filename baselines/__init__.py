@@ -6,14 +6,11 @@ from dcgrid_env.baselines.droop import Droop
 from dcgrid_env.baselines.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.mpc import Mpc
 from dcgrid_env.baselines.named import CONTROLLERS, TUNED, make_controller
-from dcgrid_env.baselines.network import Network, PolicyError
 from dcgrid_env.baselines.none import NoControl
-from dcgrid_env.baselines.policy import Policy, load_policy, save_policy
 from dcgrid_env.baselines.published import Published, published
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.switching import SwitchingReference
-from dcgrid_env.baselines.user import find_controller
 from dcgrid_env.baselines.volt_var import VoltVar
 
 __all__ = [
@@ -27,19 +24,13 @@ __all__ = [
     "Local",
     "LocalController",
     "Mpc",
-    "Network",
     "NoControl",
     "Placed",
     "PlacementRule",
-    "Policy",
-    "PolicyError",
     "Published",
     "SwitchingReference",
     "VoltVar",
-    "find_controller",
-    "load_policy",
     "make_controller",
     "published",
     "rollout",
-    "save_policy",
 ]

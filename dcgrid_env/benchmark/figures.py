@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dcgrid_env.agents.find import find_controller
 from dcgrid_env.baselines import rollout
-from dcgrid_env.baselines.user import find_controller
 from dcgrid_env.benchmark.jobs import V_EDGES_PU, on_test_split
 from dcgrid_env.benchmark.summary import REFERENCE, ScenarioSummary, Summary
 from dcgrid_env.figure import run_figure

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, __version__, make_scenario, scenario_hash
+from dcgrid_env.agents.find import find_controller
 from dcgrid_env.baselines import Controller, Placed, rollout
-from dcgrid_env.baselines.user import find_controller
 from dcgrid_env.metrics import Recorder
 
 SPLIT = "test"
@@ -129,8 +129,8 @@ def controller_hash(controller: Controller, spec: str = "") -> str:
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
-    named = Path(spec if spec.endswith(".npz") else spec.rpartition(":")[0])
-    if named.suffix in (".npz", ".py"):
+    named = Path(spec if spec.endswith(".safetensors") else spec.rpartition(":")[0])
+    if named.suffix in (".safetensors", ".py"):
         digest.update(named.read_bytes())
     _add(digest, controller, {})
     return digest.hexdigest()[:16]

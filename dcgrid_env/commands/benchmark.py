@@ -39,8 +39,9 @@ class Benchmark:
     scenarios: str = "all"
     """Names of scenarios, separated by commas, or all (dcgrid list)."""
     controllers: str = "local"
-    """Separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, saved policies (.npz), local
-    (those that need no model of the feeder) or all. A path must not hold a comma. The tuned droop is run besides."""
+    """Separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, saved policies
+    (.safetensors), local (those that need no model of the feeder) or all. A path must not hold a comma. The tuned droop
+    is run besides."""
     episodes: int = MOST_EPISODES
     """Test episodes of each scenario, seeds 0, 1, ...; at most the published 100."""
     out: Path = Path("results/benchmark")
@@ -81,7 +82,7 @@ def main(cfg: Benchmark) -> None:
 
 def _controllers(asked: str, scenario: str) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
-    from dcgrid_env.baselines.user import NAMES, find_controller
+    from dcgrid_env.agents.find import NAMES, find_controller
     from dcgrid_env.benchmark.jobs import on_test_split
     from dcgrid_env.benchmark.summary import REFERENCE
 
@@ -100,7 +101,7 @@ def _controllers(asked: str, scenario: str) -> list[str]:
 def _is_local(name: str) -> bool:
     """Whether a controller sees local figures alone, on the first scenario that it can be made for."""
     from dcgrid_env import PRESETS
-    from dcgrid_env.baselines.user import find_controller
+    from dcgrid_env.agents.find import find_controller
     from dcgrid_env.benchmark.jobs import observed, on_test_split
 
     for preset in PRESETS:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from dcgrid_env.agents import Card
 
 
 @dataclass(frozen=True)
@@ -16,6 +20,8 @@ class List:
 def main(cfg: List) -> None:
     """Print the tables."""
     from dcgrid_env import FEEDERS, IDS, PRESETS
+    from dcgrid_env.agents import Card
+    from dcgrid_env.agents.policy import FOLDER, SHIPPED
     from dcgrid_env.baselines import CONTROLLERS, TUNED
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.recordings import RECORDINGS
@@ -25,6 +31,7 @@ def main(cfg: List) -> None:
         "scenario": {f"{name}  ({id_of[name]})": text for name, text in PRESETS.items()},
         "feeder": FEEDERS,
         "controller": {name: text for name, (text, _) in CONTROLLERS.items()} | TUNED,
+        "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
         "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
         "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
     }
@@ -34,3 +41,18 @@ def main(cfg: List) -> None:
         for name, text in rows.items():
             table.add_row(name, text)
         console.print(table, end="\n\n")
+
+
+def card_line(card: Card) -> str:
+    """A policy's card on one line."""
+    line = f"{card.algorithm} trained on {card.scenario}, {card.n_parameters} figures"
+    if card.scored is None:
+        return line
+    found, n = card.scored, len(card.scored.seeds)
+    value, low, high = found.score
+    where = "" if found.scenario == card.scenario else f" on {found.scenario}"
+    line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {found.delay_mean_s:.2f} s"
+    if n < 2:
+        return line
+    mean, least, most = sum(found.seed_scores) / n, min(found.seed_scores), max(found.seed_scores)
+    return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f})"

@@ -21,7 +21,7 @@ class Run:
     scenario: str = "ieee123"
     """Name of a scenario (dcgrid list)."""
     controllers: str = "none,inverters,droop"
-    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.npz). A path
+    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.safetensors). A path
     must not hold a comma."""
     episodes: int = 8
     """Episodes for each controller: those of seeds seed, seed + 1, ..."""
@@ -40,8 +40,8 @@ def main(cfg: Run) -> None:
     """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
     from rich.console import Console
 
+    from dcgrid_env.agents.find import find_controller
     from dcgrid_env.baselines import rollout, stability
-    from dcgrid_env.baselines.user import find_controller
     from dcgrid_env.benchmark.jobs import episode_records
 
     if cfg.episodes < 1 or cfg.seed < 0:

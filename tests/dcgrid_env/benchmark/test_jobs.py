@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
-from dcgrid_env.baselines import ConstantQ, Droop, Network, NoControl, Policy, rollout, save_policy
+from dcgrid_env.agents import Network, Policy
+from dcgrid_env.baselines import ConstantQ, Droop, NoControl, rollout
 from dcgrid_env.benchmark import jobs
 from dcgrid_env.benchmark.jobs import UNIT_EPISODES, V_EDGES_PU, Unit, controller_hash, plan, run
 
@@ -163,16 +164,16 @@ def test_code_that_a_controller_holds_is_fed_by_its_name():
 
 
 def test_another_policy_under_the_same_name_is_another_unit(tmp_path):
-    path = tmp_path / "mine.npz"
+    path = tmp_path / "mine.safetensors"
     found = []
     for q_share in (0.5, 0.5, 0.25):
-        save_policy(path, policy(q_share))
+        policy(q_share).save(path)
         found.append(plan(["ieee123"], [str(path)], 2)[0][0])
     assert found[0] == found[1]
     assert found[0].controller_hash != found[2].controller_hash
     held = policy(0.25)
     before = controller_hash(held, str(path))
-    save_policy(path, Policy(held.networks, made_with="another command"))
+    Policy(held.networks, made_with="another command").save(path)
     assert controller_hash(held, str(path)) != before  # the file's own bytes
     own = tmp_path / "own.py"
     own.write_text("one = 1")

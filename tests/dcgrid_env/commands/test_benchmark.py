@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import dcgrid_env.baselines
-from dcgrid_env.baselines import Droop, make_controller, rollout, user
-from dcgrid_env.baselines.policy import Network, Policy, save_policy
+from dcgrid_env.agents import Network, Policy, find
+from dcgrid_env.baselines import Droop, make_controller, rollout
 from dcgrid_env.baselines.score import score
 from dcgrid_env.benchmark import jobs
 from dcgrid_env.cli import main
@@ -63,7 +63,7 @@ def _known_reference(monkeypatch):
         best = 0.8 * np.array([m["J"] for m in metrics])
         return SimpleNamespace(seeds=np.arange(10), J=best, bound=0.9 * best, check_episodes=lambda scenario, n: None)
 
-    monkeypatch.setattr(user, "make_controller", make)
+    monkeypatch.setattr(find, "make_controller", make)
     monkeypatch.setattr(dcgrid_env.baselines, "published", values)
     monkeypatch.setattr(jobs, "UNIT_EPISODES", 2)
 
@@ -223,14 +223,14 @@ def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path[:])
     monkeypatch.delitem(sys.modules, "mine", raising=False)
     half = {"datacenter": Network([(np.zeros((9, 2)), [0.5] * 2)]), "inverter": Network([(np.zeros((7, 1)), [0.5])])}
-    save_policy("half.npz", Policy(half))
-    results = benchmark(tmp_path / "out", "half.npz,mine.laws:Still", episodes=2)
+    Policy(half).save("half")
+    results = benchmark(tmp_path / "out", "half.safetensors,mine.laws:Still", episodes=2)
     j = {
         name: [r["J"] for r in results["episodes"] if r["controller"] == name]
-        for name in ("half.npz", "mine.laws:Still")
+        for name in ("half.safetensors", "mine.laws:Still")
     }
-    assert len(j["half.npz"]) == 2
-    assert j["half.npz"] == j["mine.laws:Still"]
+    assert len(j["half.safetensors"]) == 2
+    assert j["half.safetensors"] == j["mine.laws:Still"]
 
 
 def test_two_processes_give_what_one_gives(tmp_path, own):
@@ -251,7 +251,7 @@ def test_local_and_all():
 
     everyone, local = _controllers("all", "toy6"), _controllers("local", "toy6")
     assert everyone[0] == local[0] == "droop-tuned"
-    assert set(everyone) == set(user.NAMES)
+    assert set(everyone) == set(find.NAMES)
     assert {"none", "droop", "volt-var", "constant-q"} <= set(local) <= set(everyone)
     assert _controllers("none, local", "toy6").count("none") == 1
     assert plan(["toy6"], ["none"], 1)[0][0].scenario_hash != plan(["ieee123"], ["none"], 1)[0][0].scenario_hash
@@ -266,7 +266,7 @@ def test_local_and_all():
         ({"controllers": "none,pid"}, "unknown controller 'pid'; there are none"),
         ({"controllers": ","}, "name at least one, local or all"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
-        ({"controllers": "nowhere.npz"}, "there is no such file"),
+        ({"controllers": "nowhere.safetensors"}, "there is no such file"),
         ({"episodes": 0}, "episodes is 0; give 1 to 100"),
         ({"episodes": 101}, "episodes is 101; give 1 to 100"),
         ({"processes": 0}, "jobs is 0; give at least 1"),

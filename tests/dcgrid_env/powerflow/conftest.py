@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from dcgrid_env import FEEDERS, Feeder, Solution, load_feeder
+from dcgrid_env.powerflow import implicit, prefix
 
 
 @pytest.fixture(params=FEEDERS)
@@ -73,6 +74,12 @@ def as_numpy() -> Callable[[Solution], Solution]:
 def as_torch() -> Callable[..., Any]:
     """Arrays as tensors, which share nothing with them."""
     return lambda *arrays: tuple(torch.tensor(np.asarray(a)) for a in arrays)
+
+
+@pytest.fixture
+def by_arrays(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Called, it has tensors on the CPU solved as those of other devices are, by array operations."""
+    return lambda: monkeypatch.setattr(implicit, "distflow_tensors", prefix.distflow_arrays)
 
 
 @pytest.fixture

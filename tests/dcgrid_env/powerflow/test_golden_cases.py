@@ -1,9 +1,10 @@
-"""Golden cases: every folder of tests/cases, with its origin, expected figures and tolerance, solved both ways."""
+"""Golden cases: every folder of tests/cases, with its origin, expected figures and tolerance, solved each way."""
 
 from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,14 @@ def read(name: str) -> tuple[dict[str, Any], Feeder]:
     return case, feeder
 
 
-def solve(feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: float, kind: str, as_torch: Any, as_numpy: Any) -> Solution:
-    if kind == "numpy":
-        return distflow(feeder, p_kw, q_kvar, v0_pu)
-    return as_numpy(distflow(feeder, *as_torch(p_kw, q_kvar), v0_pu=v0_pu))
+@pytest.fixture(params=["numpy", "torch", "arrays"])
+def solve(request: pytest.FixtureRequest, as_torch: Any, as_numpy: Any, by_arrays: Any) -> Callable[..., Solution]:
+    """NumPy arrays by the compiled kernels, tensors by them, tensors by array operations."""
+    if request.param == "numpy":
+        return distflow
+    if request.param == "arrays":
+        by_arrays()
+    return lambda feeder, p_kw, q_kvar, v0_pu: as_numpy(distflow(feeder, *as_torch(p_kw, q_kvar), v0_pu=v0_pu))
 
 
 def figures(feeder: Feeder, solution: Solution, p_kw: Any, q_kvar: Any) -> dict[str, Any]:
@@ -52,14 +57,13 @@ def test_the_cases_are_there():
     assert {path.name for path in CASES.iterdir() if path.is_dir() and any(path.iterdir())} == set(NAMES)
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
 @pytest.mark.parametrize("name", NAMES)
-def test_golden_case(name, kind, as_torch, as_numpy):
+def test_golden_case(name, solve):
     case, feeder = read(name)
     assert set(case) <= KEYS
     assert len(case["title"]) > 10
     assert len(case["origin"]) > 40
-    solution = solve(feeder, feeder.p_load_kw, feeder.q_load_kvar, case["v0_pu"], kind, as_torch, as_numpy)
+    solution = solve(feeder, feeder.p_load_kw, feeder.q_load_kvar, case["v0_pu"])
     assert solution.converged
     found = figures(feeder, solution, feeder.p_load_kw, feeder.q_load_kvar)
     tolerance = case["tolerance"]
@@ -75,13 +79,12 @@ def test_golden_case(name, kind, as_torch, as_numpy):
         assert found[key] == pytest.approx(expected, rel=0.0, abs=within), key
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_two_buses_up_to_the_largest_load_and_beyond(kind, as_torch, as_numpy):
+def test_two_buses_up_to_the_largest_load_and_beyond(solve):
     case, feeder = read("two_bus_maximum")
     maximum = case["maximum"]
     for f in maximum["fractions_with_a_solution"]:
         load = np.array([0.0, f * maximum["p_kw"]])
-        solution = solve(feeder, load, 0.0 * load, 1.0, kind, as_torch, as_numpy)
+        solution = solve(feeder, load, 0.0 * load, 1.0)
         v_pu = math.sqrt((1.0 - 0.375 * f + math.sqrt((1.0 - f) * (1.0 + 0.25 * f))) / 2.0)
         assert solution.converged, f
         assert solution.v_pu[1] == pytest.approx(v_pu, rel=0.0, abs=case["tolerance"]["v_pu"]), f
@@ -89,6 +92,6 @@ def test_two_buses_up_to_the_largest_load_and_beyond(kind, as_torch, as_numpy):
         assert solution.loss_kw == pytest.approx(60.0 * (load[1] / 1000.0 / v_pu) ** 2, rel=1e-5), f
     for f in maximum["fractions_without"]:
         load = np.array([0.0, f * maximum["p_kw"]])
-        solution = solve(feeder, load, 0.0 * load, 1.0, kind, as_torch, as_numpy)
+        solution = solve(feeder, load, 0.0 * load, 1.0)
         assert not solution.converged, f
         assert solution.residual_kva > 1e-4, f

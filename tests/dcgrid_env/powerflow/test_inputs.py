@@ -10,8 +10,10 @@ BOTH = pytest.mark.parametrize("method", [distflow, lindistflow])
 NAN, INF = float("nan"), float("inf")
 
 
-@pytest.fixture(params=["numpy", "torch"])
-def kind(request):
+@pytest.fixture(params=["numpy", "torch", "arrays"])
+def kind(request, by_arrays):
+    if request.param == "arrays":
+        by_arrays()
     return np.asarray if request.param == "numpy" else lambda a, **k: torch.tensor(np.asarray(a), **k)
 
 

@@ -1,4 +1,4 @@
-"""The torch form: the compiled kernels' answer, and derivatives that fit finite differences."""
+"""Both forms for torch: the compiled kernels' answer, and derivatives that fit finite differences."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,16 @@ from dcgrid_env import Solution, distflow, lindistflow, load_feeder
 DEVIATION = {"v_pu": 1e-7, "p_branch_kw": 1e-2, "q_branch_kvar": 1e-2, "current_sq_pu": 1e-4, "loss_kw": 1e-3}
 
 
+@pytest.fixture(params=["compiled", "arrays"])
+def form(request, by_arrays):
+    """What solves tensors: the compiled kernels, or the array operations of other devices."""
+    if request.param == "arrays":
+        by_arrays()
+
+
+both_forms = pytest.mark.usefixtures("form")
+
+
 def double(values):
     return torch.tensor(np.asarray(values), dtype=torch.float64)
 
@@ -16,6 +26,7 @@ def double(values):
 # --- the same answer as the compiled kernels ------------------------------------------------------------------------
 
 
+@both_forms
 @pytest.mark.parametrize("method", [distflow, lindistflow])
 def test_agrees_with_the_compiled_kernel(feeder, random_loads, as_torch, as_numpy, method):
     loads = random_loads(feeder, 60, seed=30)
@@ -29,6 +40,7 @@ def test_agrees_with_the_compiled_kernel(feeder, random_loads, as_torch, as_nump
         np.testing.assert_allclose(found, expected, atol=deviation, rtol=0.0, err_msg=field)
 
 
+@both_forms
 def test_agrees_close_to_collapse_and_on_what_has_no_solution(feeder, as_torch, as_numpy):
     most = {"toy6": 14.0, "ieee33": 3.4, "das69": 3.1, "ieee123": 2.4, "khodr141": 4.1}[feeder.name]
     scale = most * np.array([[0.7], [0.9], [1.0], [1.2], [3.0]])
@@ -38,6 +50,7 @@ def test_agrees_close_to_collapse_and_on_what_has_no_solution(feeder, as_torch, 
     np.testing.assert_allclose(arrays.v_pu[:3], compiled.v_pu[:3], atol=1e-7, rtol=0.0)
 
 
+@both_forms
 @pytest.mark.parametrize("method", [distflow, lindistflow])
 def test_float32_is_within_1e_5_of_float64(feeder, random_loads, method):
     loads = random_loads(feeder, 30, seed=31)
@@ -47,6 +60,7 @@ def test_float32_is_within_1e_5_of_float64(feeder, random_loads, method):
     np.testing.assert_allclose(single.v_pu.numpy(), method(feeder, *loads).v_pu, atol=1e-5, rtol=0.0)
 
 
+@both_forms
 @pytest.mark.parametrize("leading", [(), (1,), (3,), (2, 3), (0,)])
 @pytest.mark.parametrize("method", [distflow, lindistflow])
 def test_leading_dimensions_are_those_of_the_loads(toy6, method, leading):
@@ -61,6 +75,7 @@ def test_leading_dimensions_are_those_of_the_loads(toy6, method, leading):
     assert bool(solution.converged.all())
 
 
+@both_forms
 def test_substation_voltage_may_be_a_number_an_array_or_a_tensor(toy6):
     p_kw = double(toy6.p_load_kw).expand(3, 6)
     for v0_pu in (1.02, np.array([1.0, 1.01, 1.02]), double([1.0, 1.01, 1.02]), [1.0, 1.01, 1.02]):
@@ -68,6 +83,7 @@ def test_substation_voltage_may_be_a_number_an_array_or_a_tensor(toy6):
         np.testing.assert_allclose(solution.v_pu[:, 0].numpy(), np.broadcast_to(v0_pu, 3), rtol=1e-15)
 
 
+@both_forms
 def test_inputs_are_never_modified(toy6, random_loads, as_torch):
     given = [*as_torch(*random_loads(toy6, 20, seed=32)), torch.full((20, 5), 0.3, dtype=torch.float64)]
     before = [tensor.clone() for tensor in given]
@@ -76,12 +92,14 @@ def test_inputs_are_never_modified(toy6, random_loads, as_torch):
     assert all(torch.equal(a, b) for a, b in zip(given, before, strict=True))
 
 
+@both_forms
 def test_tensors_that_are_not_contiguous(toy6, random_loads, as_torch):
     p_kw, q_kvar, v0_pu = as_torch(*random_loads(toy6, 20, seed=33))
     turned = distflow(toy6, p_kw.T.contiguous().T, q_kvar.T.contiguous().T, v0_pu)
     np.testing.assert_allclose(turned.v_pu.numpy(), distflow(toy6, p_kw, q_kvar, v0_pu).v_pu.numpy(), atol=1e-12)
 
 
+@both_forms
 @pytest.mark.parametrize("dtype", [torch.int64, torch.int32, torch.float16, torch.bfloat16])
 def test_other_precisions_are_solved_as_the_docstring_says(toy6, dtype):
     load = torch.full((6,), 64).to(dtype)
@@ -91,6 +109,7 @@ def test_other_precisions_are_solved_as_the_docstring_says(toy6, dtype):
     np.testing.assert_allclose(solution.v_pu, distflow(toy6, [64.0] * 6, [64.0] * 6, 1.04375).v_pu, atol=1e-5)
 
 
+@both_forms
 def test_a_parameter_is_a_tensor(toy6):
     q_kvar = torch.nn.Parameter(torch.zeros(6, dtype=torch.float64))
     distflow(toy6, double(toy6.p_load_kw), q_kvar).loss_kw.backward()
@@ -100,6 +119,7 @@ def test_a_parameter_is_a_tensor(toy6):
 # --- warm starts and loads without a solution -----------------------------------------------------------------------
 
 
+@both_forms
 def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads, as_torch):
     p_kw, q_kvar, v0_pu = as_torch(*random_loads(feeder, 40, seed=34))
     before = distflow(feeder, 0.999 * p_kw, 0.999 * q_kvar, v0_pu)
@@ -111,6 +131,7 @@ def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads
         np.testing.assert_allclose(warm.v_pu.numpy(), cold.v_pu.numpy(), atol=1e-7, rtol=0.0)
 
 
+@both_forms
 def test_a_warm_start_from_a_very_different_load_still_converges(feeder):
     p_kw, q_kvar = double(feeder.p_load_kw).expand(3, -1), double(feeder.q_load_kvar).expand(3, -1)
     start = torch.zeros((3, feeder.n_bus - 1), dtype=torch.float64)
@@ -120,6 +141,7 @@ def test_a_warm_start_from_a_very_different_load_still_converges(feeder):
     np.testing.assert_allclose(warm.v_pu.numpy(), cold.v_pu.numpy(), atol=1e-7, rtol=0.0)
 
 
+@both_forms
 @pytest.mark.parametrize("lanes", [5, 33])
 @pytest.mark.parametrize("warm", [False, True])
 def test_a_lane_without_a_solution_leaves_its_neighbours_their_bits(feeder, random_loads, as_torch, lanes, warm):
@@ -136,6 +158,7 @@ def test_a_lane_without_a_solution_leaves_its_neighbours_their_bits(feeder, rand
             assert torch.equal(getattr(solution, field)[others], getattr(good, field)[others]), field
 
 
+@both_forms
 @pytest.mark.parametrize("scale", [1.0, 5.0, 1e3, 1e9, -1e3, -1e9])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_figures_without_a_solution_are_finite(feeder, scale, dtype):
@@ -169,6 +192,7 @@ def gradcheck(function, inputs):
     assert torch.autograd.gradcheck(function, inputs, eps=1e-5, atol=1e-8, rtol=1e-5)
 
 
+@both_forms
 @pytest.mark.parametrize("scale", [1.0, 8.0, 12.0, -5.0])
 def test_derivatives_of_distflow(toy6, scale):
     load = scale * toy6.p_load_kw / 1000.0, scale * toy6.q_load_kvar / 1000.0
@@ -177,12 +201,14 @@ def test_derivatives_of_distflow(toy6, scale):
     gradcheck(in_megawatts(toy6, tolerance_kva=1e-9), recorded(*load, 1.02))
 
 
+@both_forms
 def test_derivatives_of_a_batch(toy6):
     rng = np.random.default_rng(36)
     load = rng.uniform(-1.0, 2.0, (2, 3, 6)), rng.uniform(-1.0, 1.0, (2, 3, 6)), rng.uniform(0.95, 1.05, (2, 3))
     gradcheck(in_megawatts(toy6, tolerance_kva=1e-9), recorded(*load))
 
 
+@both_forms
 @pytest.mark.parametrize("scale", [1.0, 12.0])
 def test_derivatives_with_a_warm_start(toy6, scale):
     # A start at the answer must not stop the sweeps before the derivative has converged.
@@ -197,6 +223,7 @@ def test_derivatives_of_lindistflow(toy6):
     gradcheck(lambda p, q, v0: lindistflow(toy6, 1000.0 * p, 1000.0 * q, v0).v_pu, inputs)
 
 
+@both_forms
 def test_derivatives_at_the_default_tolerance(feeder):
     # The derivative lags the voltage by some sweeps; at base load it must be right to a part in a thousand.
     def slope(tolerance_kva):
@@ -211,6 +238,7 @@ def test_derivatives_at_the_default_tolerance(feeder):
         np.testing.assert_allclose(usual, fine, rtol=1e-3, atol=1e-9)
 
 
+@both_forms
 def test_derivative_at_little_load_is_the_sensitivity(feeder):
     r, x = feeder.sensitivity()
     p_kw, q_kvar = recorded(np.full(feeder.n_bus, 1e-3), np.full(feeder.n_bus, 1e-3))
@@ -221,6 +249,7 @@ def test_derivative_at_little_load_is_the_sensitivity(feeder):
     np.testing.assert_allclose(1000.0 * by_q, -x[i], atol=1e-4 * x.max())
 
 
+@both_forms
 @pytest.mark.parametrize("scale", [1.0, 5.0, 1e3])
 @pytest.mark.parametrize("warm", [False, True])
 def test_gradients_stay_finite_beside_a_lane_without_a_solution(feeder, scale, warm):
@@ -252,6 +281,7 @@ def test_torch_is_not_imported_for_numpy_arrays():
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
+@both_forms
 def test_gradient_steps_through_distflow_lower_the_loss():
     # What the derivative is for: reactive power at three buses, chosen by plain descent.
     feeder = load_feeder("ieee33")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
+from dcgrid_env.agents import Network, Policy, find, find_controller
+from dcgrid_env.agents import policy as policy_module
 from dcgrid_env.baselines import Droop, rollout
-from dcgrid_env.baselines.policy import Network, Policy, save_policy
-from dcgrid_env.baselines.user import find_controller
 
 MODULE = """
 from dataclasses import dataclass
@@ -67,9 +67,9 @@ def here(tmp_path, monkeypatch):
 
 def test_names_modules_files_and_policies(here, toy6):
     assert isinstance(find_controller("droop", toy6), Droop)
-    save_policy("p.npz", Policy({"joint": Network([(np.zeros((23, 4)), np.full(4, 0.25))])}))
+    Policy({"joint": Network([(np.zeros((23, 4)), np.full(4, 0.25))])}).save("p")
     with_q = []
-    for spec in ("own.laws:Still", "mine:Still", "mine.py:Still", f"{here / 'own' / 'laws.py'}:Still", "p.npz"):
+    for spec in ("own.laws:Still", "mine:Still", "mine.py:Still", f"{here / 'own' / 'laws.py'}:Still", "p.safetensors"):
         recorder = rollout(toy6, find_controller(spec, toy6), [0])
         with_q.append(recorder.lane(0).q_kvar)
     assert with_q[0].any()
@@ -98,9 +98,27 @@ def test_a_file_is_read_anew(here, toy6):
         ("mine.py:number", "has no class 'number'"),
         ("mine.py:Needy", "constructing it without arguments fails: TypeError: .*gain"),
         ("mine.py:Idle", "Idle is no controller; give it reset and act"),
-        ("nowhere.npz", "'nowhere.npz': there is no such file"),
+        ("nowhere.safetensors", "'nowhere.safetensors': there is no such file"),
     ],
 )
 def test_what_names_no_controller(here, toy6, spec, message):
     with pytest.raises(ValueError, match=message):
         find_controller(spec, toy6)
+
+
+def test_a_trained_policy_by_the_name_that_it_has_on_every_preset(toy6, monkeypatch, tmp_path):
+    shipped = ("any-feeder", "ieee33-weak-analytic", "toy6-analytic", "toy6-ppo")
+    trained = find._trained(shipped)
+    assert trained == {"analytic": ("ieee33-weak", "toy6"), "ppo": ("toy6",)}
+    policy = Policy({"inverter": Network([(np.zeros((7, 1)), [0.5])])}, scenario="toy6")
+    policy.save(tmp_path / "toy6-ppo")
+    for name, value in (("SHIPPED", shipped), ("TRAINED", trained)):
+        monkeypatch.setattr(find, name, value)
+    monkeypatch.setattr(policy_module, "SHIPPED", shipped)
+    monkeypatch.setattr(policy_module, "FOLDER", tmp_path)
+    for spec in ("ppo", "toy6-ppo"):
+        found = find_controller(spec, toy6)
+        assert isinstance(found, Policy)
+        assert found.sha256 == policy.sha256
+    with pytest.raises(ValueError, match="controller 'ppo': none ships for 'ieee123', but for toy6; train one"):
+        find_controller("ppo", make_scenario("ieee123"))

@@ -1,15 +1,16 @@
 """A small network of NumPy arrays: a multilayer perceptron with the normalisation it was trained with.
 
-A layer is x W + b with W of shape (n_in, n_out); the network is, in float32,
+Other families of networks stand beside it under the same interface, :class:`Family`. A layer is x W + b with W of shape
+(n_in, n_out); the network is, in float32,
 
     x = clip((observation - mean) / std, -clip, clip)        x = activation(x W + b) for each layer but the last
-    action = squash(x W + b)                                 clip to [-1, 1], or tanh
+    output = squash(x W + b + x_0 skip)                      clip to [-1, 1], tanh, or none; x_0 the first x
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,11 +21,48 @@ ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, np.float32(0.0)))),
     "silu": lambda x: x * (np.float32(0.5) + np.float32(0.5) * np.tanh(np.float32(0.5) * x)),
 }
-SQUASHES = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+SQUASHES = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh, "none": lambda x: x}
 
 
 class PolicyError(ValueError):
     """A policy, or a file of one, that cannot be used; the message names file, field, value and remedy."""
+
+
+class Family(Protocol):
+    """What a policy asks of a network: to be run, and to be written as arrays and settings and read again."""
+
+    family: ClassVar[str]
+    """Its name in files, and in ``policy.FAMILIES``."""
+
+    @property
+    def n_in(self) -> int:
+        """Width of the observation."""
+        ...
+
+    @property
+    def n_out(self) -> int:
+        """Width of the action."""
+        ...
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Output, float32, (..., n_out), for an observation (..., n_in)."""
+        ...
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All its figures, float32."""
+        ...
+
+    def settings(self) -> dict[str, Any]:
+        """What else makes it, as JSON takes it."""
+        ...
+
+    @classmethod
+    def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
+        """The network of these ``arrays()`` and ``settings()``.
+
+        KeyError for what is missing, PolicyError for what cannot be.
+        """
+        ...
 
 
 class Network:
@@ -37,17 +75,21 @@ class Network:
     activation
         Of every layer but the last: tanh, relu, elu or silu.
     squash
-        Of the output: clip or tanh.
+        Of the output: clip, tanh or none.
     mean, std
         Of the observation, (n_observation,) each; none by default.
     clip
         Largest normalised observation; none by default.
+    skip
+        Straight from the normalised observation to the output, (n_in, n_out); none by default.
 
     Raises
     ------
     PolicyError
         For shapes that do not fit each other, figures that are not finite, or an unknown name.
     """
+
+    family: ClassVar[str] = "perceptron"
 
     def __init__(
         self,
@@ -57,6 +99,7 @@ class Network:
         mean: ArrayLike | None = None,
         std: ArrayLike | None = None,
         clip: float | None = None,
+        skip: ArrayLike | None = None,
     ):
         for field, value, known in (("activation", activation, ACTIVATIONS), ("squash", squash, SQUASHES)):
             if value not in known:
@@ -65,7 +108,7 @@ class Network:
             raise PolicyError(f"clip is {clip!r}; give a number above 0, or none")
         if not len(layers):
             raise PolicyError("layers is empty; give at least one (weight, bias)")
-        self.layers = [(_array(f"w{i}", w, 2), _array(f"b{i}", b, 1)) for i, (w, b) in enumerate(layers)]
+        self.layers = [(figures(f"w{i}", w, 2), figures(f"b{i}", b, 1)) for i, (w, b) in enumerate(layers)]
         self.activation, self.squash, self.clip = activation, squash, clip
         n = self.n_in
         for i, (weight, bias) in enumerate(self.layers):
@@ -77,8 +120,12 @@ class Network:
         if self.std is not None and not (self.std > 0).all():
             raise PolicyError(f"std is {self.std.min()} somewhere; give figures above 0")
 
+        self.skip = None if skip is None else figures("skip", skip, 2)
+        if self.skip is not None and self.skip.shape != (self.n_in, self.n_out):
+            raise PolicyError(f"skip has shape {self.skip.shape}; it must be {self.n_in, self.n_out}")
+
     def _of_inputs(self, name: str, value: ArrayLike) -> np.ndarray:
-        array = _array(name, value, 1)
+        array = figures(name, value, 1)
         if array.shape != (self.n_in,):
             raise PolicyError(f"{name} has shape {array.shape}; give one figure for each of {self.n_in} inputs")
         return array
@@ -94,7 +141,7 @@ class Network:
         return len(self.layers[-1][1])
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Action in [-1, 1], float32, (..., n_out), for an observation (..., n_in)."""
+        """Output, float32, (..., n_out), for an observation (..., n_in)."""
         x = np.asarray(observation, dtype=np.float32)
         if self.mean is not None:
             x = x - self.mean
@@ -102,15 +149,40 @@ class Network:
             x = x / self.std
         if self.clip is not None:
             x = np.clip(x, np.float32(-self.clip), np.float32(self.clip))
+        straight = 0.0 if self.skip is None else x @ self.skip
         for i, (weight, bias) in enumerate(self.layers):
             x = (ACTIVATIONS[self.activation](x) if i else x) @ weight + bias
-        return SQUASHES[self.squash](x)
+        return SQUASHES[self.squash](x + straight)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """``w0, b0, w1, ..`` and, where there are, ``mean``, ``std`` and ``skip``."""
+        found = {
+            f"{kind}{i}": array for i, layer in enumerate(self.layers) for kind, array in zip("wb", layer, strict=True)
+        }
+        return found | {name: array for name in ("mean", "std", "skip") if (array := getattr(self, name)) is not None}
+
+    def settings(self) -> dict[str, Any]:
+        """Number of layers, activation, squash and clip."""
+        return {
+            "layers": len(self.layers),
+            "activation": self.activation,
+            "squash": self.squash,
+            "clip": self.clip,
+        }
+
+    @classmethod
+    def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
+        """The network of these arrays and settings."""
+        layers = [(arrays[f"w{i}"], arrays[f"b{i}"]) for i in range(settings["layers"])]
+        mean, std, skip = (arrays.get(name) for name in ("mean", "std", "skip"))
+        return cls(layers, settings["activation"], settings["squash"], mean, std, settings["clip"], skip)
 
 
-def _array(name: str, value: Any, dimensions: int) -> np.ndarray:
+def figures(name: str, value: Any, dimensions: int) -> np.ndarray:
+    """An array of finite float32 with so many dimensions; PolicyError, which names it, for what is none."""
     try:
         with np.errstate(over="ignore"):  # infinite then, and refused as such
-            array = np.asarray(value).astype(np.float32, casting="same_kind")
+            array = np.asarray(value).astype(np.float32, order="C", casting="same_kind")
     except (TypeError, ValueError):
         raise PolicyError(f"{name} is no array of real numbers; give float32") from None
     if array.ndim != dimensions or array.size == 0:

@@ -1,0 +1,294 @@
+"""Policy gradient through the physics: the cost is differentiated by the actions that led to it, and so by the policy.
+
+No value function and no exploration: episodes are rolled out by the environment's own ``dynamics.step``
+(``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
+back-propagation through time).
+
+    loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end
+         + multiplier (mean delay - limit)      where there is a limit; the multiplier rises while it is exceeded
+
+One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
+(``view``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own rating.
+
+Truncated gradients through differentiable simulators: J. Xu et al., "Accelerated policy learning with parallel
+differentiable simulation", arXiv 2204.07137. The multiplier: dual ascent as in C. Tessler, D. Mankowitz and S. Mannor,
+"Reward constrained policy optimization", arXiv 1805.11074. By Little's law the mean delay is the mean backlog over the
+mean work that arrives, which has a derivative.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from dcgrid_env import Scenario, TensorEnv, TensorStep
+from dcgrid_env.agents.modules import Perceptron, forgiving_clip
+from dcgrid_env.agents.policy import Policy
+from dcgrid_env.agents.training import Run, progress, torch
+from dcgrid_env.agents.validation import Validation, made_with
+from dcgrid_env.agents.variants import scenarios, variant
+from dcgrid_env.agents.view import View
+
+NORMALISED_LANES, NORMALISED_STEPS = 32, 10
+"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
+
+
+@dataclass(frozen=True)
+class Analytic:
+    """Train a policy by gradients through the grid."""
+
+    scenario: str = "ieee123"
+    """Preset to train on, or several, separated by commas."""
+    view: Literal["shared", "centralised"] = "shared"
+    """A network for each kind of agent on its own observations, or one that sees and moves all."""
+    seed: int = 0
+    """Of the training."""
+    out: Path | None = None
+    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
+    device: str = "cpu"
+    """Where everything lives, as torch names it."""
+    resume: bool = False
+    """Go on from the folder's checkpoint."""
+    observe: Literal["local", "neighbours", "feeder"] = "local"
+    """Scope of observation."""
+    preview: bool = True
+    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
+    act: Literal["both", "clock", "q"] = "both"
+    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
+    delay_limit_s: float | None = None
+    """Best voltage at no more than this mean delay, s; the price of waiting is then found, not given."""
+    violation_limit_pu: float | None = None
+    """Least cost at no more than this mean excess over the band, p.u.; the price of it is then found, not given."""
+    vary: int = 0
+    """Train on so many variants of each scenario, other placements and ratings, besides the scenario itself."""
+    updates: int = 200
+    """Steps of the optimiser."""
+    lanes: int = 128
+    """Episodes at once."""
+    window: int = 40
+    """Steps through which the gradient reaches back, about."""
+    learning_rate: float = 1e-2
+    """At the beginning; it falls to nothing along a cosine."""
+    max_grad_norm: float = 1.0
+    """Gradients are cut to this norm."""
+    dual_rate: float = 0.05
+    """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers."""
+    validation_episodes: int = 32
+    """Episodes of the validation split that a policy is judged on."""
+    validate_every: int = 8
+    """Batches of episodes from one validation to the next."""
+    checkpoint_every: int = 8
+    """Batches of episodes from one checkpoint to the next."""
+    threads: int = 1
+    """Of torch."""
+
+
+class Learner:
+    """What is trained: networks, their optimiser and multipliers, and the grids that they are trained on.
+
+    Parameters
+    ----------
+    cfg
+        The configuration.
+    grids
+        Scenarios of the training split, of the same widths of observation.
+    """
+
+    def __init__(self, cfg: Analytic, grids: Sequence[Scenario]):
+        self.cfg, self.device = cfg, torch.device(cfg.device)
+        kind = "shared" if cfg.view == "shared" else "joint"
+        self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
+        self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
+        self.views = [View(grid, kind, **self.chosen, array=self._tensor, clip=forgiving_clip) for grid in grids]
+        self.factors = {"delay": 1.0, "violation": 1.0}
+        self.spent_s = {"forward": 0.0, "backward": 0.0}
+        torch.manual_seed(cfg.seed)
+        moments, widths = self._moments(), self.views[0].widths
+        made = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
+        self.networks = torch.nn.ModuleDict(made).to(self.device)
+        self.optimiser = torch.optim.Adam(self.networks.parameters(), lr=cfg.learning_rate)
+
+    def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
+        """A network at its beginning, for agents of this kind."""
+        return Perceptron(mean, std, n_out, self.cfg.hidden)
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.array(array)).to(self.device)
+
+    def _moments(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        """Mean and standard deviation of what each network sees, over an episode of each grid at random setpoints."""
+        rng, seen = np.random.default_rng(self.cfg.seed), {}
+        for env, view in zip(self.envs, self.views, strict=True):
+            clocks = np.array([True, False] * env.scenario.n_datacenters + [False] * env.scenario.n_inverters)
+            joint = env.reset(episode_seeds(self.cfg.seed, 0, NORMALISED_LANES))
+            action = torch.empty(0)
+            while not env.over:
+                if env.step_number % NORMALISED_STEPS == 0:
+                    drawn = rng.uniform(-1.0, 1.0, (NORMALISED_LANES, len(clocks)))
+                    drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
+                    action = self._tensor(drawn.astype(np.float32))
+                joint = env.step(action).observation
+                for name, own in view.inputs(joint).items():
+                    seen.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
+        every = {name: torch.cat(rows) for name, rows in seen.items()}
+        return {name: (rows.mean(0), rows.std(0).clamp(min=1e-2)) for name, rows in every.items()}
+
+    def episodes(self, i: int, iteration: int, on_update: Callable[[], None]) -> dict[str, float]:
+        """Drive a batch of episodes of grid i to its end, a step of the optimiser after each window."""
+        cfg, env = self.cfg, self.envs[i]
+        joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.lanes))
+        losses, waited, arrived, norm = [], 0.0, 0.0, 0.0
+        excess = 0.0
+        for size in windows(env.scenario.horizon, cfg.window):
+            began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
+            for _ in range(size):
+                step = env.step(self.act(i, joint))
+                joint = step.observation
+                total = total + self._priced(step)
+                waited += float(step.state.backlog_kws.detach().sum())
+                arrived += float(step.state.arrived_kw.sum())
+                excess += float(step.costs.violation.detach().mean())
+            assert step is not None
+            loss = (total + self._left(env, step)) / size
+            self.spent_s["forward"] += time.perf_counter() - began_s
+            began_s = time.perf_counter()
+            self.optimiser.zero_grad()
+            loss.backward()
+            norm = float(torch.nn.utils.clip_grad_norm_(self.networks.parameters(), cfg.max_grad_norm))
+            on_update()
+            self.optimiser.step()
+            env.cut()
+            joint = joint.detach()
+            losses.append(float(loss.detach()))
+            self.spent_s["backward"] += time.perf_counter() - began_s
+        per_pu = env.scenario.weights.violation or 1.0
+        self._raise("delay", cfg.delay_limit_s, waited / max(arrived, 1e-9))
+        self._raise("violation", cfg.violation_limit_pu, excess / env.scenario.horizon / per_pu)
+        return {"loss": float(np.mean(losses)), "gradient_norm": norm}
+
+    def _priced(self, step: TensorStep) -> torch.Tensor:
+        """Mean cost of a step, without what is left at the end, under the multipliers."""
+        c, f = step.costs, self.factors
+        each = step.cost_j - c.leftover + (f["delay"] - 1.0) * c.backlog + (f["violation"] - 1.0) * c.violation
+        return each.mean()
+
+    def _left(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
+        """Charge for the backlog at a window's end, as at an episode's."""
+        rated_kw, weight = float(env.scenario.datacenter.p_rated_kw.sum()) or 1.0, env.scenario.weights.leftover
+        return self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
+
+    def _raise(self, name: str, limit: float | None, found: float) -> None:
+        """Move a multiplier by how far its limit is exceeded or kept, as a share of the limit."""
+        if limit is not None:
+            off = min(max(found / limit - 1.0, -1.0), 1.0)
+            self.factors[name] = min(max(self.factors[name] * math.exp(self.cfg.dual_rate * off), 1e-3), 1e3)
+
+    def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
+        """Joint action after a joint observation of grid i."""
+        view = self.views[i]
+        return view.action(joint, {name: self.networks[name](own) for name, own in view.inputs(joint).items()})
+
+    def policy(self) -> Policy:
+        """The policy as it stands, as NumPy arrays."""
+        networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
+        return Policy(
+            networks, observe=self.cfg.observe, **self.chosen, scenario=self.cfg.scenario, made_with=made_with()
+        )
+
+
+def windows(horizon: int, window: int) -> list[int]:
+    """Lengths of an episode's windows, as equal as they come and about as long as asked."""
+    n = max(1, round(horizon / window))
+    return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
+
+
+def episode_seeds(seed: int, iteration: int, lanes: int) -> range:
+    """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
+    first = (seed << 40) + iteration * lanes
+    return range(first, first + lanes)
+
+
+def merit(cfg: Analytic, figures: Mapping[str, float]) -> float:
+    """What the best policy has least of: J, or under a limit on delay the rest of J, dearly paid beyond the limit."""
+    if cfg.delay_limit_s is not None:
+        beyond = max(figures["delay_mean_s"] / cfg.delay_limit_s - 1.0, 0.0)
+        return figures["J_but_delay"] * (1.0 + 10.0 * beyond)
+    return figures["J"]
+
+
+def check(cfg: Analytic) -> None:
+    """ValueError, naming the field, for settings that cannot be."""
+    for field in ("updates", "lanes", "window", "learning_rate", "max_grad_norm", "dual_rate", "validation_episodes"):
+        if not getattr(cfg, field) > 0:
+            raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
+    for field in ("delay_limit_s", "violation_limit_pu"):
+        value = getattr(cfg, field)
+        if value is not None and not value > 0:
+            raise ValueError(f"{field} is {value}; give more than 0, or leave it out")
+    if cfg.seed < 0 or cfg.vary < 0:
+        raise ValueError(f"seed is {cfg.seed} and vary {cfg.vary}; give at least 0")
+
+
+def grids_of(cfg: Analytic) -> list[Scenario]:
+    """Scenarios of the training split: those named, then variants of each."""
+    named = scenarios(cfg.scenario, split="train", observe=cfg.observe)
+    rng = np.random.default_rng([cfg.seed, 1])
+    return named + [variant(grid, rng) for _ in range(cfg.vary) for grid in named]
+
+
+def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
+    """Train; the folder written."""
+    check(cfg)
+    torch.set_num_threads(cfg.threads)
+    algorithm = type(cfg).__name__.lower()
+    grids = grids_of(cfg)
+    label = cfg.scenario.replace(",", "+").replace(" ", "")
+    run = Run(cfg.out or Path("results/train") / f"{label}-{algorithm}-{cfg.seed}", cfg, cfg.resume)
+    model = learner(cfg, grids)
+    validate = Validation([s.name for s in scenarios(cfg.scenario)], cfg.validation_episodes)
+    per_grid = len(windows(grids[0].horizon, cfg.window))
+    iterations = max(1, round(cfg.updates / per_grid))
+    best, done, state = math.inf, 0, run.load()
+    if state is not None:
+        model.networks.load_state_dict(state["networks"])
+        model.optimiser.load_state_dict(state["optimiser"])
+        model.factors, best, done = state["factors"], state["best"], state["iteration"]
+        model.spent_s = state["spent_s"]
+
+    def on_update() -> None:
+        run.require_finite("a gradient is", (p.grad for p in model.networks.parameters() if p.grad is not None))
+
+    with progress(f"{cfg.scenario}, {algorithm}", iterations, done) as advance:
+        for iteration in range(done + 1, iterations + 1):
+            run.step = iteration
+            rate = 0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations))
+            for group in model.optimiser.param_groups:
+                group["lr"] = rate
+            figures = model.episodes((iteration - 1) % len(grids), iteration, on_update)
+            if iteration % cfg.validate_every == 0 or iteration == iterations:
+                policy = model.policy()
+                found = validate(policy)
+                if merit(cfg, found) < best:
+                    best = merit(cfg, found)
+                    made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": found["J"]}
+                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": algorithm})
+                spent = {f"{name}_s": value for name, value in model.spent_s.items()}
+                factors = {f"{name}_factor": value for name, value in model.factors.items()}
+                run.record(found | figures | factors | spent)
+                advance(iteration, f"J {found['J']:.4f}, droop {validate.j_droop:.4f}")
+            if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
+                run.save(
+                    {"networks": model.networks.state_dict(), "optimiser": model.optimiser.state_dict(),
+                     "factors": model.factors, "best": best, "iteration": iteration, "spent_s": model.spent_s}
+                )  # fmt: skip
+    run.close()
+    print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
+    return run.folder

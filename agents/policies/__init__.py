@@ -1,0 +1,1 @@
+"""Trained policies that ship: NAME.safetensors with NAME.json, its card."""

@@ -1,0 +1,54 @@
+"""How good a policy is while it is trained: its cost on the validation split, against the tuned droop law there."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from dcgrid_env import Scenario, make_scenario
+from dcgrid_env.agents.policy import Policy
+from dcgrid_env.baselines import make_controller, rollout
+
+_KEPT = ("J", "delay_mean_s", "cost_violation", "cost_backlog", "cost_leftover")
+
+
+class Validation:
+    """Judges policies on the validation split, against the tuned droop law on the same episodes.
+
+    Parameters
+    ----------
+    scenarios
+        Names of presets; figures are means over them.
+    episodes
+        Seeds 0, 1, .. of each.
+    """
+
+    def __init__(self, scenarios: Sequence[str], episodes: int):
+        self.scenarios = [make_scenario(name, split="validation") for name in scenarios]
+        self.seeds = range(episodes)
+        self.j_droop = self._mean([self._run(s, make_controller("droop-tuned", s)) for s in self.scenarios])["J"]
+
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Mean J, the tuned droop's, by how much it is below that as a share, mean delay, s, and the violation's cost.
+
+        ``J_but_delay`` is J without the charges for backlog.
+        """
+        found = self._mean([self._run(scenario, policy) for scenario in self.scenarios])
+        return found | {"J_droop": self.j_droop, "gain": 1.0 - found["J"] / self.j_droop}
+
+    def _run(self, scenario: Scenario, controller: object) -> list[dict[str, float]]:
+        return rollout(scenario, controller, self.seeds).metrics()  # pyright: ignore[reportArgumentType]
+
+    @staticmethod
+    def _mean(runs: list[list[dict[str, float]]]) -> dict[str, float]:
+        every = [metrics for run in runs for metrics in run]
+        mean = {name: float(np.mean([m[name] for m in every])) for name in every[0] if name in _KEPT}
+        waiting = mean.pop("cost_backlog") + mean.pop("cost_leftover")
+        return mean | {"J_but_delay": mean["J"] - waiting}
+
+
+def made_with() -> str:
+    """The command that runs."""
+    return " ".join(["dcgrid", *sys.argv[1:]])

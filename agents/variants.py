@@ -1,0 +1,33 @@
+"""Scenarios by name, and variants of them with other placements and ratings, for policies that must generalise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcgrid_env import Scenario, make_scenario
+
+
+def scenarios(names: str, **overrides: object) -> list[Scenario]:
+    """Presets named in one string, separated by commas; ScenarioError for an unknown name, ValueError for none."""
+    found = [name.strip() for name in names.split(",") if name.strip()]
+    if not found:
+        raise ValueError(f"scenario is {names!r}; name at least one preset (dcgrid list)")
+    return [make_scenario(name, **overrides) for name in found]
+
+
+def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    """The scenario with other places, ratings, and substation voltage.
+
+    Data centres are drawn anew in each episode, from half to 1.1 times their rating each; inverters stand at other load
+    buses, at half to twice their rating each; the substation is held up to 0.01 p.u. higher or lower.
+    """
+    feeder, n_inv = scenario.feeder, scenario.n_inverters
+    loaded = [bus for bus, p_kw in zip(feeder.bus_ids, feeder.p_load_kw, strict=True) if p_kw > 0][1:]
+    at = rng.choice(len(loaded), n_inv, replace=False)
+    return scenario.replace(
+        datacenter_buses=None,
+        p_rated_kw=tuple(scenario.datacenter.p_rated_kw * rng.uniform(0.5, 1.1, scenario.n_datacenters)),
+        inverter_buses=tuple(loaded[i] for i in sorted(at)),
+        inverter_s_kva=tuple(scenario.inverter.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
+        v0_pu=float(scenario.v0_pu + rng.uniform(-0.01, 0.01)),
+    )

@@ -1,0 +1,88 @@
+"""Train a policy; `dcgrid train ALGORITHM --help` shows its options.
+
+Each algorithm is a module of `dcgrid_env.agents` with a configuration dataclass, which is its command line, and main.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import tyro
+
+
+class Algorithm(NamedTuple):
+    """Where an algorithm stands."""
+
+    module: str
+    """Under dcgrid_env.agents."""
+    config: str
+    """Its configuration's class."""
+    about: str
+    """One line."""
+
+
+ALGORITHMS = {
+    "ppo": Algorithm("ppo", "Ppo", "proximal policy optimisation of Stable-Baselines3, shared or centralised"),
+    "sac": Algorithm("sac", "Sac", "soft actor-critic of Stable-Baselines3, shared or centralised"),
+    "td3": Algorithm("td3", "Td3", "twin delayed deep deterministic policy gradient of Stable-Baselines3"),
+    "analytic": Algorithm("analytic", "Analytic", "gradients through the power flow, local observations"),
+    "safe": Algorithm("safe", "Safe", "the same with monotone networks of bounded gain"),
+}
+"""By the name on the command line; imported when asked for, as they need torch."""
+INSTALL = "pip install 'dcgrid-env[agents]'"
+
+
+@dataclass(frozen=True)
+class Train:
+    """What to train."""
+
+    algorithm: tyro.conf.Positional[str]
+    """Its name; its own options follow (dcgrid train ALGORITHM --help)."""
+
+
+ABOUT = "\n\n".join((
+    "Train a policy; `dcgrid train ALGORITHM --help` shows its options.",
+    *(f"{name}: {found.about}" for name, found in ALGORITHMS.items()),
+))  # fmt: skip
+"""Help of the command."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Train by the algorithm that is named first, with the options that follow it.
+
+    ValueError for one that there is not, for options that cannot be, for torch not installed, and for a run that cannot
+    begin or go on.
+    """
+    name, *options = arguments
+    if name not in ALGORITHMS:
+        listed = "; ".join(f"{known}: {found.about}" for known, found in ALGORITHMS.items())
+        raise ValueError(f"unknown algorithm {name!r}; there are {listed}")
+    module = imported(ALGORITHMS[name])
+    from dcgrid_env.agents.training import TrainingError
+
+    about = (module.__doc__ or "").strip()
+    config: Any = tyro.cli(
+        getattr(module, ALGORITHMS[name].config), args=options, prog=f"dcgrid train {name}", description=about
+    )
+    try:
+        module.main(config)
+    except TrainingError as error:
+        raise ValueError(error) from error
+    except KeyboardInterrupt:
+        print("dcgrid: interrupted; the same command with --resume goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+def imported(algorithm: Algorithm) -> Any:
+    """An algorithm's module; ValueError, saying which extra to install, where a package that it needs is missing."""
+    try:
+        return importlib.import_module(f"dcgrid_env.agents.{algorithm.module}")
+    except ImportError as error:
+        if (error.name or "").startswith("dcgrid_env"):
+            raise
+        said = str(error)
+        raise ValueError(said if INSTALL in said else f"training: {said}; install it with: {INSTALL}") from None

@@ -1,0 +1,187 @@
+"""dcgrid train, evaluate, ship and the list of policies, as a user runs them."""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import dcgrid_env.agents.policy as policies
+from dcgrid_env import make_scenario
+from dcgrid_env.agents import Network, Policy, evaluate, find
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.cli import main
+from dcgrid_env.commands import train
+from dcgrid_env.commands.train import ALGORITHMS
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Nothing much."""
+
+    scenario: str = "ieee123"
+    """Where."""
+    seed: int = 0
+    """Which."""
+
+
+@pytest.fixture
+def module(monkeypatch):
+    """A stand-in for an algorithm."""
+    made = ModuleType("dcgrid_env.agents.ppo", "A stand-in.")
+    made.Ppo = Settings  # type: ignore[attr-defined]
+    made.main = lambda cfg: seen.append(cfg)  # type: ignore[attr-defined]
+    made.seen = seen = []  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    return made
+
+
+def stopped(capsys, *arguments):
+    """Status and standard error of a command that ends with an error."""
+    with pytest.raises(SystemExit) as raised:
+        main(list(arguments))
+    return raised.value.code, capsys.readouterr().err
+
+
+def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
+    networks = {"datacenter": Network([(np.zeros((9, 2)), dc)]), "inverter": Network([(np.zeros((7, 1)), [inv])])}
+    return Policy(networks, scenario=scenario, made_with="dcgrid train ppo")
+
+
+def test_an_algorithm_gets_its_own_options(module):
+    main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
+    assert module.seen == [Settings("toy6", 3)]
+
+
+def test_bad_training_is_one_line(module, capsys):
+    from dcgrid_env.agents.training import TrainingError
+
+    code, said = stopped(capsys, "train", "dqn", "--seed", "3")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert said.startswith("dcgrid: unknown algorithm 'dqn'; there are ppo: ")
+    assert all(name in said for name in ALGORITHMS)
+
+    def diverges(cfg):
+        raise TrainingError("training diverged at step 7")
+
+    module.main = diverges
+    assert stopped(capsys, "train", "ppo") == (2, "dcgrid: training diverged at step 7\n")
+
+    def interrupted(cfg):
+        raise KeyboardInterrupt
+
+    module.main = interrupted
+    code, said = stopped(capsys, "train", "ppo")
+    assert (code, said) == (130, "dcgrid: interrupted; the same command with --resume goes on\n")
+    assert stopped(capsys, "train", "ppo", "--colour", "1")[0] == 2
+
+
+def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
+    for missing in ("torch", "stable_baselines3"):
+        with monkeypatch.context() as context:
+            context.setitem(sys.modules, missing, None)
+            for name in ("ppo", "sb3", "lanes", "training", "view"):
+                context.delitem(sys.modules, f"dcgrid_env.agents.{name}", raising=False)
+            code, said = stopped(capsys, "train", "ppo")
+        assert code == 2
+        assert missing in said
+        assert "pip install 'dcgrid-env[agents]'" in said
+
+
+def test_help_lists_the_algorithms_without_torch():
+    code = (
+        "import sys\nfrom dcgrid_env.cli import main\n"
+        "try:\n    main(['train', '--help'])\nexcept SystemExit:\n    pass\n"
+        "print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert all(f"{name}: " in done.stdout for name in ALGORITHMS)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_is_there_with_its_configuration(name):
+    algorithm = ALGORITHMS[name]
+    module = train.imported(algorithm)
+    settings = getattr(module, algorithm.config)()
+    assert {"scenario", "seed", "out", "device", "resume"} <= set(vars(settings))
+    assert callable(module.main)
+
+
+def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
+    path = policy(dc=(-0.9, 0.3)).save(tmp_path / "run" / "policy")
+    for named in (str(path), str(path.parent)):
+        main(["evaluate", named, "--episodes", "3"])
+        printed = " ".join(capsys.readouterr().out.split())
+        assert "toy6, test split, 3 episodes" in printed
+        assert "work waits longer than under the tuned droop: mean delay" in printed
+        assert "is above that of constant-q-tuned" in printed
+        test = make_scenario("toy6", split="test")
+        own, droop = (evaluate(c, test, range(3)) for c in (Policy.load(path), make_controller("droop-tuned", test)))
+        assert f"J {own.means['J']:.4f} {droop.means['J']:.4f}" in printed
+        assert f"score {own.score(droop).score.value:.3f} 0.000" in printed
+
+
+def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
+    path = policy().save(tmp_path / "mine")
+    main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "no score: hindsight is published for the test split" in printed
+    assert "95 %" not in printed
+    assert "waits longer" not in printed
+
+
+def test_bad_evaluations_are_one_line(tmp_path, capsys):
+    path = str(policy(scenario="elsewhere").save(tmp_path / "mine"))
+    joint = Policy({"joint": Network([(np.zeros((23, 4)), [0.0] * 4)])}, scenario="toy6").save(tmp_path / "joint")
+    (tmp_path / "cut.safetensors").write_bytes(joint.read_bytes()[:-9])
+    for arguments, message in (
+        ([path], "is of no preset of its own; say on which --scenario"),
+        (["mpc"], "say on which --scenario"),
+        ([path, "--scenario", "ieee124"], "unknown scenario 'ieee124'"),
+        ([path, "--scenario", "toy6", "--episodes", "0"], "episodes is 0; give at least 1"),
+        ([path, "--scenario", "toy6", "--split", "exam"], "split is 'exam'"),
+        (
+            [str(joint), "--scenario", "ieee123"],
+            "takes 23 figures and gives 4, on ieee123 (5 data centres, 7 inverters",
+        ),
+        ([str(tmp_path / "cut.safetensors")], "not a policy file"),
+        (["pid", "--scenario", "toy6"], "unknown controller 'pid'"),
+    ):
+        code, said = stopped(capsys, "evaluate", *arguments)
+        assert code == 2
+        assert said.startswith("dcgrid: ")
+        assert message in said
+        assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, monkeypatch):
+    made = {"algorithm": "ppo", "seed": 0, "training_s": 1.0, "validation_J": 0.3}
+    policy().save(tmp_path / "run" / "policy", made)
+    main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
+    assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    for module, name, value in (
+        (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)), (find, "SHIPPED", ("toy6-ppo",)),
+        (find, "TRAINED", {"ppo": ("toy6",)}), (find, "NAMES", (*find.NAMES, "ppo")),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    main(["list"])
+    assert "ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    main(["evaluate", "toy6-ppo", "--episodes", "2"])
+    assert "toy6, test split, 2 episodes" in capsys.readouterr().out
+    run = ["--scenario", "toy6", "--controllers", "toy6-ppo,ppo", "--episodes", "2", "--out", str(tmp_path / "r")]
+    main(["run", *run])
+    bench = ["--scenarios", "toy6,ieee33", "--controllers", "ppo", "--episodes", "2", "--jobs", "1"]
+    main(["benchmark", *bench, "--out", str(tmp_path / "b")])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "ieee33, ppo: does not apply: controller 'ppo': none ships for 'ieee33', but for toy6" in printed
+
+
+def test_bad_shipping_is_one_line(tmp_path, capsys):
+    code, said = stopped(capsys, "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
+    assert (code, len(said.strip().splitlines())) == (2, 1)
+    assert "nowhere" in said
+    assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
