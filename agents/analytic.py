@@ -20,14 +20,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv, TensorStep
+from dcgrid_env.agents.config import Training
 from dcgrid_env.agents.modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.policy import Policy
 from dcgrid_env.agents.training import Run, progress, torch
@@ -40,27 +41,9 @@ NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 
 
 @dataclass(frozen=True)
-class Analytic:
+class Analytic(Training):
     """Train a policy by gradients through the grid."""
 
-    scenario: str = "ieee123"
-    """Preset to train on, or several, separated by commas."""
-    view: Literal["shared", "centralised"] = "shared"
-    """A network for each kind of agent on its own observations, or one that sees and moves all."""
-    seed: int = 0
-    """Of the training."""
-    out: Path | None = None
-    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
-    device: str = "cpu"
-    """Where everything lives, as torch names it."""
-    resume: bool = False
-    """Go on from the folder's checkpoint."""
-    observe: Literal["local", "neighbours", "feeder"] = "local"
-    """Scope of observation."""
-    preview: bool = True
-    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
-    act: Literal["both", "clock", "q"] = "both"
-    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
     delay_limit_s: float | None = None
     """Best voltage at no more than this mean delay, s; the price of waiting is then found, not given."""
     violation_limit_pu: float | None = None
@@ -79,16 +62,10 @@ class Analytic:
     """Gradients are cut to this norm."""
     dual_rate: float = 0.05
     """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers."""
-    validation_episodes: int = 32
-    """Episodes of the validation split that a policy is judged on."""
     validate_every: int = 8
     """Batches of episodes from one validation to the next."""
     checkpoint_every: int = 8
     """Batches of episodes from one checkpoint to the next."""
-    threads: int = 1
-    """Of torch."""
 
 
 class Learner:
@@ -141,8 +118,13 @@ class Learner:
         every = {name: torch.cat(rows) for name, rows in seen.items()}
         return {name: (rows.mean(0), rows.std(0).clamp(min=1e-2)) for name, rows in every.items()}
 
-    def episodes(self, i: int, iteration: int, on_update: Callable[[], None]) -> dict[str, float]:
-        """Drive a batch of episodes of grid i to its end, a step of the optimiser after each window."""
+    def episodes(
+        self, i: int, iteration: int, require_finite: Callable[[str, Iterable[torch.Tensor]], None]
+    ) -> dict[str, float]:
+        """Drive a batch of episodes of grid i to its end, a step of the optimiser after each window.
+
+        ``require_finite`` raises for tensors that are not, given what they are.
+        """
         cfg, env = self.cfg, self.envs[i]
         joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.lanes))
         losses, waited, arrived, norm = [], 0.0, 0.0, 0.0
@@ -163,8 +145,10 @@ class Learner:
             self.optimiser.zero_grad()
             loss.backward()
             norm = float(torch.nn.utils.clip_grad_norm_(self.networks.parameters(), cfg.max_grad_norm))
-            on_update()
+            weights = list(self.networks.parameters())
+            require_finite("a gradient is", (weight.grad for weight in weights if weight.grad is not None))
             self.optimiser.step()
+            require_finite("a weight is", weights)
             env.cut()
             joint = joint.detach()
             losses.append(float(loss.detach()))
@@ -226,7 +210,9 @@ def merit(cfg: Analytic, figures: Mapping[str, float]) -> float:
 
 def check(cfg: Analytic) -> None:
     """ValueError, naming the field, for settings that cannot be."""
-    for field in ("updates", "lanes", "window", "learning_rate", "max_grad_norm", "dual_rate", "validation_episodes"):
+    rates = ("learning_rate", "max_grad_norm", "dual_rate")
+    counts = ("updates", "lanes", "window", "validation_episodes", "validate_every", "checkpoint_every", "threads")
+    for field in rates + counts:
         if not getattr(cfg, field) > 0:
             raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
     for field in ("delay_limit_s", "violation_limit_pu"):
@@ -263,16 +249,13 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
         model.factors, best, done = state["factors"], state["best"], state["iteration"]
         model.spent_s = state["spent_s"]
 
-    def on_update() -> None:
-        run.require_finite("a gradient is", (p.grad for p in model.networks.parameters() if p.grad is not None))
-
     with progress(f"{cfg.scenario}, {algorithm}", iterations, done) as advance:
         for iteration in range(done + 1, iterations + 1):
             run.step = iteration
             rate = 0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations))
             for group in model.optimiser.param_groups:
                 group["lr"] = rate
-            figures = model.episodes((iteration - 1) % len(grids), iteration, on_update)
+            figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 policy = model.policy()
                 found = validate(policy)

@@ -23,10 +23,10 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from dcgrid_env import DcgridVectorEnv, Scenario, field_names
+from dcgrid_env.agents.config import Act
 from dcgrid_env.agents.view import Gains, View
 from dcgrid_env.baselines import make_controller
 
-Act = Literal["both", "clock", "q"]
 Outputs = Literal["setpoint", "change", "droop"]
 REACH = {"setpoint": (1.0, 1.0), "change": (2.0, 0.5), "droop": (0.5, 0.5)}
 """What an action of 1 is, of a clock and of a reactive setpoint, as an output that ``view`` takes."""

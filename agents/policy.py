@@ -214,7 +214,13 @@ def _load(path: Path) -> Policy:
             if array.partition(".")[0] not in networks:
                 raise PolicyError(f"array {array} belongs to none of its networks; export it again")
         chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
-        policy = Policy(networks, **chosen, gains=about.get("gains"), scenario=str(about["scenario"]), made_with=str(about["made_with"]))
+        policy = Policy(
+            networks,
+            **chosen,
+            gains=about.get("gains"),
+            scenario=str(about["scenario"]),
+            made_with=str(about["made_with"]),
+        )
     except KeyError as missing:
         raise PolicyError(f"{path}: {missing.args[0]} is missing; export the policy again") from None
     except (PolicyError, TypeError, AttributeError) as error:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -22,7 +22,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import Scenario, make_scenario
-from dcgrid_env.agents.lanes import Act, AgentLanes, JointLanes, Outputs
+from dcgrid_env.agents.config import Training
+from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
 from dcgrid_env.agents.training import Run, progress, torch
@@ -34,45 +35,17 @@ SMALLEST_STD = 1e-4
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Training):
     """What all Stable-Baselines3 algorithms are told."""
 
-    scenario: str = "ieee123"
-    """Preset to train on."""
-    view: Literal["shared", "centralised"] = "shared"
-    """One policy for all agents on their own observations, or one agent that holds all actuators."""
-    seed: int = 0
-    """Of the training."""
-    out: Path | None = None
-    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
-    device: str = "cpu"
-    """Where the networks live, as torch names it."""
-    resume: bool = False
-    """Go on from the folder's checkpoint."""
-    observe: Literal["local", "neighbours", "feeder"] = "local"
-    """Scope of observation."""
-    preview: bool = True
-    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
-    act: Act = "both"
-    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
     nameplate: bool = False
-    """Shared view: also observe what full draw and full reactive power do to the own voltage."""
+    """Also observe what full draw and full reactive power do to the own voltage (shared view)."""
     lanes: int = 384
     """Lanes of a batch, about: agents in the shared view, environments in the centralised one."""
     gamma: float = 0.9
     """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
     wait: float = 10.0
     """Steps of waiting that cost the same with the discount as without; the longer, the dearer is deferral."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers."""
-    validation_episodes: int = 32
-    """Episodes of the validation split that a policy is judged on."""
-    validate_every: int = 10
-    """Iterations from one validation to the next."""
-    checkpoint_every: int = 10
-    """Iterations from one checkpoint to the next."""
-    threads: int = 1
-    """Of torch; networks this small gain little from more, and lose much where other processes compete."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +216,8 @@ def export(
     else:
         networks["joint"] = Network(weights, activation, squash, mean, std, CLIP)
     return Policy(
-        networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate, outputs=lanes.outputs, gains=lanes.gains,
+        networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
+        outputs=lanes.outputs, gains=lanes.gains,
         scenario=cfg.scenario, made_with=made_with(),
     )  # fmt: skip
 

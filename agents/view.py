@@ -162,7 +162,7 @@ class View:
         return out if self._held is None else _chosen(self._held, self._rest, out)
 
     def _clock(self, joint: Any, backlog_per_s: float, more: Any = 0.0) -> Any:
-        """The clock action that allows p_ref, this share of the backlog and ``more``, shares of the rating, (..., n_dc).
+        """The clock that allows p_ref, this share of the backlog and ``more``, shares of the rating, (..., n_dc).
 
         Those that do not see p_ref have the top clock, less what ``more`` takes off the rating.
         """

@@ -1,8 +1,9 @@
 """How fast dcgrid is on this machine: ``python -m dcgrid_env.speed``.
 
-Steps of the environments with random actions drawn beforehand, resets included; the power flow alone, with its worst
-voltage error; the memory of a large batch; other libraries on the same feeder and loads. Every rate is the median of
-several blocks after a warm-up. ``--help`` lists the options.
+Steps of the environments with random actions drawn beforehand, resets included; batches of torch tensors on a device,
+with and without the derivative; the power flow alone, with its worst voltage error; the memory of a large batch; other
+libraries on the same feeder and loads. Every rate is the median of several blocks after a warm-up. ``--help`` lists the
+options.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import gc
 import itertools
 import platform
-import statistics
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -30,11 +29,12 @@ from dcgrid_env.powerflow import Solution, distflow, lindistflow
 from dcgrid_env.powerflow.threads import n_threads
 from dcgrid_env.presets import make_scenario
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.speed_tensors import tensor_rows
+from dcgrid_env.timing import Row, rate
 from dcgrid_env.yardsticks import YARDSTICKS, Yardstick, missing
 
 FloatArray = NDArray[np.float64]
 
-BLOCKS = 7  # timed blocks behind a median; fewer where one call outlasts its share of the time
 EXACT_KVA = 1e-9  # tolerance of the solves that errors are taken against; the default is 1e-4
 CHANGE = 0.002  # of every load between two solves of which the second starts warm
 SINGLES = 16  # different loads that single solves take turns with
@@ -56,22 +56,12 @@ class Speed:
     """Feeders in a batch of power flows."""
     lanes: int = 10_000
     """Environments in the batch whose memory is measured."""
+    device: str = "cpu"
+    """Of the torch tensors: cpu, cuda, or cuda:1 and so on."""
     yardsticks: bool = True
     """Whether to measure the other power-flow libraries that are installed."""
     json: Path | None = None
     """File for the figures, if they are wanted as JSON too."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the table."""
-
-    name: str
-    value: float | None
-    """None where a library is not installed."""
-    unit: str
-    error_pu: float | None = None
-    """Worst difference of a bus voltage, p.u., to a solve at a tolerance of ``EXACT_KVA``; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -111,25 +101,6 @@ class Case:
     def singles(self) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Loads of some lanes, one after the other."""
         return zip(self.p_kw[:SINGLES], self.q_kvar[:SINGLES], strict=True)
-
-
-def rate(work: Callable[[], object], amount: float, seconds: float) -> float:
-    """How much of something ``work`` does in a second if one call does ``amount``: the median of timed blocks."""
-    work()
-    calls, start = 0, perf_counter()
-    while calls == 0 or perf_counter() - start < 0.1 * seconds:
-        work()
-        calls += 1
-    once = (perf_counter() - start) / calls
-    blocks = int(np.clip(seconds / once, 3, BLOCKS))
-    repeats = range(max(1, int(seconds / blocks / once)))
-    spent = []
-    for _ in range(blocks):
-        start = perf_counter()
-        for _ in repeats:
-            work()
-        spent.append(perf_counter() - start)
-    return amount * len(repeats) / statistics.median(spent)
 
 
 def environment_rows(scenario: Scenario, cfg: Speed) -> Iterator[Row]:
@@ -322,7 +293,9 @@ def measure(cfg: Speed) -> Iterator[Row]:
     if not cfg.seconds > 0.0 or min(counts.values()) < 1:
         raise ValueError(f"seconds is {cfg.seconds} and {counts}; give more than 0 s and at least 1 of each")
     scenario = make_scenario(cfg.scenario)
+    tensors = tensor_rows(scenario, cfg.device, cfg.seconds)
     yield from environment_rows(scenario, cfg)
+    yield from tensors
     case = Case.draw(scenario, cfg.feeders)
     yield from power_flow_rows(case, cfg)
     yield memory_row(cfg)

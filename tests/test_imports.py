@@ -14,7 +14,7 @@ ORDER = """
     units arrays traces feeder powerflow devices fault scenario_check scenario presets constants dynamics
     observation reward delay request_delay counter episode foresight fingerprint tensor_env simulation metrics layout
     history panels render info actions face env vector_env parallel_env baselines agents figure study yardsticks
-    benchmark learning commands speed cli
+    benchmark learning commands timing speed_tensors speed cli
 """.split()  # noqa: SIM905 (a list of strings would be longer than the page is wide)
 FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}
 FOLDERS |= {"traces": "dcgrid_env.traces"}
@@ -77,7 +77,7 @@ def test_no_upward_import(name, path):
 @pytest.mark.parametrize(("name", "path"), list(modules()), ids=[name for name, _ in modules()])
 def test_torch_and_sb3_are_imported_in_agents_only(name, path):
     heavy = {target.split(".")[0] for target in imported(path)} & {"torch", "stable_baselines3"}
-    assert not heavy or part_of(name) in ("agents", "speed") or name in ON_TENSORS
+    assert not heavy or part_of(name) in ("agents", "speed", "speed_tensors") or name in ON_TENSORS
 
 
 @pytest.mark.parametrize(("name", "path"), [m for m in modules() if part_of(m[0]) in ("baselines", "agents")])

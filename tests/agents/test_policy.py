@@ -44,12 +44,16 @@ def test_a_policy_comes_back_as_it_was_saved(tmp_path, settings):
     n_in, n_out = widths(scenario)
     kinds = {"mean": RNG.normal(size=n_in), "std": np.full(n_in, 0.5)} | settings
     joint = Policy({"joint": network(n_in, 16, 16, n_out, **kinds)}, preview=False, act="clock")
-    plated = {"datacenter": network(11, 2, **settings), "inverter": network(9, 1, **settings)}
-    for policy in (shared(**settings), joint, Policy(plated, nameplate=True, act="q")):
+    plated = {"datacenter": network(12, 2, **settings), "inverter": network(10, 1, **settings)}
+    corrects = {"nameplate": True, "outputs": "droop", "gains": [5.0, 0.5, 0.1]}
+    plates = (Policy(plated, nameplate=True, act="q", outputs="change"), Policy(plated, **corrects))
+    wide = Policy({"joint": network(n_in + 9, n_out, **settings)}, nameplate=True)
+    for policy in (shared(**settings), joint, *plates, wide):
         path = policy.save(tmp_path / "new" / "policy")
         assert path == tmp_path / "new" / "policy.safetensors"
         found = Policy.load(path)
-        for field in ("kind", "observe", "preview", "acts", "nameplate", "trained_on", "made_with", "sha256"):
+        fields = ("kind", "observe", "preview", "acts", "nameplate", "outputs", "gains", "trained_on", "made_with")
+        for field in (*fields, "sha256"):
             assert getattr(found, field) == getattr(policy, field)
         seen = RNG.normal(size=(4, n_in)).astype(np.float32)
         policy.reset(scenario)
@@ -146,25 +150,31 @@ def test_an_axis_that_is_held_is_at_rest_whatever_the_network_says():
 
 
 def test_the_nameplate_worked_by_hand():
-    last_two = np.concatenate((np.zeros((9, 2)), np.eye(2)))
-    networks = {"datacenter": Network([(last_two, [0.0, 0.0])]), "inverter": Network([(last_two[2:], [0.0, 0.0])[:2]])}
-    with pytest.raises(PolicyError, match="inverter: the network has 2 outputs"):
-        Policy(networks, nameplate=True)
-    networks["inverter"] = Network([(last_two[2:] @ [[1.0], [0.5]], [0.0])])
-    policy = Policy(networks, nameplate=True)
-    scenario = make_scenario("toy6", split="test")
-    many = parallel_env(scenario)
-    seen, _ = many.reset(seed=0)
+    # What an agent does is the sum of some of its three figures: draw and what is needed, or reach and what is needed.
+    draw, reach, needed = (np.eye(3)[:, [i]] for i in range(3))
+    of_site = np.concatenate((np.zeros((9, 2)), np.concatenate((draw + 0.1 * needed, reach), axis=1)))
+    of_inverter = np.concatenate((np.zeros((7, 1)), 0.5 * reach + 0.2 * needed))
+    policy = Policy(
+        {"datacenter": Network([(of_site, [0.0, 0.0])]), "inverter": Network([(of_inverter, [0.0])])}, nameplate=True
+    )
+    scenario = make_scenario("toy6", split="test")  # 2.5 MW with 0.825 Mvar, and two inverters of 1 Mvar
     policy.reset(scenario)
-    r_at, x_at = 5, 6
-    acted = policy.act({agent: own * np.float32(0.1) for agent, own in seen.items()})
-    # Data centre: 2.5 MW, 2.5 x 0.33 or so of reactive limit; inverters: 1 MVA and 1 Mvar.
-    q_limit_mvar = scenario.q_scale_kvar[0] / 1000.0
-    dc = 0.1 * seen["dc_0"]
-    assert acted["dc_0"] == pytest.approx(np.clip([2.5 * dc[r_at], q_limit_mvar * dc[x_at]], -1, 1))
-    inv = 0.1 * seen["inv_1"]
-    assert acted["inv_1"] == pytest.approx(np.clip([inv[r_at] + 0.5 * inv[x_at]], -1, 1))
-    assert 0.0 < acted["dc_0"][0] < 1.0
+    names, joint = field_names(scenario), np.zeros((1, 23), np.float32)
+    given = {"dc_0": (-0.2, 0.1, 0.5), "inv_0": (0.3, 0.2, 0.4), "inv_1": (-0.9, 0.3, 0.01)}  # v_deviation, r, x
+    first = 0
+    for agent, figures in given.items():
+        for field, value in zip(("v_deviation", "r", "x"), figures, strict=True):
+            joint[0, first + names[agent].index(field)] = value
+        first += len(names[agent])
+    needed_dc = -0.2 / (0.5 * 0.825)
+    expected = [0.1 * 2.5 + 0.1 * needed_dc, 0.5 * 0.825, 0.5 * 0.4 + 0.2 * 0.75, 0.5 * 0.01 - 0.2 * 3.0]
+    np.testing.assert_allclose(policy.act(joint), [expected], rtol=1e-6)
+    # A joint network has the draws of all agents, then the reaches, then what is needed.
+    one_each = np.concatenate((np.zeros((23, 4)), np.zeros((9, 4))))
+    one_each[23, 0] = one_each[26, 1] = one_each[30, 2] = one_each[31, 3] = 0.1
+    wide = Policy({"joint": Network([(one_each, np.zeros(4))])}, nameplate=True)
+    wide.reset(scenario)
+    np.testing.assert_allclose(wide.act(joint), [[0.025, 0.04125, 0.075, -0.3]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -176,7 +186,12 @@ def test_the_nameplate_worked_by_hand():
         (lambda: Policy({"joint": network(3, 2)}, observe="all"), "observe is 'all'; choose one of local"),
         (lambda: Policy({"joint": network(3, 2)}, act="all"), "act is 'all'; choose one of both, clock, q"),
         (lambda: Policy({"joint": network(3, 2)}, preview=1), "preview is 1; give true or false"),  # pyright: ignore
-        (lambda: Policy({"joint": network(3, 2)}, nameplate=True), "nameplate is true; it is for networks of single"),
+        (lambda: Policy({"joint": network(3, 2)}, nameplate=1), "nameplate is 1; give true or false"),  # pyright: ignore
+        (lambda: Policy({"joint": network(3, 2)}, outputs="step"), "outputs is 'step'; choose one of setpoint, change"),
+        (lambda: Policy({"joint": network(3, 2)}, outputs="droop"), "gains are None and outputs 'droop'; give gains"),
+        (lambda: Policy({"joint": network(3, 2)}, gains=[1.0, 1.0, 1.0]), "and outputs 'setpoint'; give gains with"),
+        (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, -1.0, 1.0]), "each at least 0"),
+        (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, 1.0]), "give k_p_mw_per_pu, k_q"),
         (lambda: shared().save("policy.pt"), r"policy.pt: a policy's file name ends in .safetensors"),
         (lambda: Policy.load("ieee124-analytic"), r"no policy of that name ships \(there are: .*\), nor"),
     ],

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dcgrid_env import make_scenario, speed
+from dcgrid_env import make_scenario, speed, speed_tensors
 from dcgrid_env.speed import Case, Row, Speed
 from dcgrid_env.yardsticks import YARDSTICKS, Yardstick
 
@@ -26,7 +26,8 @@ def check(rows: list[Row], worst_pu: float) -> None:
         assert row.error_pu is None or 0.0 <= row.error_pu < worst_pu
 
 
-def test_every_row_is_a_positive_finite_figure():
+def test_every_row_is_a_positive_finite_figure(monkeypatch):
+    monkeypatch.setattr(speed_tensors, "LANES", {"cpu": (3,)})
     rows = list(speed.measure(QUICK))
     exact = [row for row in rows if not row.name.startswith("lindistflow")]
     check(exact, worst_pu=1e-7)
@@ -37,6 +38,10 @@ def test_every_row_is_a_positive_finite_figure():
     a_step, of_agents = (row.value or 0.0 for row in rows if row.name.startswith("DcgridVectorEnv"))
     assert math.isclose(of_agents, agents * a_step)
     assert not any(row.name.startswith(tuple(YARDSTICKS)) for row in rows)
+    tensors = [row.name for row in rows if row.name.startswith("TensorEnv")]
+    assert tensors == [
+        "TensorEnv, 3 lanes, torch cpu", "TensorEnv, 3 lanes, torch cpu, gradient over 20 steps",
+    ]  # fmt: skip
 
 
 def test_yardsticks_are_measured_or_named_as_missing(monkeypatch):
@@ -56,6 +61,62 @@ def test_yardsticks_are_measured_or_named_as_missing(monkeypatch):
     np.testing.assert_allclose([single.error_pu or 0.0, batch.error_pu or 0.0], [1e-5, 2e-5])
     assert absent == Row("OpenDSS", None, "not installed (pip install dcgrid-env[bench])")
     assert old == Row("old", None, "cannot be imported: no such name")
+
+
+def test_tensors_step_through_the_same_window_of_many_copies(monkeypatch):
+    begun, stepped = [], []
+
+    class Counted(speed_tensors.TensorEnv):
+        def reset(self, seeds, copies=1):
+            begun.append((len(seeds), copies))
+            return super().reset(seeds, copies)
+
+        def step(self, action):
+            stepped.append((self.step_number, action.shape[0]))
+            return super().step(action)
+
+    monkeypatch.setattr(speed_tensors, "TensorEnv", Counted)
+    monkeypatch.setattr(speed_tensors, "rate", lambda work, amount, seconds: [work(), work()] and amount)
+    scenario = make_scenario("toy6")
+    monkeypatch.setattr(speed_tensors, "LANES", {"cpu": (512,)})
+    plain, gradient = speed_tensors.tensor_rows(scenario, "cpu", 0.01)
+    assert plain.value == gradient.value == 20 * 512
+    assert begun == [(256, 2)] * 2
+    assert stepped == [(k, 512) for k in range(20)] * 4
+
+
+def test_a_batch_that_does_not_fit_is_a_row_without_a_figure(monkeypatch):
+    import torch
+
+    def full(*_):
+        raise torch.OutOfMemoryError("no memory left")
+
+    monkeypatch.setattr(speed_tensors, "rate", full)
+    rows = list(speed_tensors.tensor_rows(make_scenario("toy6"), "cpu", 0.01))
+    assert {(row.value, row.unit) for row in rows} == {(None, "does not fit into memory")}
+    assert len(rows) == 4
+
+
+def test_without_torch_the_row_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(speed_tensors, "find_spec", lambda name: None)
+    (row,) = speed_tensors.tensor_rows(make_scenario("toy6"), "cuda", 0.01)
+    assert row == Row("TensorEnv, torch", None, "not installed (pip install dcgrid-env[agents])")
+
+
+@pytest.mark.parametrize(
+    ("device", "message"),
+    [
+        ("gpu", "device is 'gpu', which torch does not know; give one of cpu, cuda"),
+        ("meta", "device is 'meta'; give one of cpu, cuda"),
+        ("cuda:99", r"device is 'cuda:99', but torch finds \d+ of that kind here; give cpu"),
+    ],
+)
+def test_a_device_that_is_not_there(device, message, capsys):
+    with pytest.raises(ValueError, match=message):
+        speed_tensors.tensor_rows(make_scenario("toy6"), device, 0.01)
+    with pytest.raises(SystemExit, match="2"):
+        speed.main(["--scenario", "toy6", "--device", device])
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_the_changed_loads_are_a_fifth_of_a_per_cent_off():

@@ -1,0 +1,43 @@
+"""What every algorithm is told: each algorithm's configuration, which is its command line, begins with these fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+Act = Literal["both", "clock", "q"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """What to train, and how it is judged."""
+
+    scenario: str = "ieee123"
+    """Preset to train on; for analytic and safe also several, separated by commas."""
+    view: Literal["shared", "centralised"] = "shared"
+    """One policy for all agents on their own observations, or one that sees and moves all."""
+    seed: int = 0
+    """Of the training."""
+    out: Path | None = None
+    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
+    device: str = "cpu"
+    """Where the networks live, and for analytic and safe the grid, as torch names it."""
+    resume: bool = False
+    """Go on from the folder's checkpoint."""
+    observe: Literal["local", "neighbours", "feeder"] = "local"
+    """Scope of observation."""
+    preview: bool = True
+    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
+    act: Act = "both"
+    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers."""
+    validation_episodes: int = 32
+    """Episodes of the validation split that a policy is judged on."""
+    validate_every: int = 10
+    """Iterations, batches of whole episodes, from one validation to the next."""
+    checkpoint_every: int = 10
+    """Iterations from one checkpoint to the next."""
+    threads: int = 1
+    """Of torch; networks this small gain little from more, and lose much where other processes compete."""

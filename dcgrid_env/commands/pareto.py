@@ -1,0 +1,62 @@
+"""Train policies under limits on mean delay and draw voltage against delay, over the droop law's own curve.
+
+Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dcgrid_env.commands.named import scenario_names
+from dcgrid_env.commands.results import meta
+from dcgrid_env.commands.settings import make_folder
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """What to trace."""
+
+    scenario: str = "ieee33-weak"
+    """Name of a scenario (dcgrid list)."""
+    delays: str = "0.25,0.5,1,2,4,8"
+    """Limits on mean delay, s, separated by commas."""
+    updates: int | None = None
+    """Steps of the optimiser of each training; as dcgrid train analytic has it by default."""
+    seeds: int = 1
+    """Training seeds of each limit: 0, 1, .."""
+    episodes: int = 100
+    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    jobs: int | None = None
+    """Trainings at once; by default one for each core."""
+    runs: Path = Path("results/pareto")
+    """Folder of the training runs."""
+    out: Path = Path("results/pareto")
+    """Folder for pareto.md and images/pareto.png."""
+
+
+def main(cfg: Pareto) -> None:
+    """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
+    from dcgrid_env.benchmark.files import write_text
+    from dcgrid_env.commands import trainings
+    from dcgrid_env.learning import pareto
+    from dcgrid_env.learning.figures import pareto_figure
+    from dcgrid_env.learning.tables import brief
+
+    scenario = scenario_names(cfg.scenario)
+    if len(scenario) > 1:
+        raise ValueError(f"scenario is {cfg.scenario!r}; give one")
+    limits_s = trainings.positive_numbers("delays", cfg.delays)
+    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
+    configs = pareto.configs(trainings.configuration("analytic"), scenario[0], limits_s, chosen, cfg.seeds, cfg.runs)
+    make_folder(cfg.out / "images")
+    console = trainings.terminal()
+    failures = trainings.do(configs, cfg.jobs, console)
+    if failures:
+        raise ValueError(f"{len(failures)} of {len(configs)} trainings failed: {next(iter(failures.values()))}")
+    with console.status(f"{cfg.episodes} test episodes of {scenario[0]}"):
+        front = pareto.front(scenario[0], cfg.episodes, configs)
+    pareto_figure(front).savefig(cfg.out / "images" / "pareto.png", dpi=130)
+    write_text(cfg.out / "pareto.md", pareto.markdown(front, meta()["command"], "images/pareto.png"))
+    console.print(brief(pareto.learned_table(front), "J", "J but for waiting", "mean delay, s").rich())
+    console.print(f"wrote {cfg.out / 'pareto.md'} and {cfg.out / 'images' / 'pareto.png'}", highlight=False)

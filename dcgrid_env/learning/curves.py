@@ -1,0 +1,104 @@
+"""Learning curves out of training folders: the runs of one algorithm on one scenario are one line with its band."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dcgrid_env.agents import Card
+
+NEEDED = ("seconds", "J", "J_droop")
+POINTS = 200
+"""Of a line."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A run's validations."""
+
+    scenario: str
+    label: str
+    """Algorithm, and the view where it is not the shared one."""
+    seed: int
+    seconds: np.ndarray
+    """Of training, (n,), rising."""
+    gain_pct: np.ndarray
+    """How far J lies below the tuned droop's, %, (n,)."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """The runs of one label together."""
+
+    label: str
+    seconds: np.ndarray
+    """(n,)."""
+    mean_pct: np.ndarray
+    """(n,), as the next two."""
+    low_pct: np.ndarray
+    high_pct: np.ndarray
+    n_runs: int
+
+
+def read(folder: Path) -> Curve:
+    """A training folder's curve; ValueError, naming the file and what is wrong, for a folder that has none."""
+    path = folder / "curve.csv"
+    if not path.is_file():
+        raise ValueError(f"{folder}: there is no curve.csv; give the folder of a training run (dcgrid train)")
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    columns = {name: _column(path, rows, name) for name in NEEDED}
+    seconds, j, j_droop = columns.values()
+    measured = np.isfinite(j) & np.isfinite(j_droop) & np.isfinite(seconds)
+    if not measured.any():
+        raise ValueError(f"{path}: holds no validation yet; train on")
+    card, view = Card.load(folder / "policy.json"), _view(folder / "config.json")
+    label = card.algorithm if view in ("", "shared") else f"{card.algorithm}, {view}"
+    gain_pct = 100.0 * (1.0 - j[measured] / j_droop[measured])
+    return Curve(card.scenario, label, card.seed or 0, seconds[measured], gain_pct)
+
+
+def _column(path: Path, rows: Sequence[Mapping[str, str | None]], name: str) -> np.ndarray:
+    try:
+        return np.array([float(row[name] or "nan") for row in rows])
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: column {name} is missing or holds no figures ({error}); train again") from None
+
+
+def _view(path: Path) -> str:
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8")).get("view", ""))
+    except (OSError, ValueError, AttributeError):
+        raise ValueError(f"{path}: is no configuration of a training run; train again") from None
+
+
+def lines(curves: Sequence[Curve]) -> dict[str, list[Line]]:
+    """By scenario a line for each label, in the order in which they are given; ValueError for a seed given twice."""
+    groups: dict[tuple[str, str], list[Curve]] = {}
+    for curve in curves:
+        groups.setdefault((curve.scenario, curve.label), []).append(curve)
+    found: dict[str, list[Line]] = {}
+    for (scenario, label), runs in groups.items():
+        seeds = [run.seed for run in runs]
+        twice = next((seed for seed in seeds if seeds.count(seed) > 1), None)
+        if twice is not None:
+            raise ValueError(f"folders: seed {twice} of {label} on {scenario} is there twice; give each run once")
+        found.setdefault(scenario, []).append(_line(label, runs))
+    return found
+
+
+def _line(label: str, runs: Sequence[Curve]) -> Line:
+    """Mean, lowest and highest from where all runs have been judged until the first of them ends.
+
+    Between validations a run is as good as at the last.
+    """
+    begin, end = max(run.seconds[0] for run in runs), min(run.seconds[-1] for run in runs)
+    seconds = runs[0].seconds if len(runs) == 1 else np.geomspace(max(begin, 1e-3), max(begin, end), POINTS)
+    at = [run.gain_pct[np.searchsorted(run.seconds, seconds, side="right").clip(1) - 1] for run in runs]
+    every = np.array(at)
+    return Line(label, seconds, every.mean(axis=0), every.min(axis=0), every.max(axis=0), len(runs))

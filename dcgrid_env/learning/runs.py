@@ -1,0 +1,96 @@
+"""Training runs that belong together: each in a folder of its own, resumed where it stopped, and not done again.
+
+A run is a training configuration with its folder, ``out``. When it is over, its settings are left there in
+``finished.json``; what it says while it trains goes into ``training.log``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import json
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.agents import Card, Policy
+from dcgrid_env.benchmark.files import write_json
+from dcgrid_env.benchmark.pool import Died, each
+
+FINISHED, LOG = "finished.json", "training.log"
+PLACES = ("out", "resume")
+"""Fields of a configuration that say where and how it is run, not what comes out."""
+
+
+def command(config: Any) -> str:
+    """The command that does a run by itself: what differs from the algorithm's defaults, and the folder."""
+    words = ["dcgrid", "train", algorithm(config)]
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if field.name == "resume" or (value == field.default and field.name != "scenario"):
+            continue
+        flag = field.name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            values = value if isinstance(value, tuple) else (value,)
+            words += [f"--{flag}", *(shlex.quote(f"{one:g}" if isinstance(one, float) else str(one)) for one in values)]
+    return " ".join(words)
+
+
+def algorithm(config: Any) -> str:
+    """Name of the algorithm that a configuration is of, as the command line knows it."""
+    return type(config).__module__.rpartition(".")[2]
+
+
+def finished(config: Any) -> bool:
+    """Whether the run has been done, with exactly these settings."""
+    try:
+        return json.loads((config.out / FINISHED).read_text(encoding="utf-8")) == _settings(config)
+    except (OSError, ValueError):
+        return False
+
+
+def train(config: Any) -> str | None:
+    """Do a run, or what is left of it; why it failed, if it did.
+
+    Only what the run itself reports as a failure (it diverged, its folder holds another run) is returned; all else is
+    raised.
+    """
+    from dcgrid_env.agents.training import TrainingError
+
+    config.out.mkdir(parents=True, exist_ok=True)
+    try:
+        with (config.out / LOG).open("a", encoding="utf-8") as log, contextlib.redirect_stdout(log):
+            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=True))
+    except TrainingError as error:
+        return str(error)
+    write_json(config.out / FINISHED, _settings(config))
+    return None
+
+
+def train_all(configs: Sequence[Any], jobs: int) -> Iterator[tuple[Any, str | None]]:
+    """Do the runs, several at once, each in a process of its own; each with why it failed, as they are done.
+
+    A process that dies fails its run alone. Leaving the iterator ends them; what they have kept is gone on from.
+    """
+    for config, failure in each(train, configs, jobs):
+        died = isinstance(failure, Died)
+        yield config, f"its process ended with exit code {failure.exit_code}" if died else failure
+
+
+def trained(config: Any) -> tuple[Policy, Card]:
+    """The policy of a finished run, the best on validation, and its card."""
+    return Policy.load(config.out / "policy.safetensors"), Card.load(config.out / "policy.json")
+
+
+def folder(runs: Path, scenario: str, label: str, updates: int, seed: int) -> Path:
+    """Where a run is kept: settings that are given on the command line stand in its name, so that none meet."""
+    return runs / scenario.replace(",", "+") / f"{label}-{updates}-{seed}"
+
+
+def _settings(config: Any) -> dict[str, Any]:
+    about = {name: value for name, value in dataclasses.asdict(config).items() if name not in PLACES}
+    return json.loads(json.dumps(about, default=str))

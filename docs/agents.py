@@ -1,0 +1,45 @@
+"""Print the README's table of the policies that ship, from their cards: `python docs/agents.py`."""
+
+from dcgrid_env import PRESETS
+from dcgrid_env.agents import Card
+from dcgrid_env.agents.policy import FOLDER
+
+ALGORITHMS = ("analytic", "ppo", "safe")
+
+
+def cells(scenario: str, algorithm: str) -> list[str]:
+    """Score with interval, scores over seeds, mean delay, minutes of training."""
+    path = FOLDER / f"{scenario}-{algorithm}.json"
+    if not path.exists():
+        return ["", "", "", ""]
+    card = Card.load(path)
+    found = card.scored
+    assert found is not None, path
+    score, low, high = found.score
+    seeds = found.seed_scores
+    spread = f"{min(seeds):.2f} .. {max(seeds):.2f} ({len(seeds)})" if len(seeds) > 1 else "(1)"
+    return [
+        f"{score:.2f} ({low:.2f} .. {high:.2f})",
+        spread,
+        f"{found.delay_mean_s:.2f}",
+        f"{(card.training_s or 0) / 60:.1f}",
+    ]
+
+
+def droop_delay(scenario: str) -> str:
+    """Mean delay under the tuned droop, s."""
+    for algorithm in ALGORITHMS:
+        path = FOLDER / f"{scenario}-{algorithm}.json"
+        if path.exists() and (found := Card.load(path).scored):
+            return f"{found.droop_delay_mean_s:.2f}"
+    return ""
+
+
+if __name__ == "__main__":
+    shown = [a for a in ALGORITHMS if any(FOLDER.glob(f"*-{a}.json"))]
+    head = [title for a in shown for title in (a, "seeds", "delay, s", "min")]
+    print("| scenario | " + " | ".join(head) + " | droop-tuned: delay, s |")
+    print("|---|" + "---|" * (len(head) + 1))
+    for name in PRESETS:
+        row = [cell for a in shown for cell in cells(name, a)]
+        print(f"| `{name}` | " + " | ".join(row) + f" | {droop_delay(name)} |")
