@@ -22,6 +22,7 @@ from dcgrid_env.powerflow.compiled import BLOCK
 from dcgrid_env.units import S_BASE_KVA
 
 SWEEPS = 200
+"""Most of them: enough for 1e-8 of the derivative up to 99.9 % of the load at which the named feeders collapse."""
 TOLERANCE = {8: 1e-10, 4: 1e-5}
 """Largest last change of lbar times squared current, as a share of the largest wbar, by bytes a figure."""
 

@@ -57,7 +57,7 @@ def test_observations_are_normalised_and_clipped():
     mean, std = torch.tensor([1.0, 2.0]), torch.tensor([0.5, 4.0])
     module = Perceptron(mean, std, 1, ())
     with torch.no_grad():
-        module.layers[0].weight.copy_(torch.tensor([[1.0, 10.0]]))
+        module.layers[0].weight.copy_(torch.tensor([[1.0, 10.0]]))  # pyright: ignore
         module.skip.copy_(torch.tensor([[0.0], [100.0]]))
     # (2 - 1) / 0.5 = 2 and (6 - 2) / 4 = 1; a thousand of either is CLIP
     found = module(torch.tensor([[2.0, 6.0], [1e3, -1e3]])).detach()

@@ -61,7 +61,7 @@ def test_a_head_by_hand():
     psi = (2.0 * (z - 0.5) + bent) / 13.0
     assert head_output(np.array(z), figures, widths, 0.6, False) == pytest.approx(-0.6 * psi, rel=1e-12)
     assert head_output(np.array(z), figures, widths, 0.6, True) == pytest.approx(0.1 - 0.6 * psi, rel=1e-12)
-    tensor = head_output(*map(torch.from_numpy, (np.array(z), figures, widths)), 0.6, True)
+    tensor = head_output(torch.tensor(z, dtype=torch.float64), torch.tensor(figures), torch.tensor(widths), 0.6, True)
     assert float(tensor) == pytest.approx(0.1 - 0.6 * psi, rel=1e-12)
 
 

@@ -17,10 +17,8 @@ GAINS = Gains(k_p_mw_per_pu=10.0, k_q_mvar_per_pu_s=0.5, alpha_per_s=0.3)
 
 def joint_of(dc, *inverters):
     """A joint observation of toy6, (1, 23), from the fields that are not 0."""
-    rows = [
-        [own.get(name, 0.0) for name in names] for own, names in ((dc, FIELDS), *((i, FIELDS[:7]) for i in inverters))
-    ]
-    return np.array([sum(rows, [])], np.float32)
+    agents = [(dc, FIELDS), *((inverter, FIELDS[:7]) for inverter in inverters)]
+    return np.array([[own.get(name, 0.0) for own, names in agents for name in names]], np.float32)
 
 
 SEEN = joint_of(
