@@ -31,7 +31,7 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep
 from dcgrid_env.agents.config import Training
 from dcgrid_env.agents.modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, progress, torch
+from dcgrid_env.agents.training import Run, device_of, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 from dcgrid_env.agents.variants import scenarios, variant
 from dcgrid_env.agents.view import View
@@ -80,18 +80,32 @@ class Learner:
     """
 
     def __init__(self, cfg: Analytic, grids: Sequence[Scenario]):
-        self.cfg, self.device = cfg, torch.device(cfg.device)
+        self.cfg, self.device = cfg, device_of(cfg.device)
         kind = "shared" if cfg.view == "shared" else "joint"
         self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
         self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
         self.views = [View(grid, kind, **self.chosen, array=self._tensor, clip=forgiving_clip) for grid in grids]
+        self._check_widths()
         self.factors = {"delay": 1.0, "violation": 1.0}
         self.spent_s = {"forward": 0.0, "backward": 0.0}
         torch.manual_seed(cfg.seed)
-        moments, widths = self._moments(), self.views[0].widths
+        moments = self._moments()
+        widths = {name: both for view in self.views for name, both in view.widths.items()}
         made = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
         self.networks = torch.nn.ModuleDict(made).to(self.device)
         self.optimiser = torch.optim.Adam(self.networks.parameters(), lr=cfg.learning_rate)
+
+    def _check_widths(self) -> None:
+        """ValueError unless one policy fits all grids."""
+        first = self.views[0]
+        for env, view in zip(self.envs, self.views, strict=True):
+            for name, widths in view.widths.items():
+                if first.widths.get(name, widths) != widths:
+                    raise ValueError(
+                        f"scenario: the network {name!r} would see and give {first.widths[name]} figures on "
+                        f"{self.envs[0].scenario.name} and {widths} on {env.scenario.name}; train on scenarios of the "
+                        "same agents, or on one alone"
+                    )
 
     def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
         """A network at its beginning, for agents of this kind."""
@@ -180,6 +194,31 @@ class Learner:
         view = self.views[i]
         return view.action(joint, {name: self.networks[name](own) for name, own in view.inputs(joint).items()})
 
+    def set_rate(self, learning_rate: float) -> None:
+        """Of the optimiser, from now on."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate
+
+    def progress(self) -> dict[str, float]:
+        """Multipliers, and the time spent, as the curve has them."""
+        factors = {f"{name}_factor": value for name, value in self.factors.items()}
+        return factors | {f"{name}_s": value for name, value in self.spent_s.items()}
+
+    def state(self) -> dict[str, Any]:
+        """All that training goes on from."""
+        return {
+            "networks": self.networks.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "factors": self.factors,
+            "spent_s": self.spent_s,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state()``."""
+        self.networks.load_state_dict(state["networks"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.factors, self.spent_s = state["factors"], state["spent_s"]
+
     def policy(self) -> Policy:
         """The policy as it stands, as NumPy arrays."""
         networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
@@ -213,8 +252,10 @@ def check(cfg: Analytic) -> None:
     rates = ("learning_rate", "max_grad_norm", "dual_rate")
     counts = ("updates", "lanes", "window", "validation_episodes", "validate_every", "checkpoint_every", "threads")
     for field in rates + counts:
-        if not getattr(cfg, field) > 0:
+        if not 0 < getattr(cfg, field) < math.inf:
             raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
+    if not all(width > 0 for width in cfg.hidden):
+        raise ValueError(f"hidden is {cfg.hidden}; give widths of at least 1")
     for field in ("delay_limit_s", "violation_limit_pu"):
         value = getattr(cfg, field)
         if value is not None and not value > 0:
@@ -236,25 +277,19 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     torch.set_num_threads(cfg.threads)
     algorithm = type(cfg).__name__.lower()
     grids = grids_of(cfg)
-    label = cfg.scenario.replace(",", "+").replace(" ", "")
-    run = Run(cfg.out or Path("results/train") / f"{label}-{algorithm}-{cfg.seed}", cfg, cfg.resume)
     model = learner(cfg, grids)
     validate = Validation([s.name for s in scenarios(cfg.scenario)], cfg.validation_episodes)
-    per_grid = len(windows(grids[0].horizon, cfg.window))
-    iterations = max(1, round(cfg.updates / per_grid))
+    label = cfg.scenario.replace(",", "+").replace(" ", "")
+    run = Run(cfg.out or Path("results/train") / f"{label}-{algorithm}-{cfg.seed}", cfg, cfg.resume)
+    iterations = max(1, round(cfg.updates / len(windows(grids[0].horizon, cfg.window))))
     best, done, state = math.inf, 0, run.load()
     if state is not None:
-        model.networks.load_state_dict(state["networks"])
-        model.optimiser.load_state_dict(state["optimiser"])
-        model.factors, best, done = state["factors"], state["best"], state["iteration"]
-        model.spent_s = state["spent_s"]
-
+        model.restore(state)
+        best, done = state["best"], state["iteration"]
     with progress(f"{cfg.scenario}, {algorithm}", iterations, done) as advance:
         for iteration in range(done + 1, iterations + 1):
             run.step = iteration
-            rate = 0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations))
-            for group in model.optimiser.param_groups:
-                group["lr"] = rate
+            model.set_rate(0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations)))
             figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 policy = model.policy()
@@ -263,15 +298,10 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
                     best = merit(cfg, found)
                     made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": found["J"]}
                     policy.save(run.folder / "policy.safetensors", made | {"algorithm": algorithm})
-                spent = {f"{name}_s": value for name, value in model.spent_s.items()}
-                factors = {f"{name}_factor": value for name, value in model.factors.items()}
-                run.record(found | figures | factors | spent)
+                run.record(found | figures | model.progress())
                 advance(iteration, f"J {found['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
-                run.save(
-                    {"networks": model.networks.state_dict(), "optimiser": model.optimiser.state_dict(),
-                     "factors": model.factors, "best": best, "iteration": iteration, "spent_s": model.spent_s}
-                )  # fmt: skip
+                run.save({**model.state(), "best": best, "iteration": iteration})
     run.close()
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

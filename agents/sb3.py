@@ -26,7 +26,7 @@ from dcgrid_env.agents.config import Training
 from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, progress, torch
+from dcgrid_env.agents.training import Run, device_of, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 
 CLIP = 10.0
@@ -81,6 +81,7 @@ class OffPolicy(Config):
 def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> tuple[Run, JointLanes]:
     """The run's folder and the lanes of the training split; TrainingError where it cannot begin."""
     torch.set_num_threads(cfg.threads)
+    device_of(cfg.device)
     name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
     run = Run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume)
     scenario = make_scenario(cfg.scenario, split="train", observe=cfg.observe)

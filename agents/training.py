@@ -32,6 +32,17 @@ FREE = ("out", "resume")
 """Fields of a configuration that a resumed run may have otherwise."""
 
 
+def device_of(name: str) -> torch.device:
+    """The device of that name; ValueError unless torch knows it and this machine has it."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"device is {name!r}, which cannot be used here ({reason}); give cpu, or cuda:0 ..") from None
+    return device
+
+
 class TrainingError(RuntimeError):
     """A run that cannot begin or go on; the message names file, field, value and remedy."""
 
