@@ -35,11 +35,16 @@ def droop_delay(scenario: str) -> str:
     return ""
 
 
-if __name__ == "__main__":
+def table() -> str:
+    """The table, as Markdown."""
     shown = [a for a in ALGORITHMS if any(FOLDER.glob(f"*-{a}.json"))]
     head = [title for a in shown for title in (a, "seeds", "delay, s", "min")]
-    print("| scenario | " + " | ".join(head) + " | droop-tuned: delay, s |")
-    print("|---|" + "---|" * (len(head) + 1))
+    lines = ["| scenario | " + " | ".join([*head, "droop-tuned: delay, s"]) + " |", "|---|" + "---|" * (len(head) + 1)]
     for name in PRESETS:
         row = [cell for a in shown for cell in cells(name, a)]
-        print(f"| `{name}` | " + " | ".join(row) + f" | {droop_delay(name)} |")
+        lines.append(f"| `{name}` | " + " | ".join([*row, droop_delay(name)]) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(table())

@@ -1,6 +1,7 @@
 """What the README claims, run again."""
 
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,7 @@ def test_scores_come_out_again(scenario):
 
 def test_python_examples_run(capsys):
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     for block in blocks:
         exec(compile(block, "README.md", "exec"), {})
     printed = capsys.readouterr().out.split()
@@ -91,3 +92,9 @@ def test_python_examples_run(capsys):
 def test_every_id_and_scenario_is_named():
     for name, scenario in dcgrid_env.IDS.items():
         assert f"| `{name}` | `{scenario}` |" in README
+
+
+def test_agents_are_those_of_the_cards():
+    made = runpy.run_path(str(ROOT / "docs" / "agents.py"))["table"]()
+    assert made.count("\n") == 1 + len(dcgrid_env.PRESETS)
+    assert made in README
