@@ -40,8 +40,8 @@ class Benchmark:
     """Names of scenarios, separated by commas, or all (dcgrid list)."""
     controllers: str = "local"
     """Separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, saved policies
-    (.safetensors), local (those that need no model of the feeder) or all. A path must not hold a comma. The tuned droop
-    is run besides."""
+    (.safetensors); local (made by hand, without a model of the feeder), all (made by hand) or policies (those that
+    ship). A path must not hold a comma. The tuned droop is run besides."""
     episodes: int = MOST_EPISODES
     """Test episodes of each scenario, seeds 0, 1, ...; at most the published 100."""
     out: Path = Path("results/benchmark")
@@ -82,16 +82,17 @@ def main(cfg: Benchmark) -> None:
 
 def _controllers(asked: str, scenario: str) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
-    from dcgrid_env.agents.find import NAMES, find_controller
+    from dcgrid_env.agents.find import NAMES, TRAINED, find_controller
     from dcgrid_env.benchmark.jobs import on_test_split
     from dcgrid_env.benchmark.summary import REFERENCE
 
+    by_hand = [name for name in NAMES if name not in TRAINED]
+    groups = {"all": by_hand, "policies": [*TRAINED]}
     names: list[str] = []
     for name in split_names(asked):
-        group = name in ("all", "local")
-        names += [known for known in NAMES if name == "all" or _is_local(known)] if group else [name]
+        names += filter(_is_local, by_hand) if name == "local" else groups.get(name, [name])
     if not names:
-        raise ValueError(f"controllers is {asked!r}; name at least one, local or all (dcgrid list)")
+        raise ValueError(f"controllers is {asked!r}; name at least one, local, all or policies (dcgrid list)")
     for name in names:
         if name not in NAMES:
             find_controller(name, on_test_split(scenario))  # ValueError for what is none

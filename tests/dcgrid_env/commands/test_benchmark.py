@@ -251,7 +251,8 @@ def test_local_and_all():
 
     everyone, local = _controllers("all", "toy6"), _controllers("local", "toy6")
     assert everyone[0] == local[0] == "droop-tuned"
-    assert set(everyone) == set(find.NAMES)
+    assert set(everyone) == set(find.NAMES) - set(find.TRAINED)
+    assert set(_controllers("policies,none", "toy6")) == {"droop-tuned", "none", *find.TRAINED}
     assert {"none", "droop", "volt-var", "constant-q"} <= set(local) <= set(everyone)
     assert _controllers("none, local", "toy6").count("none") == 1
     assert plan(["toy6"], ["none"], 1)[0][0].scenario_hash != plan(["ieee123"], ["none"], 1)[0][0].scenario_hash
