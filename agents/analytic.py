@@ -4,8 +4,10 @@ No value function and no exploration: episodes are rolled out by the environment
 (``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
 back-propagation through time).
 
-    loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end
-         + multiplier (mean delay - limit)      where there is a limit; the multiplier rises while it is exceeded
+    loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
+
+Under a limit the price of what is limited, of waiting or of the violation, is multiplied by a factor that begins at 1,
+rises while the limit is exceeded and falls while it is kept.
 
 One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
 (``view``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own rating.
@@ -28,10 +30,10 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv, TensorStep
-from dcgrid_env.agents.config import Training
+from dcgrid_env.agents.config import Training, check
 from dcgrid_env.agents.modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, device_of, progress, torch
+from dcgrid_env.agents.training import Run, device_of, finish, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 from dcgrid_env.agents.variants import scenarios, variant
 from dcgrid_env.agents.view import View
@@ -52,8 +54,6 @@ class Analytic(Training):
     """Train on so many variants of each scenario, other placements and ratings, besides the scenario itself."""
     updates: int = 200
     """Steps of the optimiser."""
-    lanes: int = 128
-    """Episodes at once."""
     window: int = 40
     """Steps through which the gradient reaches back, about."""
     learning_rate: float = 1e-2
@@ -141,17 +141,17 @@ class Learner:
         """
         cfg, env = self.cfg, self.envs[i]
         joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.lanes))
-        losses, waited, arrived, norm = [], 0.0, 0.0, 0.0
-        excess = 0.0
+        losses, norm, excess_pu = [], 0.0, 0.0
+        waited, arrived = torch.zeros(2, cfg.lanes, device=self.device)
         for size in windows(env.scenario.horizon, cfg.window):
             began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
             for _ in range(size):
                 step = env.step(self.act(i, joint))
                 joint = step.observation
                 total = total + self._priced(step)
-                waited += float(step.state.backlog_kws.detach().sum())
-                arrived += float(step.state.arrived_kw.sum())
-                excess += float(step.costs.violation.detach().mean())
+                waited = waited + step.state.backlog_kws.detach().sum(-1)
+                arrived = arrived + step.state.arrived_kw.sum(-1)
+                excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.weights.violation or 1.0)
             assert step is not None
             loss = (total + self._left(env, step)) / size
             self.spent_s["forward"] += time.perf_counter() - began_s
@@ -167,9 +167,9 @@ class Learner:
             joint = joint.detach()
             losses.append(float(loss.detach()))
             self.spent_s["backward"] += time.perf_counter() - began_s
-        per_pu = env.scenario.weights.violation or 1.0
-        self._raise("delay", cfg.delay_limit_s, waited / max(arrived, 1e-9))
-        self._raise("violation", cfg.violation_limit_pu, excess / env.scenario.horizon / per_pu)
+        delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
+        self._raise("delay", cfg.delay_limit_s, delay_s)
+        self._raise("violation", cfg.violation_limit_pu, excess_pu / env.scenario.horizon)
         return {"loss": float(np.mean(losses)), "gradient_norm": norm}
 
     def _priced(self, step: TensorStep) -> torch.Tensor:
@@ -240,28 +240,26 @@ def episode_seeds(seed: int, iteration: int, lanes: int) -> range:
 
 
 def merit(cfg: Analytic, figures: Mapping[str, float]) -> float:
-    """What the best policy has least of: J, or under a limit on delay the rest of J, dearly paid beyond the limit."""
+    """What the best policy has least of: J less what is limited, dearly paid beyond the limits."""
+    left, beyond = figures["J"], 0.0
     if cfg.delay_limit_s is not None:
-        beyond = max(figures["delay_mean_s"] / cfg.delay_limit_s - 1.0, 0.0)
-        return figures["J_but_delay"] * (1.0 + 10.0 * beyond)
-    return figures["J"]
+        left -= figures["J_waiting"]
+        beyond += max(figures["delay_mean_s"] / cfg.delay_limit_s - 1.0, 0.0)
+    if cfg.violation_limit_pu is not None:
+        left -= figures["J_violation"]
+        beyond += max(figures["excess_mean_pu"] / cfg.violation_limit_pu - 1.0, 0.0)
+    return left * (1.0 + 10.0 * beyond)
 
 
-def check(cfg: Analytic) -> None:
+def check_limits(cfg: Analytic) -> None:
     """ValueError, naming the field, for settings that cannot be."""
-    rates = ("learning_rate", "max_grad_norm", "dual_rate")
-    counts = ("updates", "lanes", "window", "validation_episodes", "validate_every", "checkpoint_every", "threads")
-    for field in rates + counts:
-        if not 0 < getattr(cfg, field) < math.inf:
-            raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
-    if not all(width > 0 for width in cfg.hidden):
-        raise ValueError(f"hidden is {cfg.hidden}; give widths of at least 1")
+    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
     for field in ("delay_limit_s", "violation_limit_pu"):
         value = getattr(cfg, field)
         if value is not None and not value > 0:
             raise ValueError(f"{field} is {value}; give more than 0, or leave it out")
-    if cfg.seed < 0 or cfg.vary < 0:
-        raise ValueError(f"seed is {cfg.seed} and vary {cfg.vary}; give at least 0")
+    if cfg.vary < 0:
+        raise ValueError(f"vary is {cfg.vary}; give at least 0")
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
@@ -273,15 +271,18 @@ def grids_of(cfg: Analytic) -> list[Scenario]:
 
 def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     """Train; the folder written."""
-    check(cfg)
+    check_limits(cfg)
     torch.set_num_threads(cfg.threads)
     algorithm = type(cfg).__name__.lower()
     grids = grids_of(cfg)
+    if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
+        raise ValueError("violation_limit_pu: the violation has weight 0 in a scenario; its price cannot be found")
     model = learner(cfg, grids)
     validate = Validation([s.name for s in scenarios(cfg.scenario)], cfg.validation_episodes)
     label = cfg.scenario.replace(",", "+").replace(" ", "")
     run = Run(cfg.out or Path("results/train") / f"{label}-{algorithm}-{cfg.seed}", cfg, cfg.resume)
-    iterations = max(1, round(cfg.updates / len(windows(grids[0].horizon, cfg.window))))
+    each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
+    iterations = max(1, round(cfg.updates / each))
     best, done, state = math.inf, 0, run.load()
     if state is not None:
         model.restore(state)
@@ -303,5 +304,6 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
     run.close()
+    finish(run)
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

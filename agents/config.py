@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -31,6 +32,8 @@ class Training:
     """Whether p_ref of the coming step is seen (where the scenario shows it)."""
     act: Act = "both"
     """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
+    lanes: int = 128
+    """Episodes at once."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers."""
     validation_episodes: int = 32
@@ -41,3 +44,18 @@ class Training:
     """Iterations from one checkpoint to the next."""
     threads: int = 1
     """Of torch; networks this small gain little from more, and lose much where other processes compete."""
+
+
+MOST_SEEDS = 2**24
+"""Training seeds whose episodes are not those of another one."""
+
+
+def check(cfg: Training, *more: str) -> None:
+    """ValueError, naming the field, for settings that cannot be; ``more`` are fields of which more than 0 is asked."""
+    for field in ("lanes", "validation_episodes", "validate_every", "checkpoint_every", "threads", *more):
+        if not 0 < getattr(cfg, field) < math.inf:
+            raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
+    if not cfg.hidden or not all(width > 0 for width in cfg.hidden):
+        raise ValueError(f"hidden is {cfg.hidden}; give widths of at least 1")
+    if not 0 <= cfg.seed < MOST_SEEDS:
+        raise ValueError(f"seed is {cfg.seed}; give at least 0 and less than {MOST_SEEDS}")

@@ -16,10 +16,11 @@ by z, convex as psi is monotone, with second derivatives no larger than S. With 
 
     lambda_max(S^1/2 X S^1/2) < 2
 
-which for equal slopes is the bound of the integrating droop (``baselines.stability``). Monotone networks under such a
-bound are those of W. Cui, J. Li and B. Zhang, "Decentralized safe reinforcement learning for inverter-based voltage
-control", arXiv 2110.01126, and Y. Shi, G. Qu, S. Low, A. Anandkumar and A. Wierman, "Stability constrained
-reinforcement learning for real-time voltage control", arXiv 2109.14854 and 2209.07669.
+which for equal slopes is the bound of the integrating droop (``baselines.stability``). This is for a c that stands
+still, and while no agent is at its reactive limit: there q stays where it is, which the argument leaves out. Monotone
+networks under such a bound are those of W. Cui, J. Li and B. Zhang, "Decentralized safe reinforcement learning for
+inverter-based voltage control", arXiv 2110.01126, and Y. Shi, G. Qu, S. Low, A. Anandkumar and A. Wierman, "Stability
+constrained reinforcement learning for real-time voltage control", arXiv 2109.14854 and 2209.07669.
 """
 
 from __future__ import annotations
@@ -87,6 +88,8 @@ class MonotoneNetwork:
     def __init__(self, heads: Sequence[Head], n_in: int, v_at: int = 0):
         if not len(heads):
             raise PolicyError("heads is empty; give at least one")
+        if not 0 <= v_at < n_in:
+            raise PolicyError(f"v_at is {v_at}; give one of 0 .. {n_in - 1}")
         for i, head in enumerate(heads):
             at = head.columns
             if at.ndim != 1 or not len(at) or at.min() < 0 or at.max() >= n_in or v_at in at:

@@ -1,14 +1,16 @@
 """A safe policy: monotone in the own voltage, its gain below the linear stability bound whatever it learns.
 
 The networks are those of ``monotone``, trained as ``analytic`` trains. The bounds on their slopes come from the feeder
-before training, over the placements that the scenario draws (``bounds``), with X and R in bands per share of the
-agents' ratings and d the data centres:
+before training (``bounds``), with X and R in bands per share of the agents' ratings, d the data centres, and m the age
+of the measurement in steps:
 
-    reactive power    slope lambda_max(D^1/2 X D^1/2) = margin 2          the integrating droop's bound
-    clock             slope rho(R_dd) = margin                            the proportional droop's bound
+    reactive power    slope lambda_max(D^1/2 X D^1/2) = margin 2 sin(pi / (2 (2 m + 1)))     the integrating droop's
+    clock             slope rho(R_dd) = margin / 2        the proportional droop's, whose backlog is served at once
 
-Each bound holds for its axis alone; both axes together move a voltage that both see, and for that the margin leaves
-room. The bounds are of the linearised feeder, see ``baselines.stability`` for what that leaves out.
+The second is that of ``baselines.stability`` with alpha dt = 1: what the clock held back is asked for again a step
+later. The first with m steps of delay is where a root of z^(m+1) - z^m + k leaves the unit circle. Each holds for its
+axis alone; both together move a voltage that both see, and the margin must leave room for that. They are of the
+linearised feeder, see ``baselines.stability`` for what that leaves out, and of the feeder that was trained on.
 """
 
 from __future__ import annotations
@@ -26,9 +28,11 @@ from dcgrid_env.agents.modules import Monotone
 from dcgrid_env.agents.training import torch
 from dcgrid_env.baselines.stability import placements
 
-REACTIVE_SEES = ("r", "x", "p_ref_next")
-"""What moves the voltage that reactive power aims at: where the agent stands, and what the site is about to draw."""
-CLOCK_SEES = (*REACTIVE_SEES, "backlog")
+SEES = ("r", "x", "p_ref_next")
+"""What moves the voltage that is aimed at: where the agent stands, and what its site is about to draw. Nothing here
+depends on what the policy does, or it would be a second loop without a bound."""
+PLACEMENTS = 1000
+"""Of how many seeds the placements are looked at, where they are drawn."""
 
 
 @dataclass(frozen=True)
@@ -37,27 +41,26 @@ class Safe(Analytic):
 
     margin: float = 0.5
     """Largest gain as a share of the stability bound."""
-    hidden: tuple[int, ...] = (32, 32)
-    """Widths of the hidden layers of what sets the voltage that is aimed at."""
 
 
 def bounds(scenario: Scenario) -> tuple[float, float]:
     """Largest stable slope of reactive power and of the clock, in units of the action for each band of voltage.
 
-    The smallest over the placements that the scenario draws; infinite where there are no agents of the kind.
+    The smallest over ``PLACEMENTS`` placements that the scenario draws; infinite where there are no agents of the kind.
     """
     index, n_dc = scenario.feeder.index, scenario.n_datacenters
-    r, x = (z / (scenario.band_pu or 1.0) for z in scenario.model.sensitivity())
+    r, x = (z / (scenario.band_pu or 1.0) for z in scenario.feeder.sensitivity())
     q_mvar = scenario.q_scale_kvar / 1e3
     # Half the range of actions moves half the power between the slowest clock and the top.
     p_mw = 0.5 * (1.0 - scenario.f_min_mhz / scenario.f_max_mhz) * scenario.datacenter.p_dynamic_kw / 1e3
+    late = np.sin(np.pi / (2 * (2 * scenario.measurement_delay + 1)))
     slopes = []
-    for buses in placements(scenario):
+    for buses in placements(scenario, PLACEMENTS):
         at = [index(bus) for bus in buses]
         x_scaled = np.sqrt(q_mvar)[:, None] * x[np.ix_(at, at)] * np.sqrt(q_mvar)
         r_scaled = np.sqrt(p_mw)[:, None] * r[np.ix_(at[:n_dc], at[:n_dc])] * np.sqrt(p_mw)
-        of_clock = 1.0 / np.linalg.eigvalsh(r_scaled)[-1] if n_dc else np.inf
-        slopes.append((2.0 / np.linalg.eigvalsh(x_scaled)[-1], of_clock))
+        of_clock = 0.5 / np.linalg.eigvalsh(r_scaled)[-1] if n_dc else np.inf
+        slopes.append((2.0 * late / np.linalg.eigvalsh(x_scaled)[-1], of_clock))
     reactive, clock = np.min(slopes, axis=0)
     return float(reactive), float(clock)
 
@@ -75,11 +78,11 @@ class SafeLearner(Learner):
         fields = self.fields["dc_0" if name == "datacenter" else "inv_0"]
         n_own = len(fields)
         plates = [n_own, n_own + 1]  # draw and reach; the third figure of the nameplate holds the voltage
-        sees = [[fields.index(f) for f in of if f in fields] + plates for of in (CLOCK_SEES, REACTIVE_SEES)]
+        sees = [fields.index(field) for field in SEES if field in fields] + plates
         reactive, clock = self.slopes
         if name == "datacenter":
-            return Monotone(mean, std, sees, [clock, reactive], [True, False], self.cfg.hidden)
-        return Monotone(mean, std, sees[1:], [reactive], [False], self.cfg.hidden)
+            return Monotone(mean, std, [sees, sees], [clock, reactive], [True, False], self.cfg.hidden)
+        return Monotone(mean, std, [sees], [reactive], [False], self.cfg.hidden)
 
 
 def main(cfg: Safe) -> Path:

@@ -22,11 +22,11 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import Scenario, make_scenario
-from dcgrid_env.agents.config import Training
+from dcgrid_env.agents.config import Training, check
 from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, device_of, progress, torch
+from dcgrid_env.agents.training import Run, device_of, finish, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 
 CLIP = 10.0
@@ -79,16 +79,23 @@ class OffPolicy(Config):
 
 
 def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> tuple[Run, JointLanes]:
-    """The run's folder and the lanes of the training split; TrainingError where it cannot begin."""
-    torch.set_num_threads(cfg.threads)
+    """The run's folder and the lanes of the training split.
+
+    ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
+    """
+    check(cfg, "steps", "learning_rate", "wait")
+    if not 0.0 < cfg.gamma <= 1.0:
+        raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
     device_of(cfg.device)
-    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
-    run = Run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume)
+    torch.set_num_threads(cfg.threads)
     scenario = make_scenario(cfg.scenario, split="train", observe=cfg.observe)
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     if cfg.view == "centralised":
-        return run, JointLanes(scenario, cfg.lanes, cfg.act, outputs)
-    return run, AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
+        lanes = JointLanes(scenario, cfg.lanes, cfg.act, outputs)
+    else:
+        lanes = AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
+    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
+    return Run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume), lanes
 
 
 def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
@@ -286,6 +293,7 @@ def train(
                      "extra": {name: torch.as_tensor(values) for name, values in extra().items()}}
                 )  # fmt: skip
     run.close()
+    finish(run)
     print(f"{run.folder}: J {best:.4f} on validation, tuned droop {validate.j_droop:.4f}")
     print(", ".join(f"{name} {value:,.3g}" for name, value in timing(run.step, spent).items()))
     return run.folder

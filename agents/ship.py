@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -111,6 +112,20 @@ def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
                 raise PolicyError(
                     f"{folder}: {field} is {other!r}, that of {folders[0]} is {one!r}; give runs of one kind"
                 )
+    _check_settings(folders)
     twice = [card.seed for card in cards if sum(other.seed == card.seed for other in cards) > 1]
     if twice:
         raise PolicyError(f"folders: seed {twice[0]} is there twice; give each run once")
+
+
+def _check_settings(folders: Sequence[Path]) -> None:
+    """PolicyError where configurations that the runs kept differ in more than seed and place."""
+    kept = {folder: json.loads(path.read_text()) for folder in folders if (path := folder / "config.json").exists()}
+    for folder, settings in kept.items():
+        first, other = next(iter(kept.items()))
+        for field in sorted(set(settings) | set(other)):
+            if field not in ("seed", "out", "resume") and settings.get(field) != other.get(field):
+                raise PolicyError(
+                    f"{folder}: {field} is {settings.get(field)!r}, that of {first} is {other.get(field)!r}; give runs "
+                    "that differ in the seed alone"
+                )

@@ -1,7 +1,7 @@
 """A training run's folder: its configuration, curve, TensorBoard events and checkpoint, for every algorithm alike.
 
 config.json        the configuration and the version that it was run with
-curve.csv          a row for each record: step, then figures; "seconds" is the only one that a repetition changes
+curve.csv          a row for each record: step, then figures; a repetition changes times and rates alone
 events.out.*       the same for TensorBoard
 checkpoint.pt      tensors and plain figures, read with ``weights_only=True``, so that loading never runs code
 policy.*           the best policy on the validation split so far, written by the algorithm
@@ -25,6 +25,7 @@ import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
+from dcgrid_env.agents.card import Card
 from dcgrid_env.agents.files import write_whole
 
 CHECKPOINT = "checkpoint.pt"
@@ -87,7 +88,7 @@ class Run:
             before = json.loads(path.read_text())
         except ValueError:
             raise TrainingError(f"{path}: is no JSON; delete the folder and begin anew") from None
-        for field, value in about.items():
+        for field, value in (about | {"version": version("dcgrid-env")}).items():
             if field not in FREE and before.get(field) != value:
                 raise TrainingError(
                     f"{path}: {field} was {before.get(field)!r} and is {value!r} now; resume with the same, or give "
@@ -166,6 +167,12 @@ class Run:
         if self._writer is not None:
             self._writer.close()
             self._writer = None
+
+
+def finish(run: Run) -> None:
+    """Write how long the whole run took into the card of its best policy."""
+    path = run.folder / "policy.json"
+    dataclasses.replace(Card.load(path), training_s=run.seconds).save(path)
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env import make_scenario
 from dcgrid_env.agents.evaluate import STATIC
 from dcgrid_env.agents.policy import SHIPPED
 from dcgrid_env.learning.runs import command, folder, trained
@@ -33,7 +34,10 @@ def configs(algorithm: type[Any], scenarios: Sequence[str], chosen: dict[str, An
     """The runs for each scenario left out."""
     found: dict[str, list[Any]] = {}
     for left_out in scenarios:
-        others = ",".join(name for name in scenarios if name != left_out)
+        feeder = make_scenario(left_out).feeder.name
+        others = ",".join(name for name in scenarios if make_scenario(name).feeder.name != feeder)
+        if not others:
+            raise ValueError(f"scenarios: all are on {left_out}'s feeder; name some on others")
         for seed in range(seeds):
             one = algorithm(scenario=others, seed=seed, **chosen)
             place = folder(

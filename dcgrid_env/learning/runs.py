@@ -36,7 +36,7 @@ def command(config: Any) -> str:
             words.append(f"--{flag}" if value else f"--no-{flag}")
         else:
             values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{flag}", *(shlex.quote(f"{one:g}" if isinstance(one, float) else str(one)) for one in values)]
+            words += [f"--{flag}", *(shlex.quote(str(one)) for one in values)]
     return " ".join(words)
 
 

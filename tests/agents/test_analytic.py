@@ -161,11 +161,12 @@ def test_the_multiplier_stays_within_its_range():
         assert learner.factors["delay"] == pytest.approx(expected)
 
 
-def test_under_a_limit_on_delay_the_rest_of_j_counts():
-    figures = {"J": 3.0, "J_but_delay": 2.0, "delay_mean_s": 1.5}
+def test_under_a_limit_the_rest_of_j_counts():
+    figures = {"J": 3.0, "J_waiting": 1.0, "delay_mean_s": 1.5, "J_violation": 0.5, "excess_mean_pu": 2e-3}
     assert merit(TINY, figures) == 3.0
     assert merit(dataclasses.replace(TINY, delay_limit_s=2.0), figures) == 2.0
     assert merit(dataclasses.replace(TINY, delay_limit_s=1.0), figures) == pytest.approx(2.0 * 6.0)
+    assert merit(dataclasses.replace(TINY, violation_limit_pu=1e-3), figures) == pytest.approx(2.5 * 11.0)
 
 
 @pytest.mark.parametrize(
@@ -196,8 +197,8 @@ def test_batches_share_no_episode():
         ({"threads": 0}, "threads is 0"),
         ({"delay_limit_s": 0.0}, "delay_limit_s is 0.0; give more than 0, or leave it out"),
         ({"violation_limit_pu": -1.0}, "violation_limit_pu is -1.0"),
-        ({"seed": -1}, "seed is -1 and vary 0"),
-        ({"vary": -1}, "vary -1; give at least 0"),
+        ({"seed": -1}, "seed is -1; give at least 0"),
+        ({"vary": -1}, "vary is -1; give at least 0"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):
