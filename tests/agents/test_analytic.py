@@ -9,7 +9,7 @@ import torch
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
-from dcgrid_env.agents.analytic import Analytic, Learner, check, episode_seeds, grids_of, main, merit, windows
+from dcgrid_env.agents.analytic import Analytic, Learner, check_limits, episode_seeds, grids_of, main, merit, windows
 from dcgrid_env.agents.training import TrainingError, read_curve
 from dcgrid_env.agents.view import View
 
@@ -204,7 +204,7 @@ def test_batches_share_no_episode():
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):
     cfg = dataclasses.replace(TINY, out=tmp_path / "run", **settings)
     with pytest.raises(ValueError, match=message):
-        check(cfg)
+        check_limits(cfg)
     with pytest.raises(ValueError, match=message):
         main(cfg)
     assert not (tmp_path / "run").exists()
