@@ -116,7 +116,7 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name.startswith("ieee33-weak")])  # one preset: 4 s each
 def test_what_a_card_claims_comes_out_again(name):
     scored = Card.load(FOLDER / f"{name}.json").scored
     assert scored is not None
