@@ -10,6 +10,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import numba
+
 LANES_PER_THREAD = 64  # below this many lanes a thread costs more than it saves
 _pool: tuple[int, ThreadPoolExecutor] | None = None
 
@@ -35,8 +37,14 @@ def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
     return sum(_executor().map(work, cuts[:-1], cuts[1:]))
 
 
+@numba.njit(cache=True)
+def _nothing() -> int:
+    return 0
+
+
 def _executor() -> ThreadPoolExecutor:
     global _pool
     if _pool is None or _pool[0] != os.getpid():  # threads do not survive a fork
+        _nothing()  # the compiler sets itself up at its first call, and two threads that make it at once break it
         _pool = (os.getpid(), ThreadPoolExecutor(n_threads(), thread_name_prefix="dcgrid"))
     return _pool[1]
