@@ -88,7 +88,7 @@ class Run:
             before = json.loads(path.read_text())
         except ValueError:
             raise TrainingError(f"{path}: is no JSON; delete the folder and begin anew") from None
-        for field, value in (about | {"version": version("dcgrid-env")}).items():
+        for field, value in {**about, "version": version("dcgrid-env")}.items():
             if field not in FREE and before.get(field) != value:
                 raise TrainingError(
                     f"{path}: {field} was {before.get(field)!r} and is {value!r} now; resume with the same, or give "
