@@ -36,7 +36,8 @@ def command(config: Any) -> str:
             words.append(f"--{flag}" if value else f"--no-{flag}")
         else:
             values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{flag}", *(shlex.quote(str(one)) for one in values)]
+            shown = (f"{one:.15g}" if isinstance(one, float) else str(one) for one in values)
+            words += [f"--{flag}", *map(shlex.quote, shown)]
     return " ".join(words)
 
 

@@ -265,7 +265,7 @@ def test_local_and_all():
         ({"scenarios": "toy6,ieee124"}, "unknown scenario 'ieee124'; there are toy6"),
         ({"scenarios": " , "}, "name at least one, or all"),
         ({"controllers": "none,pid"}, "unknown controller 'pid'; there are none"),
-        ({"controllers": ","}, "name at least one, local or all"),
+        ({"controllers": ","}, "name at least one, local, all or policies"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
         ({"controllers": "nowhere.safetensors"}, "there is no such file"),
         ({"episodes": 0}, "episodes is 0; give 1 to 100"),

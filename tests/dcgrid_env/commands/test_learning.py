@@ -53,11 +53,11 @@ def test_ablate_scores_variants_and_transfer(here, monkeypatch, capsys):
     rows = [line for line in page.splitlines() if line.startswith("|")]
     names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
     assert [name for name in names if not name.startswith("|-")] == [
-        *("variant", "all", "clock only", "stable by construction", "droop-tuned"),
+        *("variant", "all", "clock only", "monotone, gain below the stability bound (safe)", "droop-tuned"),
         *("policy", f"{run} (on toy6)"),
     ]
     assert "| \\[" in rows[-1]
-    assert "# stable by construction\ndcgrid train safe --scenario toy6 " in page
+    assert "# monotone, gain below the stability bound (safe)\ndcgrid train safe --scenario toy6 " in page
 
 
 def test_generalise_leaves_each_out(here, capsys):
