@@ -9,7 +9,7 @@ them all; its observation holds, in this order,
     kind: 1 for a data centre, 0 for an inverter
 
 and its action is (clock, q), of which an inverter's clock goes nowhere. The reward is the team's, for each lane alike.
-Actions are setpoints or changes, as ``view`` has them.
+Actions are setpoints, changes or corrections of the droop, as ``view`` has them.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class Ppo(sb3.Config):
     """Train a policy with PPO."""
 
     outputs: Outputs = "setpoint"
-    """Whether the networks give setpoints or changes of what holds everything as it is."""
+    """Whether the networks give setpoints, changes of what holds all as it is, or corrections of the tuned droop."""
     steps: int = 10_000_000
     """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
     gae_lambda: float = 0.8

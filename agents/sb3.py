@@ -24,13 +24,12 @@ from stable_baselines3.common.utils import set_random_seed
 from dcgrid_env import Scenario, make_scenario
 from dcgrid_env.agents.config import Training, check
 from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
+from dcgrid_env.agents.modules import CLIP
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
 from dcgrid_env.agents.training import Run, device_of, finish, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 
-CLIP = 10.0
-"""Largest normalised observation."""
 SMALLEST_STD = 1e-4
 
 
