@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.scenario import Scenario
 
 
@@ -15,7 +15,7 @@ class ActionError(ValueError):
     """An action of the wrong shape or kind, or not finite; the message names the agent."""
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def action_names(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """(agent, actuator) of each entry of the joint action."""
     return tuple(

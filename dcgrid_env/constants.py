@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.arrays import Array, namespace
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.devices import DataCenterParams
 from dcgrid_env.scenario import Scenario
 
@@ -48,14 +48,14 @@ def constants(scenario: Scenario, like: Array) -> Constants:
     return _constants(scenario, namespace(like), like.dtype, like.device)
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def _on_numpy(scenario: Scenario) -> Constants:
     """The common case with a shorter key: this is asked several times a step."""
     like = np.empty(0)
     return _constants(scenario, namespace(like), like.dtype, like.device)
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def _constants(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Constants:
     dc, inv = scenario.datacenter, scenario.inverter
 

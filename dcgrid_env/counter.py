@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT = range(1, 9)
+PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR = range(1, 10)
 """Streams: what a draw is for."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -59,6 +59,11 @@ def bits(key, stream, n):
     return out
 
 
+def uniform(key, stream, n):
+    """Uniform draws in [0, 1), (lane, n): the upper 53 bits of a hash, so that none rounds to 1."""
+    return (bits(key, stream, n) >> np.uint64(11)) * 2.0**-53
+
+
 @numba.njit(cache=True)
 def standard(key, stream, step, n):
     """Standard draws (mean 0, variance 1) of each lane's own ``step``, shape (lane, n)."""
@@ -70,8 +75,10 @@ def standard(key, stream, step, n):
 
 
 @numba.njit(cache=True, nogil=True)
-def load_step(key, step, z, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out):
-    """One step of the buses' AR(1) load noise: z' = rho z + sqrt(1 - rho^2) e, and the loads base (1 + sigma z').
+def load_step(key, step, z, share, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out):
+    """One step of the buses' AR(1) load noise: z' = rho z + sqrt(1 - rho^2) e, and the loads.
+
+    They are base share (1 + sigma z'), share (lane,) that of the peak at the lane's time of day.
 
     At step 0 z' is a fresh draw, so that the process starts in its stationary state. Shapes (lane, bus); ``q_fixed``
     is added to q without noise (capacitors). Returns 0 (lanes that failed).
@@ -82,6 +89,6 @@ def load_step(key, step, z, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q
             e = _standard(_hash(key[i], LOAD, step[i], j))
             value = e if step[i] == 0 else rho * z[i, j] + fresh * e
             z_out[i, j] = value
-            p_out[i, j] = p_base[j] * (1.0 + sigma * value)
-            q_out[i, j] = q_base[j] * (1.0 + sigma * value) + q_fixed[j]
+            p_out[i, j] = share[i] * (p_base[j] * (1.0 + sigma * value))
+            q_out[i, j] = share[i] * (q_base[j] * (1.0 + sigma * value)) + q_fixed[j]
     return 0

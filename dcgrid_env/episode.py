@@ -1,23 +1,20 @@
-"""An episode as drawn: placement, trace windows, faults and noise, all functions of one key per lane."""
+"""An episode as drawn: placement, trace windows, time of day, faults and noise, all functions of one key per lane."""
 
 from __future__ import annotations
 
 import zlib
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env import counter, observation
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.dynamics import Exogenous
 from dcgrid_env.powerflow.threads import over_lanes
 from dcgrid_env.scenario import Scenario
-from dcgrid_env.traces import TraceRows, from_recordings, library, pv_rows, require_window
+from dcgrid_env.trace_pool import sun_rows, trace_pool, window_steps
+from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 
-ROW_DURATION_S = 3600.0
-"""Length of a generated trace; an episode takes a window of it."""
-ROWS = 24
-"""How many there are."""
 FOR_GOOD = 2**40
 """Steps that outlast every episode."""
 
@@ -34,32 +31,11 @@ class Episode(NamedTuple):
     """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
     sun: np.ndarray
     """The same of generated PV, (lane,); 0 where there is none."""
+    begin_h: np.ndarray
+    """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
     fault: np.ndarray
     """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
     int64, (lane, n_fault, 3)."""
-
-
-def window_steps(scenario: Scenario) -> int:
-    """Steps of trace that an episode needs: t = 0, one an action, and the preview at the end."""
-    return scenario.horizon + 2
-
-
-@lru_cache(maxsize=1024)
-def trace_pool(scenario: Scenario) -> TraceRows:
-    """Rows that the scenario's split draws from: power, (n_row, n_step), and what is known of the work behind it."""
-    trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
-    needed_s = steps * dt_s
-    if isinstance(trace, str):
-        # Rounding may cost a step of dt at the end, so one more is asked for.
-        duration_s = max(ROW_DURATION_S, needed_s + dt_s)
-        # About a day in all, but a row for each site.
-        count = min(ROWS, max(scenario.n_datacenters, round(ROWS * ROW_DURATION_S / duration_s), 1))
-        rows, name = library(trace, split, dt_s, duration_s, count, scenario.boost_share), trace
-    else:
-        rows = from_recordings(trace, split, dt_s, needed_s, scenario.boost_share, scenario.recording_split)
-        name = ", ".join(t.name for t in trace)
-    require_window(rows, steps, dt_s, name)
-    return rows
 
 
 class _Load(NamedTuple):
@@ -72,7 +48,7 @@ class _Load(NamedTuple):
     q_fixed_kvar: np.ndarray
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def _load(scenario: Scenario) -> _Load:
     feeder = scenario.feeder
     return _Load(
@@ -84,27 +60,14 @@ def _load(scenario: Scenario) -> _Load:
     )
 
 
-@lru_cache(maxsize=1024)
-def sun_rows(scenario: Scenario) -> np.ndarray:
-    """Active injection of the inverters as a share of their rating: a row for all episodes, or those of the PV drawn.
+def prepare(scenario: Scenario, episode: Episode) -> None:
+    """Have the rows of trace that an episode's windows lie in, where they are made on demand.
 
-    (n_row, n_step), each row as long as an episode or longer.
+    Drawing it here does so; an episode that was drawn in another process or environment needs it.
     """
-    trace, steps, dt_s = scenario.inverter_trace, scenario.horizon + 1, float(scenario.dt_s)
-    if trace is None:
-        return np.zeros((1, steps))
-    if isinstance(trace, tuple):
-        return np.array(trace[:steps])[None]
-    if isinstance(trace, str):
-        return pv_rows(scenario.split, dt_s, max(ROW_DURATION_S, steps * dt_s), ROWS)
-    trace.require_duration(steps * dt_s)
-    return trace.resample(dt_s)[None, :steps]
-
-
-def check_traces(scenario: Scenario) -> None:
-    """Raise TraceError unless every trace lasts as long as an episode."""
-    trace_pool(scenario)
-    sun_rows(scenario)
+    pool = trace_pool(scenario)
+    if isinstance(pool, RowsOnDemand):
+        pool.make(episode.start // pool.p_share.shape[1])
 
 
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
@@ -122,30 +85,58 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     else:
         at = np.tile([scenario.feeder.index(b) for b in scenario.datacenter_buses], (lanes, 1)).astype(np.int64)
     buses = np.concatenate((at, np.tile(np.array(fixed, dtype=np.int64), (lanes, 1))), axis=1)
-    rows = trace_pool(scenario).p_share
-    # Sites take different rows as long as there are enough.
-    row = np.argsort(counter.bits(key, counter.TRACE_ROW, len(rows)), axis=1, kind="stable")
-    row = row[:, np.arange(n_dc) % len(rows)]
-    room = 1 if scenario.trace_window == "start" else rows.shape[1] - window_steps(scenario) + 1
-    start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
-    if scenario.trace_window == "together":
-        start = start[:, :1]
-    window = row * rows.shape[1] + start
-    if scenario.site_correlation:
-        # The upper 53 bits make a uniform number below 1, so that a correlation of 1 leaves no site out.
-        uniform = (counter.bits(key, counter.CORRELATION, n_dc) >> np.uint64(11)) * 2.0**-53
-        window = np.where(uniform < scenario.site_correlation, window[:, :1], window)
+    begin_h = _begin_h(scenario, key)
     sun_row, sun_start = counter.bits(key, counter.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
     sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
-    return assemble(scenario, key, buses, window, sun.astype(np.int64), _faults(scenario, key))
+    drawn = (_windows(scenario, key, begin_h), sun.astype(np.int64), begin_h, _faults(scenario, key))
+    episode = assemble(scenario, key, buses, *drawn)
+    prepare(scenario, episode)
+    return episode
+
+
+def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """Time of day at t = 0, h, (lane,)."""
+    if isinstance(scenario.start_hour, str) or (scenario.start_hour is None and scenario.follows_day):
+        return 24.0 * counter.uniform(key, counter.HOUR, 1)[:, 0]
+    return np.full(len(key), float(scenario.start_hour or 0.0))
+
+
+def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.ndarray:
+    """Where each data centre's trace window begins, see ``Episode.start``."""
+    pool, n_dc = trace_pool(scenario), scenario.n_datacenters
+    n_rows, n_steps = pool.p_share.shape
+    # Sites take different rows as long as there are enough.
+    row = np.argsort(counter.bits(key, counter.TRACE_ROW, n_rows), axis=1, kind="stable")
+    row = row[:, np.arange(n_dc) % n_rows]
+    spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
+    room = 1 if scenario.trace_window == "start" else spare + 1
+    start = (counter.bits(key, counter.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
+    if scenario.trace_window == "together":
+        start = start[:, :1]
+    if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
+        # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
+        later_h = (begin_h[:, None] - pool.begin_h[row]) % 24.0
+        start = start + np.floor(later_h * 3600.0 / scenario.dt_s).astype(np.int64)
+    window = row * n_steps + start
+    if scenario.site_correlation:
+        window = np.where(
+            counter.uniform(key, counter.CORRELATION, n_dc) < scenario.site_correlation, window[:, :1], window
+        )
+    return window
 
 
 def assemble(
-    scenario: Scenario, key: np.ndarray, buses: np.ndarray, start: np.ndarray, sun: np.ndarray, fault: np.ndarray
+    scenario: Scenario,
+    key: np.ndarray,
+    buses: np.ndarray,
+    start: np.ndarray,
+    sun: np.ndarray,
+    begin_h: np.ndarray,
+    fault: np.ndarray,
 ) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
-    return Episode(key, buses, observation.placement(scenario, buses), start, sun, fault)
+    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, fault)
 
 
 def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
@@ -208,25 +199,29 @@ def exogenous(
     p_ref
         The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
     """
+    hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     load = _load(scenario)
+    share = np.ones(len(step)) if hour is None else load_share(hour)
 
     def part(a: int, b: int) -> int:
-        return counter.load_step(episode.key[a:b], step[a:b], noise[a:b], *load, z[a:b], p[a:b], q[a:b])
+        return counter.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
 
     if len(step) == 1:
-        counter.load_step(episode.key, step, noise, *load, z, p, q)
+        counter.load_step(episode.key, step, noise, share, *load, z, p, q)
     else:
         over_lanes(part, len(step))
     if scenario.inverter_trace is None:
         injection = np.zeros((len(step), scenario.n_inverters))
     else:
         injection = sun_rows(scenario).take(episode.sun + step)[:, None] * scenario.inverter.s_rated_kva
+        if hour is not None and scenario.inverter_trace == SUN:
+            injection *= sun_share(hour)[:, None]
     available = None
     if scenario.faults:
         agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
         q += capacitors * scenario.feeder.capacitor_kvar
-    share = compute_share(scenario, episode, step)
-    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, share, available), z
+    compute = compute_share(scenario, episode, step)
+    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, compute, available), z

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 KINDS = ("inverter", "datacenter", "capacitor")
 
@@ -29,8 +31,16 @@ class Fault:
             raise ValueError(f"fault: among is {self.among!r}; give a tuple of {', '.join(KINDS)} or agent ids")
         object.__setattr__(self, "among", tuple(self.among))
         for name in ("begin_s", "duration_s"):
-            low, high = getattr(self, name)
+            given = getattr(self, name)
+            if not isinstance(given, tuple | list) or len(given) != 2 or not all(map(_is_number, given)):
+                raise ValueError(f"fault: {name} is {given!r}; give a pair of numbers, a shortest and a longest in s")
+            low, high = given
+            object.__setattr__(self, name, (low, high))
             if not 0.0 <= low <= high or (name == "begin_s" and math.isinf(high)):
                 raise ValueError(f"fault: {name} is {(low, high)!r}; give a shortest and a longest of at least 0 s")
         if math.isinf(self.duration_s[1]) and not math.isinf(self.duration_s[0]):
             raise ValueError(f"fault: duration_s is {self.duration_s!r}; give two finite times, or two infinite ones")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)

@@ -1,6 +1,7 @@
 """Hashes of a scenario and of an episode, so that a published figure can be told to be of the same thing.
 
-A scenario's covers all its fields, by value. An episode's covers what comes from outside (:class:`Forecast`), rounded
+A scenario's covers all its fields, by value, but for a field that came after hashes were published and is at its
+default. An episode's covers what comes from outside (:class:`Forecast`), rounded
 to 2^-7 kW: should a machine's arithmetic differ in the last bit, a figure in some 10^10 falls to the other side.
 """
 
@@ -43,8 +44,11 @@ def _add(digest: Any, value: Any) -> None:
     elif dataclasses.is_dataclass(value):
         digest.update(type(value).__name__.encode())
         for field in dataclasses.fields(value):
+            held = getattr(value, field.name)
+            if field.metadata.get("unhashed_default") and held == field.default:
+                continue
             digest.update(field.name.encode())
-            _add(digest, getattr(value, field.name))
+            _add(digest, held)
     elif isinstance(value, tuple):
         digest.update(f"tuple{len(value)}".encode())
         for item in value:

@@ -36,6 +36,7 @@ from dcgrid_env.delay import fcfs_delays
 from dcgrid_env.devices import speed_share
 from dcgrid_env.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.trace_pool import trace_pool
 
 if TYPE_CHECKING:
     from dcgrid_env.simulation import Transition
@@ -102,10 +103,8 @@ class Series:
 
     def _request_delays(self) -> RequestDelays | None:
         """Figures over the requests of all sites; None where the trace is not made of requests."""
-        from dcgrid_env import episode  # brings the compiler with it, so not on import
-
         s = self.scenario
-        pool = episode.trace_pool(s)
+        pool = trace_pool(s)
         if not (pool.requests and s.n_datacenters):
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])

@@ -22,14 +22,15 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.arrays import Array, namespace, positive_part, take_at, take_last
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.constants import constants, inverse
 from dcgrid_env.dynamics import State, from_nodes
+from dcgrid_env.feeder import Feeder
 from dcgrid_env.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
@@ -69,7 +70,7 @@ def _site_fields(scenario: Scenario) -> tuple[str, ...]:
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
-    own, _ = _electrical(scenario)
+    own = _own_distance(scenario)
     boost = scenario.boost_share
     range_of = {
         "v_deviation": (-edge, edge),
@@ -94,20 +95,24 @@ def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the joint observation, the agents' one after the other, float32, (n_observation,) each."""
     low, high = zip(*bounds(scenario).values(), strict=True)
     return np.concatenate(low), np.concatenate(high)
 
 
-@lru_cache(maxsize=1024)
-def _electrical(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """(R_ii, X_ii) in bands, (n_bus, 2), and the impedance magnitude of the path between any two buses."""
-    r, x = scenario.model.sensitivity()
-    own = np.stack((np.diag(r), np.diag(x)), axis=-1) / (scenario.band_pu or 1.0)
-    between = [np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)]
-    return own, np.hypot(*between)
+@cached_on_owner
+def _own_distance(scenario: Scenario) -> np.ndarray:
+    """(R_ii, X_ii) in bands, (n_bus, 2)."""
+    return scenario.model.own_sensitivity / (scenario.band_pu or 1.0)
+
+
+@cached_on_owner
+def _between(feeder: Feeder) -> np.ndarray:
+    """Impedance magnitude of the path between any two buses, (n_bus, n_bus)."""
+    r, x = feeder.sensitivity()
+    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)))
 
 
 class _Layout(NamedTuple):
@@ -115,7 +120,7 @@ class _Layout(NamedTuple):
     column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
 
 
-@lru_cache(maxsize=1024)
+@cached_on_owner
 def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     known = constants(scenario, np.empty(0))
@@ -158,13 +163,13 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
-    own, between = _electrical(scenario)
+    own = _own_distance(scenario)
     lanes, n_agent = buses.shape
     nodes = (buses + np.arange(lanes)[:, None] * scenario.feeder.n_bus)[..., None]
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
-        apart = between[buses[:, :, None], buses[:, None, :]]
+        apart = _between(scenario.model)[buses[:, :, None], buses[:, None, :]]
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent

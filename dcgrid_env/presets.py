@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
+from weakref import WeakValueDictionary
 
 from dcgrid_env.fault import Fault
 from dcgrid_env.feeder import load_feeder
+from dcgrid_env.plain_data import reads_files
 from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
 
 PRESETS: dict[str, str] = {
@@ -171,30 +174,50 @@ _MAKERS = {
 }
 
 
+_ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
+"""Scenarios with overrides that somebody still holds, by what they were made of."""
+
+
 def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     """A preset by name, or a scenario of your own, with overrides of its fields.
 
-    ``feeder`` may be given by name. The same call gives the same frozen object, so that what is derived from it is
-    shared by all environments made alike. ScenarioError for an unknown name or field, listing those that exist.
+    Overrides are objects or plain data (``plain_data``); ``feeder`` may be a name or a folder. While somebody holds the
+    frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
+
+    Raises
+    ------
+    ScenarioError
+        For an unknown scenario, listing those that exist, or a value that cannot be.
+    TypeError
+        For an override that is no field, listing the fields.
     """
-    try:
-        return _made(scenario, tuple(overrides.items()))
-    except TypeError:  # an override that cannot be a key, a list say
-        return _make(scenario, overrides)
-
-
-@lru_cache(maxsize=1024)
-def _made(scenario: str | Scenario, overrides: tuple[tuple[str, Any], ...]) -> Scenario:
-    return _make(scenario, dict(overrides))
-
-
-def _make(scenario: str | Scenario, overrides: dict[str, Any]) -> Scenario:
     if isinstance(scenario, str):
-        if scenario not in _MAKERS:
-            raise ScenarioError(f"unknown scenario {scenario!r}; there are {', '.join(PRESETS)}")
-        scenario = _MAKERS[scenario]()
+        scenario = _preset(scenario)
     elif not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
-    if isinstance(overrides.get("feeder"), str):
-        overrides = overrides | {"feeder": load_feeder(overrides["feeder"])}
-    return scenario.replace(**overrides) if overrides else scenario
+    if not overrides:
+        return scenario
+    try:
+        key = (scenario, *((name, _key(value)) for name, value in overrides.items()))
+        known = _ALIVE.get(key)
+    except TypeError:  # an override that cannot be a key
+        return scenario.replace(**overrides)
+    if known is None:
+        known = scenario.replace(**overrides)
+        if not any(reads_files(name, value) for name, value in overrides.items()):
+            _ALIVE[key] = known
+    return known
+
+
+@cache
+def _preset(name: str) -> Scenario:
+    if name not in _MAKERS:
+        raise ScenarioError(f"unknown scenario {name!r}; there are {', '.join(PRESETS)}")
+    return _MAKERS[name]()
+
+
+def _key(value: Any) -> Any:
+    """A hashable form in which values of different types differ though they are equal, as 1, 1.0 and True are."""
+    if isinstance(value, Mapping):
+        return dict, tuple((key, _key(held)) for key, held in value.items())
+    return type(value), tuple(map(_key, value)) if isinstance(value, list | tuple) else value

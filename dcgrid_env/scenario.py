@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
+from dcgrid_env.cache import fields_alone
 from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs, phases_of
 from dcgrid_env.fault import KINDS, Fault
 from dcgrid_env.feeder import BusId, Feeder
+from dcgrid_env.plain_data import from_plain
 from dcgrid_env.scenario_check import (
+    CostWeights,
     ObservationScope,
     PowerFlowName,
     RecordingSplit,
@@ -26,25 +30,16 @@ from dcgrid_env.traces import PowerTrace
 
 __all__ = ["CostWeights", "Scenario", "ScenarioError"]
 
-
-class CostWeights(NamedTuple):
-    """Weights of the cost terms (see ``reward``); a term at weight 0 is not charged and is 0 in ``info``."""
-
-    voltage: float = 100.0
-    violation: float = 1000.0
-    backlog: float = 0.3
-    effort: float = 0.02
-    leftover: float = 9.0
-    clock: float = 0.0
-    step: float = 0.0
-    loss: float = 0.0
+UNHASHED_DEFAULT = {"unhashed_default": True}
+"""Metadata of a field that came after hashes were published: at its default it is left out of ``scenario_hash``."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scenario:
     """One feeder with its devices, load, horizon and cost. Any field can be overridden where an environment is made.
 
-    A rating is one number for all devices of a kind, or one for each.
+    A rating is one number for all devices of a kind, or one for each. Every field also takes plain data, as JSON or
+    YAML hold it: see ``plain_data``.
     """
 
     name: str
@@ -106,6 +101,10 @@ class Scenario:
     measurement_delay: int = 0
     """Age of the measured voltage, steps."""
 
+    start_hour: float | Literal["random"] | None = field(default=None, metadata=UNHASHED_DEFAULT)
+    """Time of day at which an episode begins, h in [0, 24), or "random": drawn in each episode. Base load, generated PV
+    and generated requests then follow the course of a day (``traces.day_course``). None: "random" for an episode longer
+    than an hour; a shorter one stands still at the feeder's nominal load and at noon."""
     horizon: int = 120
     """Actions in an episode."""
     dt_s: float = 1.0
@@ -125,24 +124,45 @@ class Scenario:
     """The same of the reactance."""
 
     def __post_init__(self) -> None:
-        sequences = ("p_rated_kw", "inverter_s_kva", "datacenter_buses", "inverter_buses", "trace", "inverter_trace")
-        for name in (*sequences, "faults"):
-            value = getattr(self, name)
-            if isinstance(value, list | np.ndarray):
-                object.__setattr__(self, name, tuple(value))
-        if isinstance(self.trace, PowerTrace):
-            object.__setattr__(self, "trace", (self.trace,))
+        for f in dataclasses.fields(self):
+            given = getattr(self, f.name)
+            found = from_plain(f.name, given, CostWeights())
+            if found is not given:
+                object.__setattr__(self, f.name, found)
         check(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_alone(self)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:
         return self  # frozen: a copy of an environment shares it
 
     def replace(self, **overrides: Any) -> Scenario:
-        """A scenario with other values in the named fields; ScenarioError for a name that is none, listing them."""
+        """A scenario with other values in the named fields, objects or plain data.
+
+        A mapping of weights changes those that it names and leaves the others.
+
+        Raises
+        ------
+        TypeError
+            For a name that is no field, listing the fields; in the words that Python has for it, by which clients that
+            try out arguments know it.
+        ScenarioError
+            For a value that cannot be.
+        """
         known = [f.name for f in dataclasses.fields(self)]
         for key in overrides:
             if key not in known:
-                raise ScenarioError(f"scenario {self.name!r} has no field {key!r}; there are {', '.join(known)}")
+                raise TypeError(
+                    f"scenario {self.name!r} got an unexpected keyword argument {key!r}; its fields are "
+                    f"{', '.join(known)}"
+                )
+        if isinstance(overrides.get("weights"), Mapping):
+            overrides = overrides | {"weights": from_plain("weights", overrides["weights"], self.weights)}
         return dataclasses.replace(self, **overrides)
 
     def difference(self, other: Scenario) -> str | None:
@@ -151,6 +171,11 @@ class Scenario:
             if not _alike(getattr(self, f.name), getattr(other, f.name)):
                 return f.name
         return None
+
+    @property
+    def follows_day(self) -> bool:
+        """Whether base load, generated PV and generated requests follow the course of a day."""
+        return self.start_hour is not None or self.horizon * self.dt_s > 3600.0
 
     @property
     def n_inverters(self) -> int:

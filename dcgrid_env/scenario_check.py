@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, get_args
 
 import numpy as np
 
@@ -59,6 +59,19 @@ class ScenarioError(ValueError):
     """A scenario that cannot be; the message names the field, its value and what would do."""
 
 
+class CostWeights(NamedTuple):
+    """Weights of the cost terms (see ``reward``); a term at weight 0 is not charged and is 0 in ``info``."""
+
+    voltage: float = 100.0
+    violation: float = 1000.0
+    backlog: float = 0.3
+    effort: float = 0.02
+    leftover: float = 9.0
+    clock: float = 0.0
+    step: float = 0.0
+    loss: float = 0.0
+
+
 def check(s: Scenario) -> None:
     """Raise ScenarioError at the first field that cannot be."""
     if not isinstance(s.feeder, Feeder):
@@ -77,13 +90,15 @@ def check(s: Scenario) -> None:
         value = getattr(s, name)
         if type(value) is not type(choices[0]) or value not in choices:
             _refuse(s, name, f"choose one of {', '.join(map(str, choices))}")
-    if not hasattr(s.weights, "leftover"):
-        _refuse(s, "weights", "give CostWeights(voltage=..., ...)")
+    if s.start_hour not in (None, "random") and not (_is_number(s.start_hour) and 0 <= s.start_hour < 24):
+        _refuse(s, "start_hour", "give an hour from 0 to less than 24, 'random', or None")
+    if not isinstance(s.weights, CostWeights):
+        _refuse(s, "weights", "give CostWeights(voltage=..., ...) or a mapping such as {'backlog': 0.3}")
     for name, value in s.weights._asdict().items():
         if not _is_number(value) or not 0 <= value < math.inf:
             raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
     if not callable(getattr(s.dvfs, "serve", None)):
-        _refuse(s, "dvfs", "give a clock law such as LinearDvfs() or PhaseDvfs()")
+        _refuse(s, "dvfs", "give 'linear', 'phase', or a clock law such as PhaseDvfs()")
     if phases_of(s.dvfs) not in (1, 2):
         _refuse(s, "dvfs", f"give a clock law of 1 or 2 phases, not {phases_of(s.dvfs)!r}")
     _check_ratings(s)
@@ -114,8 +129,11 @@ def _check_placement(s: Scenario) -> None:
     fixed = list(s.inverter_buses)
     if s.datacenter_buses is not None:
         if not isinstance(s.datacenter_buses, tuple) or len(s.datacenter_buses) != s.n_datacenters:
-            remedy = f"give n_datacenters = {s.n_datacenters} buses, or None to have them drawn among the load buses"
-            _refuse(s, "datacenter_buses", remedy)
+            raise ScenarioError(
+                f"scenario {s.name!r}: n_datacenters is {s.n_datacenters}, but datacenter_buses is "
+                f"{s.datacenter_buses!r}; give both, n_datacenters={s.n_datacenters} and as many datacenter_buses, or "
+                "datacenter_buses=None to have them drawn among the load buses"
+            )
         fixed += s.datacenter_buses
     for bus in fixed:
         try:

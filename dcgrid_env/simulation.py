@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import counter, dynamics, episode, observation, reward
+from dcgrid_env import counter, dynamics, episode, observation, reward, trace_pool
 from dcgrid_env.dynamics import State
 from dcgrid_env.powerflow import Solution
 from dcgrid_env.scenario import Scenario
@@ -66,7 +66,7 @@ class Simulation:
     def __init__(self, scenario: Scenario, lanes: int):
         self.scenario = scenario
         self.lanes = lanes
-        episode.check_traces(scenario)
+        trace_pool.check_traces(scenario)
         self._now: Snapshot | None = None
 
     @property
@@ -95,6 +95,7 @@ class Simulation:
             raise ValueError(f"the snapshot is of a scenario with another {other}; restore it where it was saved")
         if len(snapshot.seeds) != self.lanes:
             raise ValueError(f"the snapshot has {len(snapshot.seeds)} lanes, this environment {self.lanes}")
+        episode.prepare(self.scenario, snapshot.episode)
         self._now = snapshot
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
@@ -184,7 +185,7 @@ class Simulation:
         )
 
 
-_DRAWN = ("key", "buses", "start", "sun", "fault")
+_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault")
 """Fields of an episode that ``episode.assemble`` takes."""
 
 

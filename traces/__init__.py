@@ -4,12 +4,14 @@ A scenario draws from `library(source, split, dt_s, duration_s)` or `from_record
 power as a share of the site's rating, of which an episode takes a window.
 """
 
+from dcgrid_env.traces.day_course import load_share, sun_share
 from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.mixed import generate_mixed
+from dcgrid_env.traces.on_demand import RowsOnDemand, rows_on_demand
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.pv import SUN, PvParams, generate_pv, pv_rows
 from dcgrid_env.traces.recorded_rows import from_recordings
@@ -53,6 +55,7 @@ __all__ = [
     "Replica",
     "RequestTimes",
     "Requests",
+    "RowsOnDemand",
     "Served",
     "Service",
     "Site",
@@ -75,6 +78,7 @@ __all__ = [
     "library",
     "load_power",
     "load_requests",
+    "load_share",
     "pv_rows",
     "read_gpu_log",
     "read_request_log",
@@ -83,5 +87,7 @@ __all__ = [
     "requests",
     "require_window",
     "row_seed",
+    "rows_on_demand",
     "serve",
+    "sun_share",
 ]

@@ -4,6 +4,8 @@ The splits of a source share no seed, and those made of requests no day. A fourt
 another GPU type or service.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from operator import index
 
@@ -11,9 +13,10 @@ import numpy as np
 
 from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, grid_steps
+from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.rows import ALL_SPLITS, OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
 from dcgrid_env.traces.sources import TRACE_SOURCES
-from dcgrid_env.traces.trace import TraceError, require_positive, steps_in
+from dcgrid_env.traces.trace import FloatArray, RequestTimes, TraceError, require_positive, steps_in
 
 # Seeds of a split begin here; a library has fewer rows than the distance, so splits share no seed.
 _SEEDS_PER_SPLIT = 1_000_000
@@ -47,6 +50,23 @@ def library(
     TraceError
         For an unknown source or split, or a number out of range.
     """
+    return _generated(checked(source, split, dt_s, duration_s, count, boost_share))
+
+
+@dataclass(frozen=True)
+class Law:
+    """What a library's rows are made by; see `library` for the fields."""
+
+    source: str
+    split: str
+    dt_s: float
+    duration_s: float
+    count: int
+    boost_share: float
+
+
+def checked(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> Law:
+    """The arguments of `library` as it takes them; TraceError for one that cannot be."""
     if source not in TRACE_SOURCES:
         raise TraceError(f"trace source {source!r} is unknown; choose one of {', '.join(TRACE_SOURCES)}")
     dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
@@ -60,33 +80,40 @@ def library(
         raise TraceError(f"duration_s = {duration_s:g} is shorter than one step of {dt_s:g} s; give a longer one")
     if not 1 <= index(count) <= _SEEDS_PER_SPLIT:
         raise TraceError(f"count = {count!r} is not in 1 to {_SEEDS_PER_SPLIT}")
-    return _generated(source, known_split(split), dt_s, duration_s, index(count), known_boost(boost_share))
+    if known_split(split) == OUT_OF_DISTRIBUTION and TRACE_SOURCES[source].shifted is None:
+        raise TraceError(f"trace source {source!r} has no split {split!r}; choose one of {', '.join(SPLITS)}")
+    return Law(source, split, dt_s, duration_s, index(count), known_boost(boost_share))
+
+
+def generated_row(law: Law, row: int) -> tuple[FloatArray, FloatArray, RequestTimes | None, Provenance]:
+    """Power and compute-bound share of a row, (n_steps,) each, the requests behind it and where it comes from."""
+    source = TRACE_SOURCES[law.source]
+    generate = source.shifted if law.split == OUT_OF_DISTRIBUTION else source.generate
+    assert generate is not None  # `checked`
+    n_steps, n_grid = steps_in(law.duration_s, law.dt_s), grid_steps(law.duration_s)
+    trace = generate(n_grid * GRID_S, row_seed(law.split, row))
+    if law.boost_share > 1.0:
+        trace = boosted_trace(trace, law.boost_share)
+    power, compute_kw = trace.resample(law.dt_s)[:n_steps], trace.resample_compute(law.dt_s)
+    assert compute_kw is not None  # every generator tells
+    dynamic = power - IDLE_SHARE
+    compute = np.divide(compute_kw[:n_steps], dynamic, out=np.zeros(n_steps), where=dynamic > 0)
+    return power, np.minimum(compute, 1.0), trace.requests, trace.provenance
+
+
+def row_hour(source: str, split: str, row: int) -> int | None:
+    """Hour of the day at which a row of a source that follows the day begins; None for another source."""
+    return row_seed(split, row) % 24 if TRACE_SOURCES[source].daily else None
 
 
 @lru_cache(maxsize=32)
-def _generated(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> TraceRows:
-    n_steps, n_grid = steps_in(duration_s, dt_s), grid_steps(duration_s)
-    generate = TRACE_SOURCES[source].generate
-    if split == OUT_OF_DISTRIBUTION:
-        shifted = TRACE_SOURCES[source].shifted
-        if shifted is None:
-            raise TraceError(f"trace source {source!r} has no split {split!r}; choose one of {', '.join(SPLITS)}")
-        generate = shifted
-    power, compute = np.empty((count, n_steps)), np.zeros((count, n_steps))
-    requests, provenance = [], []
-    for row in range(count):
-        trace = generate(n_grid * GRID_S, row_seed(split, row))
-        assert trace.compute_kw is not None  # every generator tells
-        if boost_share > 1.0:
-            trace = boosted_trace(trace, boost_share)
-        power[row] = trace.resample(dt_s)[:n_steps]
-        compute_kw = trace.resample_compute(dt_s)
-        assert compute_kw is not None
-        dynamic = power[row] - IDLE_SHARE
-        np.divide(compute_kw[:n_steps], dynamic, out=compute[row], where=dynamic > 0)
-        requests += [trace.requests] if trace.requests is not None else []
-        provenance.append(trace.provenance)
-    np.minimum(compute, 1.0, out=compute)
-    power.setflags(write=False)
-    compute.setflags(write=False)
-    return TraceRows(power, compute, tuple(requests), tuple(provenance))
+def _generated(law: Law) -> TraceRows:
+    power, compute, requests, provenance = zip(*(generated_row(law, row) for row in range(law.count)), strict=True)
+    known = tuple(found for found in requests if found is not None)
+    return TraceRows(_read_only(power), _read_only(compute), known, provenance)
+
+
+def _read_only(rows: Sequence[FloatArray]) -> FloatArray:
+    array = np.array(rows)
+    array.setflags(write=False)
+    return array

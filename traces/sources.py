@@ -27,6 +27,8 @@ class TraceSource:
     generate: Generate
     shifted: Generate | None
     """The generator of the split `ood`; None if there is none."""
+    daily: bool = False
+    """Whether demand follows the hour of the day; a trace then begins at hour `seed` modulo 24."""
 
 
 WAVES = Service(
@@ -101,18 +103,21 @@ TRACE_SOURCES: dict[str, TraceSource] = {
             "request-level chat service: 280 kW of H100 with Llama 3 70B, an hour of the day a row",
             _service("H100", "chat", 0.35),
             _service("H200", "code", 0.12),
+            daily=True,
         ),
         TraceSource(
             "code",
             "request-level code completion on the same site: bursts of ten seconds and silence",
             _service("H100", "code", 0.12),
             _service("H200", "chat", 0.35),
+            daily=True,
         ),
         TraceSource(
             "site",
             "the same site shared: 40 % of the GPUs for chat, 30 % for code, 30 % in training",
             _mix("H100", 0.4, 0.3, 0.3),
             _mix("H200", 0.2, 0.2, 0.6),
+            daily=True,
         ),
         *(
             TraceSource(

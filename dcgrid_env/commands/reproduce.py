@@ -81,6 +81,6 @@ def _origin(runs: Runs) -> dict[str, Any]:
 
     TraceError for a recording that is too short for an episode.
     """
-    from dcgrid_env.episode import trace_pool
+    from dcgrid_env.trace_pool import trace_pool
 
     return trace_pool(runs.setting.scenario(5)).provenance[0].record()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.cache import fields_alone
 from dcgrid_env.feeder.radial import FeederError, orient
 from dcgrid_env.feeder.tables import check_lengths, check_numbers, read_feeder_tables
 from dcgrid_env.units import S_BASE_KVA, impedance_base_ohm
@@ -143,6 +144,9 @@ class Feeder:
     def __deepcopy__(self, memo: dict[int, Any]) -> Feeder:
         return self  # frozen: a copy shares it
 
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_alone(self)
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():  # arrays come out of a pickle writable
             object.__setattr__(self, name, _read_only(value) if isinstance(value, np.ndarray) else value)
@@ -194,6 +198,14 @@ class Feeder:
             path[j] = path[self.parent[j - 1]]
             path[j, j - 1] = 1.0
         return _read_only(path)
+
+    @cached_property
+    def own_sensitivity(self) -> FloatArray:
+        """Diagonals of ``sensitivity()``, shape (n_bus, 2): p.u. per MW, then p.u. per Mvar. No matrix is made."""
+        own = np.zeros((self.n_bus, 2))
+        for j in self.depth_first[1:]:
+            own[j] = own[self.parent[j - 1]] + (self.r_pu[j - 1], self.x_pu[j - 1])
+        return _read_only(own * (1000.0 / S_BASE_KVA))
 
     def sensitivity(self) -> tuple[FloatArray, FloatArray]:
         """LinDistFlow's R and X: drop of the voltage at i in p.u. for a load of 1 MW or 1 Mvar at j, around 1 p.u.

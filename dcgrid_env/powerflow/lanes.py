@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.feeder.feeder import Feeder
 from dcgrid_env.powerflow import compiled
 from dcgrid_env.powerflow.solution import Solution, raise_not_finite
@@ -16,7 +17,7 @@ _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float3
 _KERNELS = {"distflow": compiled.distflow_lanes, "lindistflow": compiled.lindistflow_lanes}
 
 
-@lru_cache(maxsize=64)
+@cached_on_owner
 def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
     """What the kernels know of a feeder: its depth-first order and, in that order, parent, r and x."""
     order = feeder.depth_first.copy()

@@ -7,12 +7,12 @@ way out.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.arrays import namespace, requires_grad, take_last
+from dcgrid_env.cache import cached_on_owner
 from dcgrid_env.feeder.feeder import Feeder
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, Array, Solution
 from dcgrid_env.units import S_BASE_KVA
@@ -31,7 +31,7 @@ class Tree(NamedTuple):
     x: Array
 
 
-@lru_cache(maxsize=32)
+@cached_on_owner
 def tree(feeder: Feeder, xp: Any, dtype: Any, device: Any) -> Tree:
     """Index and impedance arrays of a feeder, made once for each kind, precision and device of array."""
     order = feeder.depth_first

@@ -174,7 +174,9 @@ def load_steps(keys: np.ndarray, first: np.ndarray, count: int, rho: float, n_bu
     course = []
     for k in range(count):
         out = np.empty((3, len(keys), n_bus))
-        counter.load_step(keys, first + k, z, rho, 0.05, base, base, 0 * base, out[0], out[1], out[2])
+        counter.load_step(
+            keys, first + k, z, np.ones(len(keys)), rho, 0.05, base, base, 0 * base, out[0], out[1], out[2]
+        )
         z = out[0]
         course.append(z)
     return np.array(course)
@@ -198,13 +200,15 @@ def test_load_noise_worked_by_hand():
     z = np.array([[9.0, 9.0, 9.0], [0.5, -1.0, 2.0]])
     p_base, q_base, q_fixed = np.array([0.0, 100.0, 40.0]), np.array([0.0, 50.0, -20.0]), np.array([0.0, 0.0, -30.0])
     z_out, p_out, q_out = np.empty((3, 2, 3))
-    assert counter.load_step(keys, steps, z, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out) == 0
+    share = np.array([1.0, 0.6])
+    assert counter.load_step(keys, steps, z, share, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out) == 0
     e = counter.standard(keys, counter.LOAD, steps, 3)
     wanted = np.array([e[0], 0.8 * z[1] + 0.6 * e[1]])  # at step 0 what was before does not matter
     np.testing.assert_allclose(z_out, wanted, rtol=1e-14)
-    # One draw for p and q together; capacitors are not noisy.
-    np.testing.assert_allclose(p_out, p_base * (1 + 0.1 * wanted), rtol=1e-14)
-    np.testing.assert_allclose(q_out, q_base * (1 + 0.1 * wanted) + q_fixed, rtol=1e-14)
+    # One draw for p and q together; capacitors neither are noisy nor follow the day.
+    course = share[:, None]
+    np.testing.assert_allclose(p_out, course * p_base * (1 + 0.1 * wanted), rtol=1e-14)
+    np.testing.assert_allclose(q_out, course * q_base * (1 + 0.1 * wanted) + q_fixed, rtol=1e-14)
 
 
 def test_load_noise_has_the_same_bits_when_lanes_are_split():

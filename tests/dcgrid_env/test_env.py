@@ -190,7 +190,7 @@ def test_errors_of_use():
         env.step(env.action_space.sample())
     with pytest.raises(ScenarioError, match="there are toy6, ieee123, ieee33-weak"):
         DcgridEnv("ieee124")
-    with pytest.raises(ScenarioError, match="no field 'horizn'; there are name, feeder"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'horizn'; its fields are name, feeder"):
         gymnasium.make("dcgrid/IEEE123-v0", horizn=3)
     with pytest.raises(ScenarioError, match="use parallel_env"):
         DcgridEnv("toy6", reward="local")
@@ -255,10 +255,10 @@ def test_what_a_user_writes_into_stays_outside():
     [
         ({"trace": "foo"}, "trace is 'foo'; choose one of inference"),
         ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
-        ({"weights": {"voltage": 1}}, "weights is .*; give CostWeights"),
-        ({"dvfs": None}, "dvfs is None; give a clock law"),
+        ({"weights": {"volts": 1}}, "there is no weight 'volts'; there are voltage, violation"),
+        ({"dvfs": None}, "dvfs is None; give 'linear', 'phase', or a clock law"),
         ({"capacitors": "no"}, "capacitors is 'no'; choose one of True, False"),
-        ({"n_datacenters": 2}, "n_datacenters = 2 buses, or None"),
+        ({"n_datacenters": 2}, "n_datacenters is 2, but .*datacenter_buses=None to have them drawn"),
         ({"p_rated_kw": "much"}, "p_rated_kw is 'much'; give one positive number"),
         ({"inverter_buses": None}, "inverter_buses is None; give a tuple"),
     ],

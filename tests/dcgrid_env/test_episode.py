@@ -5,6 +5,7 @@ import pytest
 
 from dcgrid_env import PRESETS, PhaseDvfs, Scenario, ScenarioError, episode, make_scenario
 from dcgrid_env.simulation import Simulation
+from dcgrid_env.trace_pool import trace_pool, window_steps
 from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
 
 
@@ -148,11 +149,11 @@ def test_more_datacenters_than_buses_is_refused():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_splits_share_no_window_and_no_key(name):
-    pools = {split: episode.trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
+    pools = {split: trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
     keys = {split: draw(make_scenario(name, split=split), range(500)).key for split in SPLITS}
     assert len(np.unique(np.concatenate(list(keys.values())))) == 1500
     rows = [row for pool in pools.values() for row in pool]
-    window = episode.window_steps(make_scenario(name))
+    window = window_steps(make_scenario(name))
     # The step of toy6 is the same in all; what tells its rows apart is the idle part, which every episode begins with.
     heads = [tuple(row[:window]) for row in rows]
     assert len(set(heads)) == len(rows) == 3 * 24
@@ -167,9 +168,7 @@ def test_splits_share_no_window_and_no_key(name):
 
 def test_splits_of_recordings_share_no_sample():
     trace = recording(np.arange(1, 1001) / 1000.0)
-    pools = {
-        split: episode.trace_pool(make_scenario("ieee123", trace=(trace,), split=split, horizon=20)) for split in SPLITS
-    }
+    pools = {split: trace_pool(make_scenario("ieee123", trace=(trace,), split=split, horizon=20)) for split in SPLITS}
     values = [set(pool.p_share.ravel().tolist()) for pool in pools.values()]
     assert [len(v) for v in values] == [600, 200, 200]
     assert len(set.union(*values)) == 1000
@@ -181,7 +180,7 @@ def test_splits_of_recordings_share_no_sample():
 @pytest.mark.parametrize("dt_s", [1.0, 0.5, 0.1])
 def test_windows_lie_within_distinct_rows(dt_s):
     scenario = make_scenario("ieee123", dt_s=dt_s, horizon=50)
-    pool = episode.trace_pool(scenario).p_share
+    pool = trace_pool(scenario).p_share
     assert pool.shape[1] == round(3600 / dt_s)
     start = draw(scenario, range(3000)).start
     row, offset = np.divmod(start, pool.shape[1])
@@ -202,13 +201,13 @@ def test_last_window_of_a_row_is_reached_but_not_passed():
     trace = recording(np.linspace(0.1, 1.0, 20))
     for horizon, places in ((10, {0}), (9, {0, 1}), (7, {0, 1, 2, 3})):
         scenario = make_scenario("toy6", trace=(trace,), trace_window="random", horizon=horizon)
-        assert episode.trace_pool(scenario).p_share.shape == (1, 12)
+        assert trace_pool(scenario).p_share.shape == (1, 12)
         assert set(draw(scenario, range(300)).start.ravel().tolist()) == places
 
 
 def test_p_ref_is_the_rows_power_times_the_rating():
     scenario = make_scenario("ieee123", horizon=30, p_rated_kw=(100.0, 200.0, 300.0, 400.0, 500.0))
-    pool = episode.trace_pool(scenario).p_share
+    pool = trace_pool(scenario).p_share
     drawn = draw(scenario, [1, 2])
     row, offset = np.divmod(drawn.start, pool.shape[1])
     for step in (0, 1, 31):
@@ -223,7 +222,7 @@ def test_steps_take_the_trace_in_turn(dt_s):
     scenario = make_scenario("ieee33-weak", dt_s=dt_s, horizon=6)
     simulation = Simulation(scenario, 3)
     simulation.reset(range(3))
-    pool, rated, idle = episode.trace_pool(scenario).p_share, 1000.0, 230.0
+    pool, rated, idle = trace_pool(scenario).p_share, 1000.0, 230.0
     start = simulation.now.episode.start
     for step in range(7):
         if step:
@@ -313,7 +312,7 @@ def test_correlation_needs_no_other_site(n):
 
 def test_composition_is_the_rows_own():
     scenario = make_scenario("ieee33-weak", dvfs=PhaseDvfs(), trace="mixed", horizon=30)
-    pool, drawn = episode.trace_pool(scenario), draw(scenario, [1, 2])
+    pool, drawn = trace_pool(scenario), draw(scenario, [1, 2])
     assert pool.compute_share is not None
     row, offset = np.divmod(drawn.start, pool.p_share.shape[1])
     found = episode.compute_share(scenario, drawn, np.array([3, 31]))
@@ -335,12 +334,10 @@ def test_recordings_have_the_scenarios_composition():
 
 
 def test_boost_reaches_the_traces():
-    plain, boosted = (
-        episode.trace_pool(make_scenario("ieee123", trace="training", boost_share=b)).p_share for b in (1.0, 1.3)
-    )
+    plain, boosted = (trace_pool(make_scenario("ieee123", trace="training", boost_share=b)).p_share for b in (1.0, 1.3))
     assert plain.max() <= 1.0 < boosted.max() <= 1.3
     trace = recording(np.linspace(0.1, 1.0, 300))
-    pool = episode.trace_pool(make_scenario("ieee123", trace=trace, boost_share=1.2, split="test", horizon=20))
+    pool = trace_pool(make_scenario("ieee123", trace=trace, boost_share=1.2, split="test", horizon=20))
     assert pool.p_share.max() == pytest.approx(1.2)
 
 
@@ -350,7 +347,7 @@ def test_whole_recordings_for_each_split():
         Simulation(make_scenario("toy6", trace=traces[:2], recording_split="recording", horizon=20), 1)
     for split in SPLITS:
         scenario = make_scenario("toy6", trace=traces, recording_split="recording", split=split, horizon=45)
-        assert episode.trace_pool(scenario).p_share.shape == (1, 50)
+        assert trace_pool(scenario).p_share.shape == (1, 50)
     with pytest.raises(TraceError, match="shorter episode"):
         Simulation(make_scenario("toy6", trace=traces, horizon=45), 1)
 
@@ -372,7 +369,7 @@ def test_recordings_are_scaled_to_the_rating():
     for site, rated in enumerate((100.0, 200.0, 300.0)):
         assert set(np.round(seen[..., site] / rated, 12).ravel()) == {0.25, 0.5, 1.0}
     # Two recordings and three sites: the third shares the first one's row, if not its window.
-    rows = simulation.now.episode.start // episode.trace_pool(scenario).p_share.shape[1]
+    rows = simulation.now.episode.start // trace_pool(scenario).p_share.shape[1]
     assert np.all(rows[:, 0] != rows[:, 1])
     assert np.all(rows[:, 0] == rows[:, 2])
 
@@ -401,7 +398,7 @@ def test_a_recording_shorter_than_the_episode_is_a_clear_error(seconds, fits):
 
 def test_a_long_episode_gets_generated_rows_as_long_as_it_needs():
     scenario = make_scenario("toy6", horizon=4000)
-    assert episode.trace_pool(scenario).p_share.shape[1] >= episode.window_steps(scenario) == 4002
+    assert trace_pool(scenario).p_share.shape[1] >= window_steps(scenario) == 4002
 
 
 def test_unknown_trace_source_lists_those_that_exist():
@@ -456,7 +453,7 @@ def test_storage_follows_a_schedule_that_may_charge():
 def test_together_is_another_row_at_the_same_time():
     scenario = make_scenario("ieee33-weak", trace_window="together")
     drawn = episode.draw(scenario, np.arange(50, dtype=np.uint64), np.zeros(50, np.uint64))
-    row, start = np.divmod(drawn.start, episode.trace_pool(scenario).p_share.shape[1])
+    row, start = np.divmod(drawn.start, trace_pool(scenario).p_share.shape[1])
     assert (start == start[:, :1]).all()
     assert len(np.unique(start[:, 0])) > 40
     assert all(len(set(rows)) == 3 for rows in row.tolist())
@@ -471,9 +468,3 @@ def test_sites_generated_side_by_side_stay_so_together():
     course = np.array([episode.p_ref_kw(scenario, drawn, np.full(20, k)) for k in range(100)])
     for lane in range(20):
         assert np.corrcoef(course[:, lane].T).min() > 0.95
-
-
-def test_long_episodes_draw_from_about_a_day_in_all():
-    assert len(episode.trace_pool(make_scenario("ieee123", horizon=20_000)).p_share) == 5
-    assert len(episode.trace_pool(make_scenario("ieee123", n_datacenters=1, horizon=20_000)).p_share) == 4
-    assert len(episode.trace_pool(make_scenario("ieee123")).p_share) == 24

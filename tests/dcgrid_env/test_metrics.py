@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PhaseDvfs, Recorder, Scenario, episode, make_scenario
+from dcgrid_env import PhaseDvfs, Recorder, Scenario, episode, make_scenario, metrics
 from dcgrid_env.metrics import Series
 from dcgrid_env.request_delay import RequestDelays
 from dcgrid_env.reward import Costs
@@ -194,7 +194,8 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> TraceRows:
         compute_share=rng.uniform(0.0, 1.0, (4, 200)),
         requests=tuple(map(RequestTimes, arrival, first, first + rng.uniform(0.0, 20.0, arrival.shape), 0.5 * first)),
     )
-    monkeypatch.setattr(episode, "trace_pool", lambda scenario: rows)
+    for module in (episode, metrics):
+        monkeypatch.setattr(module, "trace_pool", lambda scenario: rows)
     return rows
 
 

@@ -195,7 +195,7 @@ def test_what_is_no_scenario_is_refused():
 
 
 def test_an_unknown_override_lists_those_there_are():
-    with pytest.raises(ScenarioError, match=r"'ieee123' has no field 'n_data_centers'.*n_datacenters.*horizon"):
+    with pytest.raises(TypeError, match=r"'ieee123' got an unexpected keyword argument 'n_data_centers'.*horizon"):
         make_scenario("ieee123", n_data_centers=3)
 
 
