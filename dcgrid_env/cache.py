@@ -9,14 +9,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from functools import wraps
+from inspect import signature
+from itertools import count
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 Owner = TypeVar("Owner")
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
 
-_KEPT = "_answers"
-"""Attribute that holds an object's answers, by function and further arguments."""
+_NUMBER = count()
 
 
 def cached_on_owner(
@@ -26,19 +27,24 @@ def cached_on_owner(
 
     The function must depend on nothing but its arguments, and the further ones are positional and hashable.
     """
+    key = f"_{function.__name__}_{next(_NUMBER)}"  # unlike that of another function of this name
+    found: Any = function
 
-    @wraps(function)
-    def answered(owner: Any, *rest: Any) -> Any:
-        attributes = owner.__dict__
-        if _KEPT not in attributes:
-            attributes[_KEPT] = {}
-        answers, key = attributes[_KEPT], (function, *rest)
+    def one(owner: Any) -> Any:
+        kept = owner.__dict__
+        if key in kept:
+            return kept[key]
+        return kept.setdefault(key, found(owner))
+
+    def several(owner: Any, *rest: Any) -> Any:
+        kept = owner.__dict__
+        answers = kept[key] if key in kept else kept.setdefault(key, {})
         try:
-            return answers[key]
+            return answers[rest]
         except KeyError:
-            return answers.setdefault(key, function(owner, *rest))  # pyright: ignore[reportCallIssue]
+            return answers.setdefault(rest, found(owner, *rest))
 
-    return answered  # pyright: ignore[reportReturnType]
+    return wraps(function)(one if len(signature(function).parameters) == 1 else several)  # pyright: ignore
 
 
 def fields_alone(instance: Any) -> dict[str, Any]:

@@ -33,6 +33,8 @@ class Episode(NamedTuple):
     """The same of generated PV, (lane,); 0 where there is none."""
     begin_h: np.ndarray
     """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
+    still: np.ndarray
+    """Ones, (lane,): the share of the nominal load where nothing follows the day."""
     fault: np.ndarray
     """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
     int64, (lane, n_fault, 3)."""
@@ -136,7 +138,7 @@ def assemble(
     fault: np.ndarray,
 ) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
-    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, fault)
+    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, np.ones(len(key)), fault)
 
 
 def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
@@ -200,10 +202,10 @@ def exogenous(
         The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
     """
     hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
+    share = episode.still if hour is None else load_share(hour)
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     load = _load(scenario)
-    share = np.ones(len(step)) if hour is None else load_share(hour)
 
     def part(a: int, b: int) -> int:
         return counter.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])

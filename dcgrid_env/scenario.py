@@ -172,7 +172,7 @@ class Scenario:
                 return f.name
         return None
 
-    @property
+    @cached_property
     def follows_day(self) -> bool:
         """Whether base load, generated PV and generated requests follow the course of a day."""
         return self.start_hour is not None or self.horizon * self.dt_s > 3600.0
