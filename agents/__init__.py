@@ -1,6 +1,6 @@
 """Learned policies: their files, finding and scoring them, and one training algorithm a file.
 
-Importing the package, or running a policy, needs no torch; the algorithms import it themselves.
+Importing the package, or running a policy, needs no torch; the algorithms and ``sb3_vec_env`` import it themselves.
 """
 
 from dcgrid_env.agents.card import Card
@@ -8,5 +8,6 @@ from dcgrid_env.agents.evaluate import Evaluation, evaluate
 from dcgrid_env.agents.find import find_controller
 from dcgrid_env.agents.network import Network, PolicyError
 from dcgrid_env.agents.policy import Policy
+from dcgrid_env.agents.vec_env import sb3_vec_env
 
-__all__ = ["Card", "Evaluation", "Network", "Policy", "PolicyError", "evaluate", "find_controller"]
+__all__ = ["Card", "Evaluation", "Network", "Policy", "PolicyError", "evaluate", "find_controller", "sb3_vec_env"]

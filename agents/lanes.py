@@ -33,7 +33,6 @@ REACH = {"setpoint": (1.0, 1.0), "change": (2.0, 0.5), "droop": (0.5, 0.5)}
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 """Largest action; changes are meant to stay well within it."""
 KINDS = ("datacenter", "inverter")
-NO_INFOS: dict[str, Any] = {}
 
 
 def droop_gains(scenario: Scenario) -> Gains:
@@ -46,9 +45,9 @@ class JointLanes(VecEnv):
     """One lane for each environment of a native batch.
 
     Lane i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
-    stands in ``infos[lane]["terminal_observation"]``, and ``infos[lane]["TimeLimit.truncated"]`` says whether it ended
-    at the horizon rather than in a voltage collapse; other steps have empty infos. Rewards are the team's less
-    ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps.
+    stands in ``infos[lane]["terminal_observation"]``, ``infos[lane]["TimeLimit.truncated"]`` says whether it ended at
+    the horizon rather than in a voltage collapse, and ``infos[lane]["J"]`` is its cost; other steps have empty infos.
+    Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps.
 
     Parameters
     ----------
@@ -61,15 +60,24 @@ class JointLanes(VecEnv):
         or at no reactive power.
     outputs
         Whether actions are setpoints, changes, or corrections of the tuned droop.
+    render_mode
+        None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     """
 
     kind = "joint"
 
-    def __init__(self, scenario: Scenario, n_envs: int, act: Act = "both", outputs: Outputs = "setpoint"):
+    def __init__(
+        self,
+        scenario: Scenario,
+        n_envs: int,
+        act: Act = "both",
+        outputs: Outputs = "setpoint",
+        render_mode: str | None = None,
+    ):
         self.outputs: Outputs = outputs
         self.gains = droop_gains(scenario) if outputs == "droop" else None
         self._does = View(scenario, self.kind, act=act, outputs=outputs, gains=self.gains)
-        self.batch = DcgridVectorEnv(n_envs, scenario)
+        self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs
         self.physics_s = 0.0
         self.reward_mean, self.reward_scale = 0.0, 1.0
@@ -145,15 +153,30 @@ class JointLanes(VecEnv):
         self._seen, reward, terminated, truncated, _ = self.batch.step(joint)
         each = self.lanes_per_env
         done = np.repeat(terminated | truncated, each)
-        infos = [NO_INFOS] * self.num_envs
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
-            last, ended = self.arrived(), self.truncated
+            last, ended, j = self.arrived(), self.truncated, np.repeat(self.batch.transition.j_so_far, each)
             for lane in np.flatnonzero(done):
-                infos[lane] = {"terminal_observation": last[lane], "TimeLimit.truncated": bool(ended[lane])}
+                infos[lane]["terminal_observation"] = last[lane].copy()
+                infos[lane]["TimeLimit.truncated"] = bool(ended[lane])
+                infos[lane]["J"] = float(j[lane])
         paid = np.repeat((reward - self.reward_mean) * self.reward_scale, each).astype(np.float32)
         seen = self._view(self._seen)
         self.physics_s += time.perf_counter() - began_s
         return seen, paid, done, infos
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """An image (height, width, 3) of each environment; RuntimeError unless the render mode is "rgb_array"."""
+        if self.render_mode != "rgb_array":
+            raise RuntimeError(f"render_mode is {self.render_mode!r}; make the lanes with 'rgb_array' for images")
+        return self.batch.render() or ()
+
+    def render(self, mode: str | None = None) -> np.ndarray | None:
+        """Tile the environments' images into one, or draw the first environment's window."""
+        if self.render_mode == "human":
+            self.batch.render()
+            return None
+        return super().render(mode)
 
     def close(self) -> None:
         """Close the batch."""
@@ -184,7 +207,7 @@ class AgentLanes(JointLanes):
 
     Parameters
     ----------
-    scenario, n_envs, act, outputs
+    scenario, n_envs, act, outputs, render_mode
         As for :class:`JointLanes`.
     nameplate
         Whether the nameplate figures are observed.
@@ -199,6 +222,7 @@ class AgentLanes(JointLanes):
         act: Act = "both",
         outputs: Outputs = "setpoint",
         nameplate: bool = False,
+        render_mode: str | None = None,
     ):
         names = field_names(scenario)
         agents = scenario.agents
@@ -207,7 +231,7 @@ class AgentLanes(JointLanes):
         kind = KINDS[0] if scenario.n_datacenters else KINDS[1]
         self._figures = self._sees.widths[kind][0] - len(names[agents[0]])
         self._kind = (np.arange(len(agents)) < scenario.n_datacenters).astype(np.float32)
-        super().__init__(scenario, n_envs, act, outputs)
+        super().__init__(scenario, n_envs, act, outputs, render_mode)
 
     @property
     def lanes_per_env(self) -> int:

@@ -9,8 +9,9 @@ import numpy as np
 
 from dcgrid_env.actions import joint_action
 from dcgrid_env.face import Face, as_seed, check_running, joint_spaces
-from dcgrid_env.info import info_arrays
+from dcgrid_env.info import InfoLevel, info_arrays
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
 
 if TYPE_CHECKING:
     from dcgrid_env.simulation import Transition
@@ -19,20 +20,34 @@ if TYPE_CHECKING:
 class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
 
+    ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon; a TimeLimit put around the environment by
+    hand that is shorter than the horizon is a ScenarioError at the reset.
+
     Parameters
     ----------
     scenario
         Name of a preset or a Scenario.
     render_mode
         None, "rgb_array" or "human".
+    info
+        What stands in ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
     **overrides
         Any field of the Scenario, for instance ``horizon=60, split="test"``.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 (gymnasium declares it so)
 
-    def __init__(self, scenario: str | Scenario = "ieee123", *, render_mode: str | None = None, **overrides: Any):
-        self._setup(scenario, 1, render_mode, overrides, joint=True)
+    def __init__(
+        self,
+        scenario: str | Scenario = "ieee123",
+        *,
+        render_mode: str | None = None,
+        info: InfoLevel = "full",
+        **overrides: Any,
+    ):
+        overrides = with_horizon(overrides, "max_episode_steps", max_episode_steps_of_make(self))
+        self._setup(scenario, 1, render_mode, info, overrides, joint=True)
+        self._bus_keys = [f"bus_{agent}" for agent in self.scenario.agents]
         self.observation_space, self.action_space = joint_spaces(self.scenario)
 
     def reset(
@@ -40,6 +55,7 @@ class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin a seed's first episode, or the next one if no seed is given."""
         seed = as_seed(seed)
+        refuse_shorter_limit(self)
         super().reset(seed=seed)
         transition = self._reset([seed], self.np_random)
         return transition.observation[0].copy(), self._info(transition)
@@ -57,4 +73,11 @@ class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
         )
 
     def _info(self, transition: Transition) -> dict[str, Any]:
-        return {name: values.item() for name, values in info_arrays(transition).items()} | self._bus_of
+        figures = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        if self.info_level == "full":
+            figures.update(self._bus_of)
+        return figures
+
+    def _arrived(self) -> None:
+        super()._arrived()
+        self._bus_of = dict(zip(self._bus_keys, self._bus_names[0], strict=True))

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from dcgrid_env import actions, observation
+from dcgrid_env.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.presets import make_scenario
 from dcgrid_env.scenario import Scenario, ScenarioError
 
@@ -36,19 +37,29 @@ class Face:
 
     scenario: Scenario
     render_mode: str | None
+    info_level: InfoLevel
     _viewer: Any = None
 
     def _setup(
-        self, scenario: str | Scenario, lanes: int, render_mode: str | None, overrides: dict[str, Any], *, joint: bool
+        self,
+        scenario: str | Scenario,
+        lanes: int,
+        render_mode: str | None,
+        info: InfoLevel,
+        overrides: dict[str, Any],
+        *,
+        joint: bool,
     ) -> None:
         from dcgrid_env.simulation import Simulation  # brings the compiler with it, so not on import
 
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
+        if info not in INFO_LEVELS:
+            raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
         self.scenario = make_scenario(scenario, **overrides)
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
-        self.render_mode = render_mode
+        self.render_mode, self.info_level = render_mode, info
         self._bus_ids = np.array(self.scenario.feeder.bus_ids)
         self._simulation: Simulation = Simulation(self.scenario, lanes)
         self._last: Transition | None = None
@@ -73,11 +84,14 @@ class Face:
 
     def render(self) -> Any:
         """Draw the feeder and the running curves: an image (height, width, 3) uint8, or a window for "human"."""
+        return self._drawable().draw()
+
+    def _drawable(self) -> Any:
         if self.render_mode is None:
             raise RuntimeError("render needs a render_mode; make the environment with 'rgb_array' or 'human'")
         if self._viewer is None:
             raise RuntimeError("the environment has not been reset; call reset() before render()")
-        return self._viewer.draw()
+        return self._viewer
 
     def close(self, **kwargs: Any) -> None:
         """Close the window, if there is one."""
@@ -103,13 +117,12 @@ class Face:
         """After a reset or restore: where the agents stand, and the picture."""
         self._last = None
         self._bus_names = self.buses()
-        keys = [f"bus_{agent}" for agent in self.scenario.agents]
-        self._bus_of = dict(zip(keys, self._bus_names[0].tolist(), strict=True))
         if self.render_mode is not None:
             if self._viewer is None:
                 from dcgrid_env.render import Viewer
 
-                self._viewer = Viewer(self.scenario, self.render_mode)
+                lanes = 1 if self.render_mode == "human" else self._simulation.lanes
+                self._viewer = Viewer(self.scenario, self.render_mode, lanes)
             self._show()
 
     def _show(self) -> None:

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 class History:
-    """Lane 0 of the running episode, one row a step, in arrays that are made once; float32 is plenty for a picture."""
+    """A lane's running episode, one row a step, in arrays that are made once; float32 is plenty for a picture."""
 
-    def __init__(self, scenario: Scenario):
+    def __init__(self, scenario: Scenario, lane: int = 0):
+        self.lane = lane
         rows, n_dc = scenario.horizon + 1, scenario.n_datacenters
         self.v_pu = np.empty((rows, scenario.feeder.n_bus), np.float32)
         self.f_mhz = np.empty((rows, n_dc), np.float32)
@@ -29,24 +30,25 @@ class History:
         self.solved = True
 
     def add(self, snapshot: Snapshot) -> None:
-        """Copy lane 0: it is small, while a reference would keep the arrays of every lane alive."""
-        step, state, drawn = int(snapshot.step[0]), snapshot.state, snapshot.episode
+        """Copy the lane: it is small, while a reference would keep the arrays of every lane alive."""
+        lane, state, drawn = self.lane, snapshot.state, snapshot.episode
+        step = int(snapshot.step[lane])
         # A restored environment may go on from any step, of this episode or another.
-        if step == 0 or drawn.key[0] != self.key or not self.first <= step <= self.last + 1:
-            self.first, self.key, self.episode = step, drawn.key[0], drawn
+        if step == 0 or drawn.key[lane] != self.key or not self.first <= step <= self.last + 1:
+            self.first, self.key, self.episode = step, drawn.key[lane], drawn
         self.last = step
-        self.v_pu[step] = state.v_pu[0]
-        self.f_mhz[step] = state.f_mhz[0]
-        self.backlog_kws[step] = state.backlog_kws[0]
-        self.p_kw[step] = state.p_kw[0]
-        self.q_kvar[step] = state.q_kvar[0]
-        self.solved = snapshot.transition.converged[0]
+        self.v_pu[step] = state.v_pu[lane]
+        self.f_mhz[step] = state.f_mhz[lane]
+        self.backlog_kws[step] = state.backlog_kws[lane]
+        self.p_kw[step] = state.p_kw[lane]
+        self.q_kvar[step] = state.q_kvar[lane]
+        self.solved = snapshot.transition.converged[lane]
 
     @property
     def buses(self) -> np.ndarray:
         """Position of each agent's bus, (n_agent,)."""
-        return self.episode.buses[0]
+        return self.episode.buses[self.lane]
 
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
-        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[:1]), steps)
+        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)

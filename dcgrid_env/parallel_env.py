@@ -14,8 +14,9 @@ from dcgrid_env import observation
 from dcgrid_env.actions import joined_actions
 from dcgrid_env.constants import constants
 from dcgrid_env.face import Face, as_seed, check_running
-from dcgrid_env.info import info_arrays
+from dcgrid_env.info import InfoLevel, info_arrays
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.time_limit import with_horizon
 
 if TYPE_CHECKING:
     from dcgrid_env.simulation import Transition
@@ -38,6 +39,8 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         None, "rgb_array" or "human".
     max_cycles
         Steps in an episode; the scenario's horizon by default.
+    info
+        What stands in each agent's ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
     **overrides
         Any field of the Scenario, for instance ``reward="local", observe="neighbours"``.
     """
@@ -55,11 +58,11 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         *,
         render_mode: str | None = None,
         max_cycles: int | None = None,
+        info: InfoLevel = "full",
         **overrides: Any,
     ):
-        if max_cycles is not None:
-            overrides["horizon"] = max_cycles
-        self._setup(scenario, 1, render_mode, overrides, joint=False)
+        overrides = with_horizon(overrides, "max_cycles", max_cycles)
+        self._setup(scenario, 1, render_mode, info, overrides, joint=False)
         s = self.scenario
         self.max_cycles = s.horizon
         self.possible_agents = list(s.agents)
@@ -151,8 +154,10 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         return {agent: joint[cut] for agent, cut in self._slices.items()}
 
     def _infos(self, transition: Transition) -> dict[str, dict[str, Any]]:
-        common = {name: values.item() for name, values in info_arrays(transition).items()}
-        buses = zip(self.possible_agents, self._bus_of.values(), strict=True)
+        common = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        if self.info_level != "full":
+            return {agent: common.copy() for agent in self.possible_agents}
+        buses = zip(self.possible_agents, self._bus_names[0], strict=True)
         return {agent: {**common, "bus": bus} for agent, bus in buses}
 
 
@@ -161,10 +166,11 @@ def parallel_env(
     *,
     render_mode: str | None = None,
     max_cycles: int | None = None,
+    info: InfoLevel = "full",
     **overrides: Any,
 ) -> DcgridParallelEnv:
     """The multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
-    return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, **overrides)
+    return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
 
 
 def env(
@@ -172,7 +178,9 @@ def env(
     *,
     render_mode: str | None = None,
     max_cycles: int | None = None,
+    info: InfoLevel = "full",
     **overrides: Any,
 ) -> AECEnv[str, Any, Any]:
     """The same environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
-    return parallel_to_aec(parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, **overrides))
+    turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
+    return parallel_to_aec(turns)

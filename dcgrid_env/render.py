@@ -44,7 +44,7 @@ _STYLE: Any = {
 
 
 class Viewer:
-    """Draws lane 0 of a simulation.
+    """Draws the lanes of a simulation, one at a time and all with one figure.
 
     Parameters
     ----------
@@ -52,30 +52,34 @@ class Viewer:
         What is simulated.
     render_mode
         "rgb_array" (``draw`` gives an image) or "human" (it shows a window, where the session has a display).
+    lanes
+        How many lanes, the first ones, can be drawn.
     """
 
-    def __init__(self, scenario: Scenario, render_mode: str):
+    def __init__(self, scenario: Scenario, render_mode: str, lanes: int = 1):
         self.scenario = scenario
         self.render_mode = render_mode
-        self._history = History(scenario)
+        self._histories = [History(scenario, lane) for lane in range(lanes)]
         self._forget()
 
     def record(self, snapshot: Snapshot) -> None:
         """Take a reset, a step or a restored snapshot in; cheap, nothing is drawn."""
-        self._history.add(snapshot)
+        for history in self._histories:
+            history.add(snapshot)
 
-    def draw(self) -> np.ndarray | None:
-        """Draw the episode up to now: an image, uint8, (height, width, 3), or None for "human".
+    def draw(self, lane: int = 0) -> np.ndarray | None:
+        """Draw a lane's episode up to now: an image, uint8, (height, width, 3), or None for "human".
 
         RuntimeError before the first episode.
         """
-        if self._history.last < 0:
+        history = self._histories[lane]
+        if history.last < 0:
             raise RuntimeError("nothing to draw yet; record a snapshot first")
         if self._figure is None:
             self._figure = self._make()
         if self._window is not None and not _is_open(self._window):
             return None
-        changed = [part.update(self._history) for part in self._parts]
+        changed = [part.update(history) for part in self._parts]
         canvas: Any = self._figure.canvas
         if self._window is not None:
             canvas.draw()

@@ -28,6 +28,8 @@ class Transition(NamedTuple):
     """Weighted terms of the team's cost, (lane,) each."""
     cost_j: np.ndarray
     """The step's share of J times T, (lane,): minus the team's reward."""
+    j_so_far: np.ndarray
+    """Sum of ``cost_j`` since the reset over T, (lane,): J of the episode once it is over."""
     state: State
     loss_kw: np.ndarray
     """(lane,)"""
@@ -108,6 +110,19 @@ class Simulation:
         self._now = drawn if len(lanes) == self.lanes else _merge(self.scenario, self.now, drawn, lanes)
         return self._now.transition
 
+    def step_or_begin(self, action: np.ndarray) -> Transition:
+        """Advance the lanes whose episode goes on; the others begin their next one, whatever their action."""
+        lanes = np.flatnonzero(self.now.over)
+        begun = self._begin(lanes, [None] * self.lanes)
+        if len(lanes) == self.lanes:
+            self._now = begun
+            return begun.transition
+        # The physics steps all lanes at once: those that begin stand in the batch meanwhile, and are then put back.
+        self._now = _merge(self.scenario, self.now, begun, lanes)
+        self.step(action)
+        self._now = _merge(self.scenario, self.now, begun, lanes)
+        return self._now.transition
+
     def step(self, action: np.ndarray) -> Transition:
         """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
         now = self.now
@@ -116,7 +131,8 @@ class Simulation:
         state, solution = dynamics.step(self.scenario, now.state, action, outside)
         measured = (*now.measured[1:], self._measure(now.episode, step, state))
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
-        transition = self._transition(now.episode, step, state, solution, measured, p_ref_next)
+        j_before = now.transition.j_so_far
+        transition = self._transition(now.episode, step, state, solution, measured, p_ref_next, j_before)
         self._now = Snapshot(
             self.scenario, now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition
         )
@@ -138,9 +154,11 @@ class Simulation:
         outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
-        transition = self._transition(drawn, step, state, solution, measured, p_ref_next)
+        none = np.zeros(len(lanes))
+        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
         free = reward.Costs(*(0.0 * term for term in transition.costs))  # t = 0 is not charged
-        transition = transition._replace(costs=free, cost_j=0.0 * transition.cost_j, reward=0.0 * transition.reward)
+        paid = np.zeros_like(transition.reward)
+        transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
@@ -159,6 +177,7 @@ class Simulation:
         solution: Solution,
         measured: tuple[np.ndarray, ...],
         p_ref_next: np.ndarray,
+        j_before: np.ndarray,
     ) -> Transition:
         s = self.scenario
         share_next = episode.compute_share(s, drawn, step + 1)
@@ -178,6 +197,7 @@ class Simulation:
             truncated=solution.converged & last,
             costs=costs,
             cost_j=cost_j,
+            j_so_far=j_before + cost_j / s.horizon,
             state=state,
             loss_kw=solution.loss_kw,
             converged=solution.converged,

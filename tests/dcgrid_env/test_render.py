@@ -126,8 +126,8 @@ def test_a_new_episode_starts_from_an_empty_history():
     assert len(curve(env, "v_pu")) == 1
 
 
-def curve_after_render(env, name):
-    env.render()
+def curve_after_render(env, name, lane=0):
+    env._viewer.draw(lane)
     return curve(env, name)
 
 
@@ -154,31 +154,58 @@ def test_a_restored_environment_is_drawn_from_where_it_went_on():
     assert curve_after_render(env, "v_pu")[:, 0].tolist() == [5, 6, 7]
 
 
-def test_only_lane_0_of_a_batch_is_drawn_and_others_may_be_reset_alone():
-    batch = dcgrid_env.DcgridVectorEnv(3, "toy6", render_mode="rgb_array", horizon=9)
-    single = make(horizon=9)
+def test_a_batch_gives_an_image_of_each_lane():
+    batch = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, render_mode="rgb_array", horizon=9)
+    singles = [make(horizon=9) for _ in range(3)]
     batch.reset(seed=0)
+    for i, single in enumerate(singles):
+        single.reset(seed=i)
     rng = np.random.default_rng(3)
     for k in range(6):
         action = rng.uniform(-1, 1, (3, 4))
         batch.step(action)
-        single.step(action[0])
+        for i, single in enumerate(singles):
+            single.step(action[i])
         if k == 3:
             batch.reset(options={"reset_mask": np.array([False, True, False])})
-    np.testing.assert_array_equal(batch.render(), single.render())
+            singles[1].reset()
+    frames = batch.render()
+    assert isinstance(frames, tuple)
+    for frame, single in zip(frames, singles, strict=True):
+        np.testing.assert_array_equal(frame, single.render())
     for _ in range(3):
         batch.step(np.zeros((3, 4)))
-    assert len(curve_after_render(batch, "v_pu")) == 1  # lane 0 has begun its next episode
+    np.testing.assert_array_equal(batch.unwrapped._viewer.draw(0), batch.render()[0])
+    assert len(curve_after_render(batch.unwrapped, "v_pu", lane=0)) == 1  # lane 0 has begun its next episode
+    assert len(curve_after_render(batch.unwrapped, "v_pu", lane=1)) == 6
+
+
+def test_a_lane_that_begins_in_the_next_step_is_drawn_from_there():
+    batch = dcgrid_env.DcgridVectorEnv(2, "toy6", render_mode="rgb_array", horizon=2, autoreset_mode="next_step")
+    batch.reset(seed=0)
+    lengths = []
+    for _ in range(4):
+        batch.step(np.zeros((2, 4)))
+        lengths.append(len(curve_after_render(batch, "v_pu", lane=1)))
+    assert lengths == [2, 3, 1, 2]
+
+
+def test_a_window_shows_lane_0_of_a_batch(caplog):
+    batch = dcgrid_env.DcgridVectorEnv(3, "toy6", render_mode="human")
+    batch.reset(seed=0)
+    assert batch.render() is None
+    assert len(batch._viewer._histories) == 1
 
 
 def test_history_keeps_no_batch_alive():
     batch = dcgrid_env.DcgridVectorEnv(500, "toy6", render_mode="rgb_array")
     batch.reset(seed=0)
     batch.step(np.zeros((500, 4)))
-    history = batch._viewer._history
-    arrays = [a for a in vars(history).values() if isinstance(a, np.ndarray)]
-    assert len(arrays) >= 5
-    assert all(a.base is None and len(a) == 101 for a in arrays)
+    assert len(batch._viewer._histories) == 500
+    for history in (batch._viewer._histories[0], batch._viewer._histories[499]):
+        arrays = [a for a in vars(history).values() if isinstance(a, np.ndarray)]
+        assert len(arrays) >= 5
+        assert all(a.base is None and len(a) == 101 for a in arrays)
 
 
 def test_drawing_before_an_episode_is_refused():

@@ -3,7 +3,9 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import wrappers
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import vector
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
@@ -40,31 +42,180 @@ def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
             assert {k: infos[k][i] for k in info} == info
 
 
-def test_conventions_agree_with_gymnasiums_own_vector_environment():
-    ours = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, horizon=2)
-    theirs = SyncVectorEnv([lambda: DcgridEnv("toy6", horizon=2)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
+def collapsing():
+    """Episodes that end at 12 steps, or before in a voltage collapse, each lane's at its own time."""
+    times = np.arange(3000.0)
+    jumps = np.random.default_rng(0).random(3000) < 0.08
+    trace = PowerTrace(times, np.where(jumps, 1.0, 0.2), name="jumps")
+    return {"p_rated_kw": 9000.0, "n_datacenters": 1, "datacenter_buses": (18,), "horizon": 12, "trace": (trace,)}
+
+
+def assert_alike(mine, theirs):
+    assert mine.keys() == theirs.keys()
+    for key, other in theirs.items():
+        if isinstance(other, dict):
+            assert_alike(mine[key], other)
+        elif other.dtype == object:
+            assert [o is None for o in mine[key]] == [o is None for o in other]
+            for a, b in zip(mine[key], other, strict=True):
+                np.testing.assert_array_equal(a, b)
+        else:
+            assert mine[key].dtype == other.dtype, key
+            valid = theirs.get(f"_{key}", np.ones(len(other), bool))  # the rest is whatever comes to hand
+            np.testing.assert_array_equal(mine[key][valid], other[valid], err_msg=key)
+
+
+def assert_same_steps(ours, theirs, steps, *, mask_resets=()):
+    """Both step by step, with resets of random lanes before some steps; the steps at which lanes of ours ended."""
+    ours.action_space.seed(0)
+    rng, ended = np.random.default_rng(1), []
+    mode = theirs.autoreset_mode
+    a, b = ours.reset(seed=5), theirs.reset(seed=5)
+    done = np.zeros(ours.num_envs, bool)
+    for t in range(steps):
+        mask = done.copy() if mode is AutoresetMode.DISABLED else np.zeros(ours.num_envs, bool)
+        if t in mask_resets:
+            mask |= rng.random(ours.num_envs) < 0.4
+        if mask.any():
+            a, b = (env.reset(options={"reset_mask": mask.copy()}) for env in (ours, theirs))
+            np.testing.assert_array_equal(a[0], b[0])
+            assert_alike(a[1], b[1])
+        actions = np.abs(ours.action_space.sample())
+        a, b = ours.step(actions), theirs.step(actions)
+        for mine, other in zip(a[:4], b[:4], strict=True):
+            np.testing.assert_array_equal(mine, other)
+            assert mine.dtype == other.dtype
+        assert_alike(a[4], b[4])
+        done = a[2] | a[3]
+        ended += [(t, lane) for lane in np.flatnonzero(done)]
+    return ended
+
+
+@pytest.mark.parametrize("info", ["full", "costs", "none"])
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_every_mode_is_gymnasiums_own(mode, info):
+    extra = collapsing() | {"info": info}
+    ours = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=5, autoreset_mode=mode.name.lower(), **extra)
+    theirs = SyncVectorEnv([lambda: DcgridEnv("ieee33-weak", **extra)] * 5, autoreset_mode=mode)
     assert isinstance(ours.unwrapped, DcgridVectorEnv)
-    assert ours.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert ours.unwrapped.autoreset_mode is ours.metadata["autoreset_mode"] is mode
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
-    a, info_a = ours.reset(seed=5)
-    b, info_b = theirs.reset(seed=5)
-    np.testing.assert_array_equal(a, b)
-    assert info_a.keys() == info_b.keys()
-    ours.action_space.seed(0)
-    for _ in range(5):
-        actions = ours.action_space.sample()
-        *mine, my_info = ours.step(actions)
-        *other, other_info = theirs.step(actions)
-        for a, b in zip(mine, other, strict=True):
-            np.testing.assert_array_equal(a, b)
-            assert np.asarray(a).dtype == np.asarray(b).dtype
-        assert my_info.keys() == other_info.keys()
-        for key in my_info.keys() - {"final_info", "final_obs"}:
-            np.testing.assert_array_equal(my_info[key], other_info[key])
-        if "final_obs" in my_info:
-            np.testing.assert_array_equal(np.stack(my_info["final_obs"]), np.stack(other_info["final_obs"]))
-            assert my_info["final_info"].keys() == other_info["final_info"].keys()
+    ended = assert_same_steps(ours, theirs, 60, mask_resets=(7, 20, 33))
+    assert len({t for t, _ in ended}) > 8  # at times of their own
+    assert {lane for _, lane in ended} == set(range(5))
+    together = [t for t in range(60) if [s for s, _ in ended].count(t) > 1]
+    assert len(together) > 0
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_lanes_that_all_end_at_once(mode):
+    ours = DcgridVectorEnv(3, "ieee123", autoreset_mode=mode, horizon=2)
+    theirs = SyncVectorEnv([lambda: DcgridEnv("ieee123", horizon=2)] * 3, autoreset_mode=mode)
+    assert len(assert_same_steps(ours, theirs, 9)) in (3 * 3, 4 * 3)
+
+
+def test_the_mode_is_each_batchs_own():
+    one, two = DcgridVectorEnv(1, "toy6"), DcgridVectorEnv(1, "toy6", autoreset_mode=AutoresetMode.NEXT_STEP)
+    assert one.metadata["autoreset_mode"] is one.autoreset_mode is AutoresetMode.SAME_STEP
+    assert two.metadata["autoreset_mode"] is two.autoreset_mode is AutoresetMode.NEXT_STEP
+    for mode in ("later", None):
+        with pytest.raises(ValueError, match="choose one of next_step, same_step, disabled"):
+            DcgridVectorEnv(1, "toy6", autoreset_mode=mode)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_step_of_lanes_that_are_over_is_refused_where_none_begins_by_itself():
+    env = DcgridVectorEnv(3, "toy6", autoreset_mode="disabled", horizon=2)
+    env.reset(seed=0)
+    env.step(np.zeros((3, 4)))
+    env.reset(options={"reset_mask": np.array([False, True, False])})
+    *_, truncated, _ = env.step(np.zeros((3, 4)))
+    assert truncated.tolist() == [True, False, True]
+    before = env.save()
+    with pytest.raises(RuntimeError, match=r"lanes \[0, 2\] are over; reset them with options={'reset_mask'"):
+        env.step(np.zeros((3, 4)))
+    assert env.save() is before
+    # So is that of a batch that begins anew in the same step, given a snapshot of one that does not.
+    other = DcgridVectorEnv(3, "toy6", horizon=2)
+    other.restore(before)
+    with pytest.raises(RuntimeError, match=r"lanes \[0, 2\] are over"):
+        other.step(np.zeros((3, 4)))
+
+
+def test_save_and_restore_between_an_end_and_the_next_beginning():
+    extra = collapsing()
+    env = DcgridVectorEnv(5, "ieee33-weak", autoreset_mode="next_step", **extra)
+    env.reset(seed=5)
+    actions = np.ones((40, 5, 6))
+    at = next(t for t in range(40) if (lambda step: (step[2] | step[3]).any())(env.step(actions[t])))
+    saved = env.save()
+    course = [env.step(action)[:4] for action in actions[at:]]
+    again = DcgridVectorEnv(5, "ieee33-weak", autoreset_mode="next_step", **extra)
+    again.restore(saved)
+    for action, wanted in zip(actions[at:], course, strict=True):
+        for found, expected in zip(again.step(action), wanted, strict=False):
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_buses_in_info_are_those_of_the_episode_that_begins():
+    env = DcgridVectorEnv(2, "ieee123", autoreset_mode="next_step", horizon=1)
+    env.reset(seed=0)
+    single = DcgridEnv("ieee123", horizon=1)
+    single.reset(seed=0)
+    env.step(np.zeros((2, 17)))
+    *_, infos = env.step(np.zeros((2, 17)))
+    wanted = single.reset()[1]
+    assert {name: infos[name][0] for name in wanted} == wanted
+
+
+@pytest.mark.parametrize("mode", ["next_step", "disabled"])
+def test_gymnasiums_vector_observation_wrappers_take_it(mode):
+    def made():
+        return gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=4, horizon=5, autoreset_mode=mode)
+
+    plain, flat = made(), vector.FlattenObservation(made())
+    halved = vector.VectorizeTransformObservation(
+        made(), wrappers.TransformObservation, func=lambda observation: 0.5 * observation, observation_space=None
+    )
+    for t in range(12):
+        if t == 0 or (mode == "disabled" and t in (5, 10)):
+            seen, of_flat, of_halved = (env.reset(seed=0)[0] for env in (plain, flat, halved))
+        else:
+            action = np.full((4, 10), 0.5, np.float32)
+            seen, of_flat, of_halved = (env.step(action)[0] for env in (plain, flat, halved))
+        np.testing.assert_array_equal(of_flat, seen)
+        np.testing.assert_array_equal(of_halved, 0.5 * seen)
+
+
+def test_gymnasium_normalises_observations():
+    made = {"num_envs": 4, "horizon": 5, "autoreset_mode": "next_step"}
+    plain = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", **made)
+    normalised = vector.NormalizeObservation(gymnasium.make_vec("dcgrid/IEEE33Weak-v0", **made))
+    all_seen = [plain.reset(seed=0)[0]]
+    normalised.reset(seed=0)
+    for _ in range(12):
+        action = np.full((4, 10), 0.5, np.float32)
+        all_seen.append(plain.step(action)[0])
+        assert np.isfinite(normalised.step(action)[0]).all()
+    np.testing.assert_allclose(normalised.obs_rms.mean, np.concatenate(all_seen).mean(axis=0), atol=1e-4)
+
+
+def test_gymnasiums_statistics_and_rewards_of_whole_episodes():
+    made = {"num_envs": 4, "horizon": 5, "autoreset_mode": "next_step"}
+    env = vector.RecordEpisodeStatistics(gymnasium.make_vec("dcgrid/IEEE33Weak-v0", **made))
+    scaled = vector.NormalizeReward(gymnasium.make_vec("dcgrid/IEEE33Weak-v0", **made))
+    env.reset(seed=0)
+    scaled.reset(seed=0)
+    ends = 0
+    for _ in range(18):
+        action = np.full((4, 10), 0.5, np.float32)
+        *_, truncated, infos = env.step(action)
+        assert np.isfinite(scaled.step(action)[1]).all()
+        if truncated.any():
+            ends += 1
+            assert infos["episode"]["l"].tolist() == [5] * 4
+            np.testing.assert_allclose(infos["episode"]["r"], -5.0 * infos["J"], rtol=1e-6)
+    assert ends == 3
 
 
 @pytest.mark.parametrize("extra", [{}, PHASES], ids=["linear", "phases"])

@@ -69,6 +69,69 @@ print("checked")
 
 @pytest.mark.slow
 @needs("torchrl", "tensordict")
+def test_torchrl_makes_the_gymnasium_id_and_reads_its_info(tmp_path):
+    code = """
+import dcgrid_env, torch
+from torchrl.data import Unbounded
+from torchrl.envs import GymEnv, default_info_dict_reader
+from torchrl.envs.utils import check_env_specs
+NAME = "dcgrid/IEEE33Weak-v0"
+ends = [False, False, False, True] * 2
+
+env = GymEnv(NAME, horizon=4)
+check_env_specs(env)
+assert env.rollout(8, break_when_any_done=False)["next", "truncated"].squeeze().tolist() == ends
+
+env = GymEnv(NAME, horizon=4)  # a reader of chosen figures, whose types are given
+types = {"J": torch.float64, "cost": torch.float64, "bus_dc_0": torch.int64}
+env.set_info_dict_reader(default_info_dict_reader(list(types), spec=[Unbounded((), dtype=t) for t in types.values()]))
+check_env_specs(env)
+found = env.rollout(8, break_when_any_done=False)["next"]
+assert found["bus_dc_0"].tolist() == [18] * 8
+paid = -found["reward"].double().reshape(2, 4).sum(dim=1) / 4
+torch.testing.assert_close(found["J"][3::4], paid, rtol=1e-5, atol=0.0)  # J of the episode in its last info
+
+env = GymEnv(NAME, horizon=4).auto_register_info_dict()  # and one that finds all figures by itself
+check_env_specs(env)
+found = env.rollout(8, break_when_any_done=False)["next"]
+assert {"J", "cost_voltage", "voltage_min_pu", "power_flow_converged", "bus_inv_3"} <= set(found.keys())
+print("checked")
+"""
+    assert run("-c", code, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("torchrl", "tensordict")
+def test_torchrl_collectors_and_the_native_batch(tmp_path):
+    code = """
+import gymnasium, dcgrid_env
+from torchrl.collectors import Collector
+from torchrl.envs import GymEnv, GymWrapper
+from torchrl.envs.utils import check_env_specs
+NAME = "dcgrid/IEEE33Weak-v0"
+
+def batch(mode):
+    return GymWrapper(gymnasium.make_vec(NAME, num_envs=3, horizon=4, autoreset_mode=mode))
+
+made = {"single": lambda: GymEnv(NAME, horizon=4), "same": lambda: batch("same_step"), "off": lambda: batch("disabled")}
+for name, make in made.items():
+    check_env_specs(make())
+    collector = Collector(make, None, frames_per_batch=24, total_frames=48)
+    for data in collector:
+        data = data.reshape(-1, data.batch_size[-1])
+        ended, now = data["next", "done"].squeeze(-1), data["observation"]
+        assert ended.sum(dim=1).tolist() == [ended.shape[1] // 4] * len(ended), name
+        goes_on = ~ended[:, :-1]  # each observation is the one that the last action led to, unless an episode begins
+        alike = (now[:, 1:] == data["next", "observation"][:, :-1]).all(dim=-1)
+        assert alike.equal(goes_on), name
+    collector.shutdown()
+print("checked")
+"""
+    assert run("-c", code, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("torchrl", "tensordict")
 def test_torchrl_example(tmp_path):
     options = ["--updates", "1", "--rollout-steps", "120", "--episodes", "2", "--save", "made"]
     check_trained(run(EXAMPLES / "torchrl_pettingzoo.py", *options, home=tmp_path), tmp_path / "made.safetensors")
@@ -91,6 +154,49 @@ for name in ("toy6", "ieee33-weak", "mixed", "fault", "robust"):
             assert set(reward) == set(env.possible_agents), name
             assert truncated["__all__"] == (step == 3) and not terminated["__all__"], name
     assert env.observation_space.contains(observation) and not env.par_env.agents, name
+print("checked")
+"""
+    assert run("-c", code, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("ray")
+def test_rllib_on_the_native_batch_has_every_transition_of_every_episode(tmp_path):
+    code = """
+import gymnasium, numpy as np, dcgrid_env
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+
+HORIZON, LANES = 12, 3
+config = (
+    PPOConfig()
+    .environment("dcgrid_env:dcgrid/IEEE33Weak-v0", env_config={"horizon": HORIZON, "autoreset_mode": "next_step"})
+    .env_runners(
+        num_env_runners=0,
+        num_envs_per_env_runner=LANES,
+        gym_env_vectorize_mode=gymnasium.VectorizeMode.VECTOR_ENTRY_POINT,
+    )
+    .training(train_batch_size_per_learner=HORIZON * LANES * 2, minibatch_size=HORIZON, num_epochs=1)
+    .debugging(seed=7)
+)
+runner = SingleAgentEnvRunner(config=config)
+assert isinstance(runner.env.unwrapped, dcgrid_env.DcgridVectorEnv)
+episodes = runner.sample(num_episodes=4 * LANES, random_actions=True)
+singles = [dcgrid_env.DcgridEnv("ieee33-weak", horizon=HORIZON) for _ in range(LANES)]
+for i, episode in enumerate(episodes):
+    assert len(episode) == HORIZON, len(episode)
+    single = singles[i % LANES]
+    seen, _ = single.reset(seed=runner._seed + i if i < LANES else None)
+    np.testing.assert_array_equal(episode.get_observations(0), seen)
+    for t, action in enumerate(episode.get_actions()):
+        seen, reward, *_, info = single.step(action)
+        np.testing.assert_array_equal(episode.get_observations(t + 1), seen)
+        assert episode.get_rewards(t) == reward
+    assert episode.is_truncated and episode.get_infos(-1)["J"] == info["J"]
+algorithm = config.build_algo()
+found = algorithm.train()["env_runners"]
+assert found["episode_len_min"] == found["episode_len_max"] == HORIZON, found
+algorithm.stop()
 print("checked")
 """
     assert run("-c", code, home=tmp_path).endswith("checked\n")

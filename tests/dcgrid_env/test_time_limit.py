@@ -1,0 +1,118 @@
+"""Steps in an episode as Gymnasium and PettingZoo set them: they are the horizon, and leftover work is charged."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
+
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, ScenarioError, make_scenario, parallel_env
+
+ID = "dcgrid/IEEE33Weak-v0"
+
+
+def throttled(env, seed=1):
+    """An episode with every clock at its lowest: what each step returned, without the observation."""
+    env.reset(seed=seed)
+    action = np.zeros(env.action_space.shape, np.float32)
+    action[: 2 * env.unwrapped.scenario.n_datacenters : 2] = -1.0
+    steps = []
+    while not steps or not (steps[-1][1] or steps[-1][2]):
+        steps.append(env.step(action)[1:])
+    return steps
+
+
+@pytest.mark.parametrize("steps", [30, 130])
+def test_max_episode_steps_is_the_horizon(steps):
+    limited, own = gymnasium.make(ID, max_episode_steps=steps), gymnasium.make(ID, horizon=steps)
+    assert limited.unwrapped.scenario.horizon == steps
+    assert limited.observation_space == own.observation_space
+    found, wanted = throttled(limited), throttled(own)
+    assert len(found) == steps
+    assert found == wanted
+    info = found[-1][-1]
+    assert info["cost_leftover"] == pytest.approx(9.0 * info["backlog_kws"] / 3000.0)
+    assert info["cost_leftover"] > 1.0
+
+
+def test_the_spec_carries_it():
+    env = gymnasium.make(ID, max_episode_steps=30)
+    assert env.spec.max_episode_steps == 30
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario is env.unwrapped.scenario
+    assert again.spec.max_episode_steps == 30
+    batch = gymnasium.make_vec(env.spec, num_envs=2)
+    assert isinstance(batch.unwrapped, DcgridVectorEnv)
+    assert batch.unwrapped.scenario is env.unwrapped.scenario
+    assert gymnasium.make_vec(batch.spec).unwrapped.scenario is env.unwrapped.scenario
+
+
+def test_subclasses_are_told_too():
+    class Mine(DcgridEnv):
+        def __init__(self, **kwargs):
+            super().__init__("toy6", **kwargs)
+
+    spec = EnvSpec("Mine-v0", entry_point=Mine, max_episode_steps=7, disable_env_checker=True)
+    assert gymnasium.make(spec).unwrapped.scenario.horizon == 7
+    assert gymnasium.make(spec, max_episode_steps=8).unwrapped.scenario.horizon == 8
+
+
+def test_no_limit_and_the_same_limit_twice():
+    assert gymnasium.make(ID, max_episode_steps=-1).unwrapped.scenario.horizon == 120
+    assert gymnasium.make(ID, max_episode_steps=40, horizon=40).unwrapped.scenario.horizon == 40
+    assert DcgridVectorEnv(2, "toy6", max_episode_steps=-1).scenario.horizon == 100
+
+
+@pytest.mark.parametrize("mode", [None, "sync"])
+def test_batches_take_it(mode):
+    batch = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, max_episode_steps=5)
+    wanted = gymnasium.make_vec(ID, num_envs=2, horizon=5)
+    assert batch.single_observation_space == wanted.single_observation_space
+    batch.reset(seed=0)
+    ends = [batch.step(np.zeros((2, 10), np.float32))[3].tolist() for _ in range(5)]
+    assert ends == [[False] * 2] * 4 + [[True] * 2]
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda **steps: gymnasium.make(ID, **steps), "max_episode_steps"),
+        (lambda **steps: gymnasium.make_vec(ID, **steps), "max_episode_steps"),
+        (lambda **steps: parallel_env("toy6", **steps), "max_cycles"),
+    ],
+    ids=["make", "make_vec", "parallel_env"],
+)
+def test_two_lengths_of_an_episode_are_refused(make, name):
+    with pytest.raises(ScenarioError, match=f"{name} is 30 and horizon is 40, .* give one"):
+        make(**{name: 30, "horizon": 40})
+    for steps in (0, -2, 2.5, True):
+        with pytest.raises(ScenarioError, match=f"{name} is {steps!r}; give a whole number"):
+            make(**{name: steps})
+
+
+def test_a_shorter_limit_put_around_it_by_hand_is_refused():
+    env = RecordEpisodeStatistics(TimeLimit(gymnasium.make(ID), 30))
+    with pytest.raises(ScenarioError, match=r"TimeLimit of 30 steps .* horizon of 120, .* horizon=30"):
+        env.reset(seed=0)
+    with pytest.raises(ScenarioError, match="TimeLimit of 30 steps"):
+        TimeLimit(gymnasium.make(ID, max_episode_steps=60), 30).reset(seed=0)
+    TimeLimit(gymnasium.make(ID), 120).reset(seed=0)
+    TimeLimit(gymnasium.make(ID), 500).reset(seed=0)
+
+
+def test_limits_of_other_environments_do_not_matter():
+    class Outer(gymnasium.Env):
+        """Each of its steps is a whole episode of ours."""
+
+        observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (10,), np.float32)
+
+        def __init__(self):
+            self.inner = DcgridEnv(make_scenario("ieee33-weak"))
+
+        def reset(self, *, seed=None, options=None):
+            return self.inner.reset(seed=seed)
+
+    spec = EnvSpec("Outer-v0", entry_point=Outer, disable_env_checker=True)
+    env = gymnasium.make(spec, max_episode_steps=3)
+    env.reset(seed=0)
+    assert env.unwrapped.inner.scenario.horizon == 120
