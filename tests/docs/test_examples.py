@@ -57,6 +57,18 @@ def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, c
 
 
 @pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("view", ["joint", "shared"])
+def test_sb3_on_the_native_batch(view, tmp_path, capsys):
+    lanes = 4 * (12 if view == "shared" else 1)
+    before, after = example("sb3_vec_env").main(
+        steps=16 * lanes, num_envs=4, view=view, episodes=2, save=tmp_path / "made" / "model.zip"
+    )
+    assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
+    assert before != after
+    assert {path.name for path in (tmp_path / "made").iterdir()} == {"model.zip", "model.pkl"}
+
+
+@pytest.mark.usefixtures("one_thread")
 def test_cleanrl_ppo_and_its_policy_without_torch(tmp_path, capsys):
     cleanrl = example("cleanrl_ppo")
     # 130 steps, so that each lane's episode of 120 ends within the rollout.
