@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
 
-    ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon; a TimeLimit put around the environment by
-    hand that is shorter than the horizon is a ScenarioError at the reset.
+    ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the
+    horizon is put around the environment by hand, ``reset`` raises a ScenarioError.
 
     Parameters
     ----------

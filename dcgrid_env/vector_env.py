@@ -117,8 +117,10 @@ class DcgridVectorEnv(Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, n
             transition = self._simulation.step_or_begin(action)
             self._arrived()
         else:
-            lanes = np.flatnonzero(over).tolist()
-            raise RuntimeError(f"the episodes of lanes {lanes} are over; reset them with options={{'reset_mask': mask}}")
+            raise RuntimeError(
+                f"the episodes of lanes {np.flatnonzero(over).tolist()} are over; "
+                "reset them with options={'reset_mask': mask}"
+            )
         self._last = None
         done = transition.terminated | transition.truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and done.any():

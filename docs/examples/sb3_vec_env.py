@@ -45,7 +45,8 @@ def main(
     seen = VecMonitor(sb3_vec_env(SCENARIO, episodes, view, split="validation"))
     held_out = VecNormalize(seen, training=False, norm_reward=False)
     # What an action costs is charged within a few steps, so a short horizon learns fastest.
-    ppo = {"gamma": 0.5, "n_steps": 16, "batch_size": min(1024, 16 * envs.num_envs), "policy_kwargs": {"log_std_init": -1.0}}
+    ppo = {"gamma": 0.5, "n_steps": 16, "batch_size": min(1024, 16 * envs.num_envs)}
+    ppo["policy_kwargs"] = {"log_std_init": -1.0}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **ppo)
     before = mean_j(model, held_out)
     every = max(1, steps // (4 * envs.num_envs))

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -47,7 +48,8 @@ class Driver:
 
 def test_ids_presets_and_scenarios_make_the_same_batch():
     own = make_scenario("ieee33-weak", horizon=7)
-    for scenario, overrides in (("dcgrid/IEEE33Weak-v0", {"horizon": 7}), ("ieee33-weak", {"horizon": 7}), (own, {})):
+    ways: Any = (("dcgrid/IEEE33Weak-v0", {"horizon": 7}), ("ieee33-weak", {"horizon": 7}), (own, {}))
+    for scenario, overrides in ways:
         env = sb3_vec_env(scenario, 2, **overrides)
         assert env.get_attr("scenario") == [own] * 2
     assert sb3_vec_env(own, 2, "shared").num_envs == 2 * 7
@@ -90,6 +92,7 @@ def test_vec_monitor_logs_the_benchmarks_j(view, tmp_path):
     native = DcgridVectorEnv(2, "ieee33-weak", horizon=5)
     native.reset(seed=3)
     still = np.zeros((env.num_envs, *(env.action_space.shape or ())), np.float32)
+    done, infos, of_native = np.zeros(0), [], {}
     for _ in range(5):
         *_, done, infos = env.step(still)
         *_, of_native = native.step(np.zeros((2, 10), np.float32))
@@ -107,15 +110,18 @@ def test_vec_monitor_logs_the_benchmarks_j(view, tmp_path):
 @VIEWS
 def test_vec_normalize_scales_all_that_is_observed(view, tmp_path):
     plain = sb3_vec_env("ieee33-weak", 4, view, horizon=5)
-    env = VecNormalize(VecCheckNan(sb3_vec_env("ieee33-weak", 4, view, horizon=5), raise_exception=True), gamma=0.5)
+    env: Any = VecNormalize(
+        VecCheckNan(sb3_vec_env("ieee33-weak", 4, view, horizon=5), raise_exception=True), gamma=0.5
+    )
     plain.seed(0)
     env.seed(0)
-    all_seen = [plain.reset()]
-    env.reset()
+    seen: Any = plain.reset()
+    scaled: Any = env.reset()
+    all_seen, done, infos, ends = [seen], np.zeros(0), [], []
     for _ in range(5):
         action = np.full((env.num_envs, *(env.action_space.shape or ())), 0.3, np.float32)
         seen, _, _, ends = plain.step(action)
-        all_seen.append(np.asarray(seen))
+        all_seen.append(seen)
         scaled, paid, done, infos = env.step(action)
         assert np.isfinite(paid).all()
     assert done.all()
@@ -124,15 +130,15 @@ def test_vec_normalize_scales_all_that_is_observed(view, tmp_path):
     for info, end in zip(infos, ends, strict=True):
         np.testing.assert_allclose(info["terminal_observation"], env.normalize_obs(end["terminal_observation"]))
     env.save(str(tmp_path / "means.pkl"))
-    again = VecNormalize.load(str(tmp_path / "means.pkl"), sb3_vec_env("ieee33-weak", 1, view, horizon=5))
+    again: Any = VecNormalize.load(str(tmp_path / "means.pkl"), sb3_vec_env("ieee33-weak", 1, view, horizon=5))
     np.testing.assert_array_equal(again.obs_rms.mean, env.obs_rms.mean)
 
 
 @VIEWS
 def test_eval_callback_finds_the_j_of_the_benchmark(view, tmp_path):
-    train = VecNormalize(VecMonitor(sb3_vec_env("ieee123", 2, view, horizon=6)), gamma=0.5)
+    train: Any = VecNormalize(VecMonitor(sb3_vec_env("ieee123", 2, view, horizon=6)), gamma=0.5)
     held_out = VecMonitor(sb3_vec_env("ieee123", 3, view, horizon=6, split="validation"))
-    evaluated = VecNormalize(held_out, training=False, norm_reward=False)
+    evaluated: Any = VecNormalize(held_out, training=False, norm_reward=False)
     callback = EvalCallback(
         evaluated, n_eval_episodes=evaluated.num_envs, eval_freq=12, log_path=str(tmp_path), verbose=0
     )
@@ -151,7 +157,7 @@ def test_an_evaluation_is_the_benchmarks_own():
     env = VecMonitor(sb3_vec_env(scenario, 4))
     model = PPO("MlpPolicy", env, **SMALL)
     env.seed(0)
-    returned, _ = evaluate_policy(model, env, n_eval_episodes=4)
+    returned: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]
     wanted = rollout(scenario, Driver(model), range(4)).costs().mean()
     assert -returned / 6 == pytest.approx(wanted, rel=1e-5)
 
@@ -202,7 +208,7 @@ def test_a_window_shows_the_first_environment(monkeypatch):
 
 def mean_j(model, env):
     env.seed(0)
-    returned, _ = evaluate_policy(model, env, n_eval_episodes=env.num_envs)
+    returned: Any = evaluate_policy(model, env, n_eval_episodes=env.num_envs)[0]
     return -float(returned) / env.get_attr("scenario")[0].horizon
 
 

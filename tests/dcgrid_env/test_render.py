@@ -6,6 +6,7 @@ import logging
 import pickle
 import sys
 from types import ModuleType
+from typing import Any
 
 import gymnasium
 import matplotlib
@@ -155,7 +156,7 @@ def test_a_restored_environment_is_drawn_from_where_it_went_on():
 
 
 def test_a_batch_gives_an_image_of_each_lane():
-    batch = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, render_mode="rgb_array", horizon=9)
+    batch: Any = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, render_mode="rgb_array", horizon=9)
     singles = [make(horizon=9) for _ in range(3)]
     batch.reset(seed=0)
     for i, single in enumerate(singles):

@@ -1,21 +1,27 @@
 """Steps in an episode as Gymnasium and PettingZoo set them: they are the horizon, and leftover work is charged."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, ScenarioError, make_scenario, parallel_env
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, Scenario, ScenarioError, make_scenario, parallel_env
 
 ID = "dcgrid/IEEE33Weak-v0"
+
+
+def scenario_of(env: Any) -> Scenario:
+    return env.unwrapped.scenario
 
 
 def throttled(env, seed=1):
     """An episode with every clock at its lowest: what each step returned, without the observation."""
     env.reset(seed=seed)
     action = np.zeros(env.action_space.shape, np.float32)
-    action[: 2 * env.unwrapped.scenario.n_datacenters : 2] = -1.0
+    action[: 2 * scenario_of(env).n_datacenters : 2] = -1.0
     steps = []
     while not steps or not (steps[-1][1] or steps[-1][2]):
         steps.append(env.step(action)[1:])
@@ -25,7 +31,7 @@ def throttled(env, seed=1):
 @pytest.mark.parametrize("steps", [30, 130])
 def test_max_episode_steps_is_the_horizon(steps):
     limited, own = gymnasium.make(ID, max_episode_steps=steps), gymnasium.make(ID, horizon=steps)
-    assert limited.unwrapped.scenario.horizon == steps
+    assert scenario_of(limited).horizon == steps
     assert limited.observation_space == own.observation_space
     found, wanted = throttled(limited), throttled(own)
     assert len(found) == steps
@@ -36,15 +42,15 @@ def test_max_episode_steps_is_the_horizon(steps):
 
 
 def test_the_spec_carries_it():
-    env = gymnasium.make(ID, max_episode_steps=30)
+    env: Any = gymnasium.make(ID, max_episode_steps=30)
     assert env.spec.max_episode_steps == 30
-    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.scenario is env.unwrapped.scenario
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert scenario_of(again) is scenario_of(env)
     assert again.spec.max_episode_steps == 30
-    batch = gymnasium.make_vec(env.spec, num_envs=2)
+    batch: Any = gymnasium.make_vec(env.spec, num_envs=2)
     assert isinstance(batch.unwrapped, DcgridVectorEnv)
-    assert batch.unwrapped.scenario is env.unwrapped.scenario
-    assert gymnasium.make_vec(batch.spec).unwrapped.scenario is env.unwrapped.scenario
+    assert scenario_of(batch) is scenario_of(env)
+    assert scenario_of(gymnasium.make_vec(batch.spec)) is scenario_of(env)
 
 
 def test_subclasses_are_told_too():
@@ -53,13 +59,13 @@ def test_subclasses_are_told_too():
             super().__init__("toy6", **kwargs)
 
     spec = EnvSpec("Mine-v0", entry_point=Mine, max_episode_steps=7, disable_env_checker=True)
-    assert gymnasium.make(spec).unwrapped.scenario.horizon == 7
-    assert gymnasium.make(spec, max_episode_steps=8).unwrapped.scenario.horizon == 8
+    assert scenario_of(gymnasium.make(spec)).horizon == 7
+    assert scenario_of(gymnasium.make(spec, max_episode_steps=8)).horizon == 8
 
 
 def test_no_limit_and_the_same_limit_twice():
-    assert gymnasium.make(ID, max_episode_steps=-1).unwrapped.scenario.horizon == 120
-    assert gymnasium.make(ID, max_episode_steps=40, horizon=40).unwrapped.scenario.horizon == 40
+    assert scenario_of(gymnasium.make(ID, max_episode_steps=-1)).horizon == 120
+    assert scenario_of(gymnasium.make(ID, max_episode_steps=40, horizon=40)).horizon == 40
     assert DcgridVectorEnv(2, "toy6", max_episode_steps=-1).scenario.horizon == 100
 
 
@@ -106,13 +112,13 @@ def test_limits_of_other_environments_do_not_matter():
 
         observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (10,), np.float32)
 
-        def __init__(self):
+        def __init__(self, **kwargs):
             self.inner = DcgridEnv(make_scenario("ieee33-weak"))
 
         def reset(self, *, seed=None, options=None):
             return self.inner.reset(seed=seed)
 
     spec = EnvSpec("Outer-v0", entry_point=Outer, disable_env_checker=True)
-    env = gymnasium.make(spec, max_episode_steps=3)
+    env: Any = gymnasium.make(spec, max_episode_steps=3)
     env.reset(seed=0)
     assert env.unwrapped.inner.scenario.horizon == 120

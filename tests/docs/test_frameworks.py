@@ -163,7 +163,7 @@ print("checked")
 @needs("ray")
 def test_rllib_on_the_native_batch_has_every_transition_of_every_episode(tmp_path):
     code = """
-import gymnasium, numpy as np, dcgrid_env
+import numpy as np, dcgrid_env
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 
@@ -174,7 +174,7 @@ config = (
     .env_runners(
         num_env_runners=0,
         num_envs_per_env_runner=LANES,
-        gym_env_vectorize_mode=gymnasium.VectorizeMode.VECTOR_ENTRY_POINT,
+        gym_env_vectorize_mode="vector_entry_point",
     )
     .training(train_batch_size_per_learner=HORIZON * LANES * 2, minibatch_size=HORIZON, num_epochs=1)
     .debugging(seed=7)
