@@ -71,7 +71,7 @@ class Card:
     scenario: str = ""
     """Name of the scenario that it was trained on."""
     command: str = ""
-    """What makes it again."""
+    """What makes it again, with the settings that ship for its scenario (``settings``)."""
     seed: int | None = None
     """Of the training."""
     training_s: float | None = None

@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Self
+
+from dcgrid_env.agents.settings import settings
 
 Act = Literal["both", "clock", "q"]
 
 
 @dataclass(frozen=True)
 class Training:
-    """What to train, and how it is judged."""
+    """What to train, and how it is judged.
+
+    Fields that are not given are the algorithm's own defaults; :meth:`for_scenario` takes what was found for
+    a scenario.
+    """
 
     scenario: str = "ieee123"
     """Preset to train on; for analytic and safe also several, separated by commas."""
@@ -44,6 +50,31 @@ class Training:
     """Iterations from one checkpoint to the next."""
     threads: int = 1
     """Of torch; networks this small gain little from more, and lose much where other processes compete."""
+
+    @classmethod
+    def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:
+        """The configuration with which ``dcgrid train`` begins on a scenario, before its options.
+
+        Parameters
+        ----------
+        scenario, view
+            Of the training; the algorithm's default unless given.
+        fields
+            Further fields, by name; they stand before those that were found for the scenario
+            (``dcgrid_env.agents.settings``), and those before the algorithm's defaults.
+
+        Raises
+        ------
+        TypeError
+            For a field that there is not.
+        """
+        chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
+        return cls(**(settings(cls.algorithm(), **chosen) | chosen | fields))
+
+    @classmethod
+    def algorithm(cls) -> str:
+        """Name of the algorithm on the command line."""
+        return cls.__name__.lower()
 
 
 MOST_SEEDS = 2**24

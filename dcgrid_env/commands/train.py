@@ -5,6 +5,7 @@ Each algorithm is a module of `dcgrid_env.agents` with a configuration dataclass
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import sys
 from collections.abc import Sequence
@@ -64,10 +65,9 @@ def main(arguments: Sequence[str]) -> None:
     module = imported(ALGORITHMS[name])
     from dcgrid_env.agents.training import TrainingError
 
-    about = (module.__doc__ or "").strip()
-    config: Any = tyro.cli(
-        getattr(module, ALGORITHMS[name].config), args=options, prog=f"dcgrid train {name}", description=about
-    )
+    config = configured(name, options)
+    if line := said(config):
+        print(line)
     try:
         module.main(config)
     except TrainingError as error:
@@ -75,6 +75,38 @@ def main(arguments: Sequence[str]) -> None:
     except KeyboardInterrupt:
         print("dcgrid: interrupted; the same command with --resume goes on", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+def configured(name: str, options: Sequence[str]) -> Any:
+    """An algorithm's configuration out of command-line options.
+
+    Where an option is not given it is what was found for the scenario, and else the algorithm's default.
+    """
+    module = imported(ALGORITHMS[name])
+    kind = getattr(module, ALGORITHMS[name].config)
+    # Which defaults there are hangs on two of the options: they are read first.
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--scenario")
+    first.add_argument("--view")
+    try:
+        begin = kind.for_scenario(**vars(first.parse_known_args(options)[0]))
+    except argparse.ArgumentError:  # one without a value: the whole command line is told so below
+        begin = kind()
+    about = (module.__doc__ or "").strip()
+    return tyro.cli(kind, args=options, default=begin, prog=f"dcgrid train {name}", description=about)
+
+
+def said(config: Any) -> str:
+    """Which settings of a configuration are those that ship for its scenario; empty where none are."""
+    from dcgrid_env.agents.settings import settings
+
+    name = config.algorithm()
+    found = settings(name, config.scenario, config.view)
+    taken = {field: value for field, value in found.items() if getattr(config, field) == value}
+    if not taken:
+        return ""
+    shown = (f"{field} {value:g}" if isinstance(value, float) else f"{field} {value}" for field, value in taken.items())
+    return f"settings that ship for {name} on {config.scenario}: {', '.join(shown)} (options stand before them)"
 
 
 def imported(algorithm: Algorithm) -> Any:

@@ -25,11 +25,12 @@ PLACES = ("out", "resume")
 
 
 def command(config: Any) -> str:
-    """The command that does a run by itself: what differs from the algorithm's defaults, and the folder."""
-    words = ["dcgrid", "train", algorithm(config)]
+    """The command that does a run by itself: what differs from what it does on that scenario anyway, and the folder."""
+    words, plain = ["dcgrid", "train", config.algorithm()], type(config).for_scenario(config.scenario, config.view)
+    always = {"scenario"} | ({"view"} if config.view != type(config).view else set())
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
-        if field.name == "resume" or (value == field.default and field.name != "scenario"):
+        if field.name == "resume" or (value == getattr(plain, field.name) and field.name not in always):
             continue
         flag = field.name.replace("_", "-")
         if isinstance(value, bool):
@@ -39,11 +40,6 @@ def command(config: Any) -> str:
             shown = (f"{one:.15g}" if isinstance(one, float) else str(one) for one in values)
             words += [f"--{flag}", *map(shlex.quote, shown)]
     return " ".join(words)
-
-
-def algorithm(config: Any) -> str:
-    """Name of the algorithm that a configuration is of, as the command line knows it."""
-    return type(config).__module__.rpartition(".")[2]
 
 
 def finished(config: Any) -> bool:

@@ -11,6 +11,7 @@ import pytest
 import dcgrid_env.agents.policy as policies
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Network, Policy, evaluate, find
+from dcgrid_env.agents.config import Training
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.cli import main
 from dcgrid_env.commands import train
@@ -18,20 +19,23 @@ from dcgrid_env.commands.train import ALGORITHMS
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Nothing much."""
+class Ppo(Training):
+    """Nothing more."""
 
-    scenario: str = "ieee123"
-    """Where."""
-    seed: int = 0
-    """Which."""
+    gamma: float = 0.9
+    outputs: str = "setpoint"
+    nameplate: bool = False
+    wait: float = 10.0
+    log_std: float = -0.7
+    learning_rate: float = 3e-3
+    steps: int = 10
 
 
 @pytest.fixture
 def module(monkeypatch):
     """A stand-in for an algorithm."""
     made = ModuleType("dcgrid_env.agents.ppo", "A stand-in.")
-    made.Ppo = Settings  # type: ignore[attr-defined]
+    made.Ppo = Ppo  # type: ignore[attr-defined]
     made.main = lambda cfg: seen.append(cfg)  # type: ignore[attr-defined]
     made.seen = seen = []  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, made.__name__, made)
@@ -50,9 +54,10 @@ def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
     return Policy(networks, scenario=scenario, made_with="dcgrid train ppo")
 
 
-def test_an_algorithm_gets_its_own_options(module):
+def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys):
     main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
-    assert module.seen == [Settings("toy6", 3)]
+    assert module.seen == [Ppo.for_scenario("toy6", seed=3)]
+    assert "settings that ship for ppo on toy6: outputs droop, " in capsys.readouterr().out
 
 
 def test_bad_training_is_one_line(module, capsys):

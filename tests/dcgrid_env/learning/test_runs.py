@@ -3,10 +3,11 @@
 import json
 
 import pytest
-import tyro
 
 from dcgrid_env.agents.analytic import Analytic
+from dcgrid_env.agents.ppo import Ppo
 from dcgrid_env.agents.safe import Safe
+from dcgrid_env.commands.train import configured
 from dcgrid_env.learning.runs import command, finished, folder, train, train_all, trained
 
 
@@ -21,17 +22,23 @@ def tiny(out, **others):
         Analytic(scenario="ieee33,das69", seed=3, delay_limit_s=0.25, vary=6, hidden=(32, 16)),
         Analytic(observe="feeder", preview=False, act="clock", learning_rate=1e-3),
         Safe(scenario="ieee33-weak", margin=0.4, updates=30),
+        Analytic(scenario="mixed"),
+        Analytic.for_scenario("mixed"),
+        Ppo(scenario="ieee33-weak"),
+        Ppo(scenario="ieee33-weak", view="centralised", gamma=0.97),
     ],
 )
 def test_a_command_means_the_run(config, tmp_path):
     said = command(config).split()
     assert said[:3] == ["dcgrid", "train", type(config).__name__.lower()]
-    assert tyro.cli(type(config), args=said[3:]) == config
+    assert configured(said[2], said[3:]) == config
 
 
 def test_a_command_names_what_differs_only():
     assert command(Analytic(scenario="ieee123")) == "dcgrid train analytic --scenario ieee123"
-    made = command(Analytic(scenario="toy6", preview=False, delay_limit_s=2.0))
+    assert command(Analytic.for_scenario("mixed")) == "dcgrid train analytic --scenario mixed"
+    assert command(Analytic(scenario="mixed")) == "dcgrid train analytic --scenario mixed --updates 200"
+    made = command(Analytic.for_scenario("toy6", preview=False, delay_limit_s=2.0))
     assert made == "dcgrid train analytic --scenario toy6 --no-preview --delay-limit-s 2"
 
 
