@@ -33,7 +33,7 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep
 from dcgrid_env.agents.config import Training, check
 from dcgrid_env.agents.modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, device_of, finish, progress, torch
+from dcgrid_env.agents.training import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 from dcgrid_env.agents.variants import scenarios, variant
 from dcgrid_env.agents.view import View
@@ -273,14 +273,19 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     """Train; the folder written."""
     check_limits(cfg)
     torch.set_num_threads(cfg.threads)
-    algorithm = type(cfg).__name__.lower()
     grids = grids_of(cfg)
     if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
         raise ValueError("violation_limit_pu: the violation has weight 0 in a scenario; its price cannot be found")
     model = learner(cfg, grids)
     validate = Validation([s.name for s in scenarios(cfg.scenario)], cfg.validation_episodes)
     label = cfg.scenario.replace(",", "+").replace(" ", "")
-    run = Run(cfg.out or Path("results/train") / f"{label}-{algorithm}-{cfg.seed}", cfg, cfg.resume)
+    with open_run(cfg.out or Path("results/train") / f"{label}-{cfg.algorithm()}-{cfg.seed}", cfg, cfg.resume) as run:
+        return _train(cfg, run, model, grids, validate)
+
+
+def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], validate: Validation) -> Path:
+    """Train a model on its grids, from the run's checkpoint on; the folder written."""
+    algorithm = cfg.algorithm()
     each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
     iterations = max(1, round(cfg.updates / each))
     best, done, state = math.inf, 0, run.load()
@@ -303,7 +308,6 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
                 advance(iteration, f"J {found['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
-    run.close()
     finish(run)
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

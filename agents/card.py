@@ -12,8 +12,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from dcgrid_env.agents.files import write_whole
 from dcgrid_env.agents.network import PolicyError
+from dcgrid_env.files import write_json
 
 MADE = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """What the one who trained a policy may say; the rest is filled in."""
@@ -110,7 +110,7 @@ class Card:
 
     def save(self, path: str | Path) -> None:
         """Write the card as JSON, whole or not at all."""
-        write_whole(Path(path), (json.dumps(dataclasses.asdict(self), indent=1) + "\n").encode())
+        write_json(Path(path), dataclasses.asdict(self))
 
 
 def _frozen(value: Any) -> Any:

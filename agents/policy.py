@@ -10,11 +10,11 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.card import Card
-from dcgrid_env.agents.files import write_whole
 from dcgrid_env.agents.monotone import MonotoneNetwork
 from dcgrid_env.agents.network import Family, Network, PolicyError
 from dcgrid_env.agents.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.agents.view import ACTS, KINDS, OUTPUTS, SCOPES, Gains, View
+from dcgrid_env.files import write_bytes
 
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork)}
 """Families of networks by the name that files have for them."""
@@ -178,7 +178,7 @@ class Policy:
         path = path.with_suffix(SUFFIX)
         known = {"scenario": self.trained_on, "command": self.made_with} | dict(card or {})
         beside = Card.of(self.sha256, self.n_parameters, known)
-        write_whole(path, packed(self._about(), self._arrays()))
+        write_bytes(path, packed(self._about(), self._arrays()))
         beside.save(path.with_suffix(".json"))
         return path
 

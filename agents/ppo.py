@@ -245,11 +245,11 @@ def exported(cfg: Ppo, lanes: JointLanes, model: LanePpo) -> sb3.Policy:
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
-    run, lanes = sb3.begin(cfg, "ppo", cfg.outputs)
-    model = make(cfg, lanes)
-    return sb3.train(
-        cfg, run, lanes, model,
-        iterations=max(1, round(cfg.steps / (lanes.num_envs * lanes.scenario.horizon))),
-        exported=lambda: exported(cfg, lanes, model),
-        learning_rate=lambda done: cfg.learning_rate * (1.0 - done),
-    )  # fmt: skip
+    with sb3.begin(cfg, "ppo", cfg.outputs) as (run, lanes):
+        model = make(cfg, lanes)
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=max(1, round(cfg.steps / (lanes.num_envs * lanes.scenario.horizon))),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=lambda done: cfg.learning_rate * (1.0 - done),
+        )  # fmt: skip

@@ -39,13 +39,13 @@ def exported(cfg: Sac, lanes: JointLanes, model: SAC) -> sb3.Policy:
 
 def main(cfg: Sac) -> Path:
     """Train; the folder written."""
-    run, lanes = sb3.begin(cfg, "sac")
-    model = make(cfg, lanes)
-    temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore
-    return sb3.train(
-        cfg, run, lanes, model,
-        iterations=cfg.iterations(lanes),
-        exported=lambda: exported(cfg, lanes, model),
-        learning_rate=cfg.rate,
-        extra=lambda: sb3.remembered(model) | temperature,
-    )  # fmt: skip
+    with sb3.begin(cfg, "sac") as (run, lanes):
+        model = make(cfg, lanes)
+        temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=cfg.iterations(lanes),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=cfg.rate,
+            extra=lambda: sb3.remembered(model) | temperature,
+        )  # fmt: skip

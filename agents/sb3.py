@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
 from dcgrid_env.agents.modules import CLIP
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
-from dcgrid_env.agents.training import Run, device_of, finish, progress, torch
+from dcgrid_env.agents.training import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 
 SMALLEST_STD = 1e-4
@@ -77,11 +78,20 @@ class OffPolicy(Config):
         return self.learning_rate * (1.0 - done)
 
 
-def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> tuple[Run, JointLanes]:
-    """The run's folder and the lanes of the training split.
+@contextmanager
+def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointLanes]]:
+    """The run's folder, held for the block, and the lanes of the training split.
 
     ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
     """
+    lanes = lanes_for(cfg, outputs)
+    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
+    with open_run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume) as run:
+        yield run, lanes
+
+
+def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
+    """The lanes of the training split; ValueError for a setting that cannot be."""
     check(cfg, "steps", "learning_rate", "wait")
     if not 0.0 < cfg.gamma <= 1.0:
         raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
@@ -90,11 +100,8 @@ def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> tuple[R
     scenario = make_scenario(cfg.scenario, split="train", observe=cfg.observe)
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     if cfg.view == "centralised":
-        lanes = JointLanes(scenario, cfg.lanes, cfg.act, outputs)
-    else:
-        lanes = AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
-    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
-    return Run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume), lanes
+        return JointLanes(scenario, cfg.lanes, cfg.act, outputs)
+    return AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
 
 
 def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
@@ -281,7 +288,7 @@ def train(
                 if figures["J"] < best:
                     best = figures["J"]
                     made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
-                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": type(cfg).__name__.lower()})
+                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": cfg.algorithm()})
                 spent[2] += time.perf_counter() - began_s
                 run.record(figures | {"J_best": best} | logged(model) | timing(run.step, spent))
                 advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
@@ -291,7 +298,6 @@ def train(
                      "spent_s": spent.tolist(), "updates": model._n_updates,
                      "extra": {name: torch.as_tensor(values) for name, values in extra().items()}}
                 )  # fmt: skip
-    run.close()
     finish(run)
     print(f"{run.folder}: J {best:.4f} on validation, tuned droop {validate.j_droop:.4f}")
     print(", ".join(f"{name} {value:,.3g}" for name, value in timing(run.step, spent).items()))

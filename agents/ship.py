@@ -10,12 +10,12 @@ from pathlib import Path
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents.card import Card, Scored
 from dcgrid_env.agents.evaluate import REFERENCE, evaluate
-from dcgrid_env.agents.files import write_whole
 from dcgrid_env.agents.find import preset_of
 from dcgrid_env.agents.network import PolicyError
 from dcgrid_env.agents.policy import FOLDER, Policy
 from dcgrid_env.agents.policy_file import SUFFIX
 from dcgrid_env.baselines import make_controller
+from dcgrid_env.files import write_bytes
 
 SPLIT = "test"
 
@@ -76,7 +76,7 @@ def ship(
         seed_scores=tuple(found.value for found in scores),
     )
     card = dataclasses.replace(cards[best], scored=scored)
-    write_whole(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
+    write_bytes(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
     card.save(out / f"{name}.json")
     return card
 

@@ -63,12 +63,12 @@ def exported(cfg: Td3, lanes: JointLanes, model: TD3) -> sb3.Policy:
 
 def main(cfg: Td3) -> Path:
     """Train; the folder written."""
-    run, lanes = sb3.begin(cfg, "td3")
-    model = make(cfg, lanes)
-    return sb3.train(
-        cfg, run, lanes, model,
-        iterations=cfg.iterations(lanes),
-        exported=lambda: exported(cfg, lanes, model),
-        learning_rate=cfg.rate,
-        extra=lambda: sb3.remembered(model),
-    )  # fmt: skip
+    with sb3.begin(cfg, "td3") as (run, lanes):
+        model = make(cfg, lanes)
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=cfg.iterations(lanes),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=cfg.rate,
+            extra=lambda: sb3.remembered(model),
+        )  # fmt: skip

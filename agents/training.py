@@ -11,22 +11,23 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import json
 import math
-import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env.agents.card import Card
-from dcgrid_env.agents.files import write_whole
+from dcgrid_env.files import clear_parts, new_folder, whole, write_text
+from dcgrid_env.lock import HeldError, held
 
 CHECKPOINT = "checkpoint.pt"
 FREE = ("out", "resume")
@@ -48,8 +49,11 @@ class TrainingError(RuntimeError):
     """A run that cannot begin or go on; the message names file, field, value and remedy."""
 
 
-class Run:
-    """A training run's folder.
+@contextmanager
+def open_run(folder: Path, config: Any, resume: bool = False) -> Iterator[Run]:
+    """A training run in a folder that nobody else trains in meanwhile.
+
+    A run that ends by an error or an interruption before it has anything to go on from leaves nothing behind.
 
     Parameters
     ----------
@@ -63,10 +67,28 @@ class Run:
     Raises
     ------
     TrainingError
-        Where the folder holds a run and ``resume`` is not asked for, or a run with another configuration.
+        Where another process trains in the folder, or it holds a run and ``resume`` is not asked for, or a run with
+        another configuration.
     """
+    try:
+        with new_folder(folder), held(folder, "training"):
+            clear_parts(folder)  # of a training that was killed
+            run = Run(folder, config, resume)
+            try:
+                yield run
+            except BaseException:
+                run.forget_if_empty()
+                raise
+            finally:
+                run.close()
+    except HeldError as error:
+        raise TrainingError(str(error)) from None
 
-    def __init__(self, folder: Path, config: Any, resume: bool = False):
+
+class Run:
+    """A training run's folder; made by :func:`open_run`."""
+
+    def __init__(self, folder: Path, config: Any, resume: bool):
         self.folder = folder
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
@@ -76,9 +98,7 @@ class Run:
         about = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         if (folder / "config.json").exists():
             self._check(about, resume)
-        folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(about | {"version": version("dcgrid-env")}, indent=2) + "\n"
-        write_whole(folder / "config.json", text.encode())
+        write_text(folder / "config.json", json.dumps(about | {"version": version("dcgrid-env")}, indent=2) + "\n")
 
     def _check(self, about: Mapping[str, Any], resume: bool) -> None:
         if not resume:
@@ -109,19 +129,19 @@ class Run:
                 f"{path}: cut short or not a checkpoint ({type(error).__name__}); delete it, and --resume begins anew"
             ) from None
         kept = [row for row in read_curve(self.folder) if row["step"] <= self.step]
-        (self.folder / "curve.csv").unlink(missing_ok=True)
-        for row in kept:
-            self._append(row)
+        rows = io.StringIO(newline="")
+        for i, row in enumerate(kept):
+            _write_row(rows, row, with_header=i == 0)
+        if rows.getvalue():
+            write_text(self.folder / "curve.csv", rows.getvalue())
+        else:
+            (self.folder / "curve.csv").unlink(missing_ok=True)
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Write a checkpoint, whole or not at all; tensors, numbers, strings, and lists and dicts of those."""
-        part = self.checkpoint_path.with_suffix(".part")
-        with part.open("wb") as file:
+        with whole(self.checkpoint_path) as file:
             torch.save({**state, "step": self.step, "seconds": self.seconds}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(self.checkpoint_path)
 
     @property
     def seconds(self) -> float:
@@ -131,20 +151,13 @@ class Run:
     def record(self, figures: Mapping[str, float]) -> None:
         """Add a row to the curve and to TensorBoard, at the current step."""
         row = {"step": self.step, **{name: float(value) for name, value in figures.items()}, "seconds": self.seconds}
-        self._append(row)
+        path = self.folder / "curve.csv"
+        with path.open("a", newline="") as file:
+            _write_row(file, row, with_header=file.tell() == 0)
         if self._writer is None:
             self._writer = SummaryWriter(self.folder, purge_step=self.step)
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
-
-    def _append(self, row: Mapping[str, float]) -> None:
-        path = self.folder / "curve.csv"
-        new = not path.exists()
-        with path.open("a", newline="") as file:
-            writer = csv.writer(file)
-            if new:
-                writer.writerow(row)
-            writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """TrainingError, with the step and the checkpoint that is kept, unless all is finite."""
@@ -168,6 +181,18 @@ class Run:
             self._writer.close()
             self._writer = None
 
+    def forget_if_empty(self) -> None:
+        """Delete the configuration of a run that has neither a checkpoint nor a policy yet."""
+        if not self.checkpoint_path.exists() and not list(self.folder.glob("policy.*")):
+            (self.folder / "config.json").unlink(missing_ok=True)
+
+
+def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> None:
+    writer = csv.writer(file)
+    if with_header:
+        writer.writerow(row)
+    writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
+
 
 def finish(run: Run) -> None:
     """Write how long the whole run took into the card of its best policy."""
@@ -188,7 +213,8 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 @contextmanager
 def progress(description: str, total: int, done: int) -> Iterator[Any]:
     """A progress bar; yields ``advance(completed, text)``."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), TextColumn("{task.fields[text]}"))
+    named, told = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
+    columns = (named, BarColumn(), TimeRemainingColumn(), told)
     with Progress(*columns) as bar:
         task = bar.add_task(description, total=total, completed=done, text="")
         yield lambda completed, text="": bar.update(task, completed=completed, text=text)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env import __version__
-from dcgrid_env.benchmark.files import write_json
 from dcgrid_env.benchmark.jobs import Unit
+from dcgrid_env.files import write_json
 
 FORMAT = {"what": "units of dcgrid benchmark", "format": 2}
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from dcgrid_env.benchmark import report
 from dcgrid_env.benchmark.figures import draw, png, score_figure
-from dcgrid_env.benchmark.files import write_json, write_text
 from dcgrid_env.benchmark.gather import Results
 from dcgrid_env.benchmark.pool import each
 from dcgrid_env.benchmark.tables import LEGEND, scenario_table, score_table
+from dcgrid_env.files import write_json, write_text
 
 
 def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]) -> None:

@@ -44,9 +44,9 @@ class Ablate:
 
 def main(cfg: Ablate) -> None:
     """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.benchmark.files import write_text
     from dcgrid_env.commands import trainings
     from dcgrid_env.commands.train import ALGORITHMS
+    from dcgrid_env.files import write_text
     from dcgrid_env.learning import ablation
     from dcgrid_env.learning.tables import brief
 

@@ -37,8 +37,8 @@ class Generalise:
 
 def main(cfg: Generalise) -> None:
     """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.benchmark.files import write_text
     from dcgrid_env.commands import trainings
+    from dcgrid_env.files import write_text
     from dcgrid_env.learning import generalise
     from dcgrid_env.learning.tables import brief
 

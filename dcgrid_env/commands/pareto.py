@@ -37,8 +37,8 @@ class Pareto:
 
 def main(cfg: Pareto) -> None:
     """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.benchmark.files import write_text
     from dcgrid_env.commands import trainings
+    from dcgrid_env.files import write_text
     from dcgrid_env.learning import pareto
     from dcgrid_env.learning.figures import pareto_figure
     from dcgrid_env.learning.tables import brief

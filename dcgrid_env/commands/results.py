@@ -8,7 +8,7 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from dcgrid_env.benchmark.files import write_json
+from dcgrid_env.files import write_json
 
 __all__ = ["PACKAGES", "meta", "versions", "write_json"]
 

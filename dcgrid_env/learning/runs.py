@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.agents import Card, Policy
-from dcgrid_env.benchmark.files import write_json
 from dcgrid_env.benchmark.pool import Died, each
+from dcgrid_env.files import write_json
 
 FINISHED, LOG = "finished.json", "training.log"
 PLACES = ("out", "resume")

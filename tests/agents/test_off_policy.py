@@ -29,7 +29,7 @@ def tiny(name, tmp_path, folder="run", **fields):
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_exported_policy_acts_as_the_models_mean(tmp_path, name, view):
     cfg = tiny(name, tmp_path, scenario="ieee33-weak", view=view, lanes=14)
-    _, lanes = sb3.begin(cfg, name)
+    lanes = sb3.lanes_for(cfg)
     module, _ = ALGORITHMS[name]
     model = module.make(cfg, lanes)
     torch.manual_seed(0)
@@ -78,7 +78,7 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_horizon_is_no_end_in_the_replay_buffer(tmp_path, name):
     cfg = tiny(name, tmp_path)
-    _, lanes = sb3.begin(cfg, name)
+    lanes = sb3.lanes_for(cfg)
     model = ALGORITHMS[name][0].make(cfg, lanes)
     lanes.seed(0)
     model.learn(600, log_interval=None)

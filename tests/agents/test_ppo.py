@@ -26,7 +26,7 @@ def without_times(folder):
 @pytest.mark.parametrize("act", ["both", "q", "clock"])
 def test_the_exported_policy_acts_as_the_models_mean(tmp_path, view, act):
     cfg = tiny(tmp_path, scenario="ieee33-weak", view=view, act=act, nameplate=view == "shared", lanes=14)
-    _, lanes = sb3.begin(cfg, "ppo")
+    lanes = sb3.lanes_for(cfg)
     model = ppo.make(cfg, lanes)
     torch.manual_seed(0)
     with torch.no_grad():
@@ -115,7 +115,7 @@ def test_bad_input_is_refused_and_says_what_to_do(tmp_path):
 
 def test_what_reaches_nothing_has_no_likelihood_and_agents_of_an_environment_share_a_value(tmp_path):
     cfg = tiny(tmp_path)
-    _, lanes = sb3.begin(cfg, "ppo")
+    lanes = sb3.lanes_for(cfg)
     policy = ppo.make(cfg, lanes).policy
     seen = torch.as_tensor(lanes.reset())
     actions = torch.zeros(6, 2)
@@ -131,7 +131,7 @@ def test_what_reaches_nothing_has_no_likelihood_and_agents_of_an_environment_sha
 
 def test_the_rollout_bootstraps_where_the_horizon_cuts_it_off(tmp_path):
     cfg = tiny(tmp_path, gae_lambda=1.0, gamma=0.5)
-    _, lanes = sb3.begin(cfg, "ppo")
+    lanes = sb3.lanes_for(cfg)
     model = ppo.make(cfg, lanes)
     lanes.seed(0)
     model.learn(1)

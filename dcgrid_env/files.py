@@ -1,0 +1,101 @@
+"""Files that are written whole or not at all, so that an error or an interruption leaves nothing half done."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+_PREFIX, _SUFFIX = ".dcgrid-", ".part"
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Make a folder and those above it; where what follows fails, those that it made and that are empty go again.
+
+    OSError where it cannot be made.
+    """
+    made = _missing(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+    except BaseException:
+        _remove_empty(made)
+        raise
+
+
+def require_folder(folder: Path) -> None:
+    """OSError unless a folder is there or can be made; it is not left behind."""
+    made = _missing(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    finally:
+        _remove_empty(made)
+
+
+def _missing(folder: Path) -> list[Path]:
+    """The folder and those above it that are not there, the innermost first."""
+    return [one for one in (folder, *folder.parents) if not one.exists()]
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):  # not made, or not empty
+            folder.rmdir()
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file to be written: ``path`` is there, with all of it, once the block has ended without an error.
+
+    It is written under a name of its own in the same folder, so that two who write at once do not meet; folders are
+    made. OSError where it cannot be written.
+    """
+    with new_folder(path.parent):
+        part = path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}")
+        try:
+            with part.open("xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; folders are made."""
+    with whole(path) as file:
+        file.write(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, whole or not at all; folders are made."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON, whole or not at all; folders are made. ValueError for a NaN in it, before anything is written."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def write_figure(path: Path, figure: Any, dpi: float) -> None:
+    """Write a figure of Matplotlib, whole or not at all, in the format that the file's suffix names (PNG without one).
+
+    ValueError for a format that Matplotlib does not write, before anything is written.
+    """
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=path.suffix[1:] or "png", dpi=dpi)
+    write_bytes(path, drawn.getvalue())
+
+
+def clear_parts(folder: Path) -> None:
+    """Delete what a killed process left in a folder that nobody else writes to now."""
+    for part in folder.glob(f"{_PREFIX}*{_SUFFIX}"):
+        part.unlink(missing_ok=True)

@@ -1,0 +1,79 @@
+"""A lock on what a command writes, so that two at once do not write the same; it ends with its process, even a killed
+one."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+
+class HeldError(OSError):
+    """Another process holds what is asked for; the message says which, since when, and what to do."""
+
+
+@contextmanager
+def held(folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended") -> Iterator[None]:
+    """Hold a folder for the block; nothing of the lock is left behind.
+
+    The operating system keeps the lock (``filelock``), so one that a killed process held is free. Beside it stands a
+    note for those who are refused: process, host and beginning.
+
+    Parameters
+    ----------
+    folder
+        What is held; it must be there.
+    what
+        Who holds it, for the message: "training", for instance.
+    remedy
+        What one who is refused can do.
+
+    Raises
+    ------
+    HeldError
+        Where another holds it.
+    OSError
+        Where the folder cannot be written.
+    """
+    from filelock import Timeout
+
+    lock, note = folder / ".lock", folder / ".lock.json"
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(alone(lock, timeout_s=0))
+        except Timeout:
+            raise HeldError(f"{folder}: {_holder(note)} writes there; {remedy}") from None
+        stack.callback(note.unlink, missing_ok=True)
+        began = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
+        about = {"what": what, "pid": os.getpid(), "host": socket.gethostname(), "began": began}
+        note.write_text(json.dumps(about), encoding="utf-8")
+        yield
+
+
+@contextmanager
+def alone(lock: Path, timeout_s: float = -1) -> Iterator[None]:
+    """Hold a lock file, waiting so long for it (below 0 without end, else ``filelock.Timeout``), and delete it."""
+    from filelock import FileLock
+
+    with FileLock(lock, timeout=timeout_s):
+        try:
+            yield
+        finally:
+            # While it is held: one who waits for the deleted file sees that, and makes a new one (filelock 3.21).
+            # Where an open file cannot be deleted it stays.
+            with contextlib.suppress(OSError):
+                lock.unlink()
+
+
+def _holder(note: Path) -> str:
+    """Who holds the lock, as its note says."""
+    try:
+        about = json.loads(note.read_text(encoding="utf-8"))
+        return f"another {about['what']} (process {about['pid']} on {about['host']}, since {about['began']})"
+    except (OSError, ValueError, KeyError, TypeError):  # not written yet, or just gone
+        return "another process"
