@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dcgrid_env.baselines.score import Estimate
+from dcgrid_env.benchmark.columns import fit, folded
 from dcgrid_env.benchmark.summary import REFERENCE, ScenarioSummary, Summary
 
 if TYPE_CHECKING:
-    from rich.table import Table as RichTable
+    from rich.console import Group
 
 NONE = "–"
 
@@ -63,19 +64,28 @@ class Table:
         notes = "".join(f"<p class=note>{html.escape(note)}</p>" for note in self.notes)
         return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{notes}"
 
-    def rich(self) -> RichTable:
-        """As the terminal shows it."""
+    def rich(self, width: int, fixed: int = 1) -> Group:
+        """As a terminal of so many characters shows it, in parts where it is wider.
+
+        The first ``fixed`` columns are the row's name, and stand in every part.
+        """
         from rich import box
+        from rich.console import Group
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        made = RichTable(title=Text(self.title), title_justify="left", header_style="bold", box=box.SIMPLE_HEAD)
-        made.padding = (0, 1, 0, 0)
-        for i, text in enumerate(self.header):
-            made.add_column(Text(_plain(text)), justify="right" if i else "left", overflow="fold")
-        for row in self.rows:
-            made.add_row(*map(Text, row))
-        return made
+        header, shown = [_plain(text) for text in self.header], []
+        for part in fit(header, self.rows, width, fixed):
+            made = RichTable(title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+            made.title = None if shown else Text(self.title)
+            for i, wide in zip(part.columns, part.widths, strict=True):
+                side = "right" if i >= fixed else "left"
+                made.add_column(Text(folded(header[i], wide)), justify=side, overflow="fold", width=wide)
+            for row in self.rows:
+                cells = zip(part.columns, part.widths, strict=True)
+                made.add_row(*(Text(folded(row[i], wide) if i < fixed else row[i]) for i, wide in cells))
+            shown.append(made)
+        return Group(*shown)
 
 
 def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:

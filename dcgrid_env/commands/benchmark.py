@@ -28,8 +28,6 @@ MOST_EPISODES = 100
 """Test episodes that are published, seeds 0 to 99."""
 STATIC = ("constant-q-tuned", "placement-tuned")
 """The simplest rivals of a learner; where they are run they stand just below the reference."""
-NAME_WIDTH, SCORE_WIDTH = 24, 13
-"""Room for a controller's name and for a scenario's column on the terminal, characters."""
 
 
 @dataclass(frozen=True)
@@ -152,9 +150,7 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     with console.status("drawing the report"):
         write_report(cfg.out, results, jobs, about)
     summaries = [result.summary for result in results]
-    fit = max(1, (console.width - NAME_WIDTH) // SCORE_WIDTH)
-    for first in range(0, len(summaries), fit):
-        console.print(score_table(summaries[first : first + fit], interval=False).rich())
+    console.print(score_table(summaries, interval=False).rich(console.width))
     for note in score_table(summaries).notes:
         console.print(note, highlight=False, markup=False)
     for row in (row for result in results for row in result.summary.rows if row.failure):

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import tyro
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Evaluation
     from dcgrid_env.baselines.score import Estimate
+    from dcgrid_env.benchmark.tables import Table
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ def main(cfg: Evaluate) -> None:
             controller = find_controller(spec if name == cfg.policy else name, scenario)
             found[name] = evaluate(controller, scenario, seeds)
     scores, why = _scores(found, found[REFERENCE])
-    console.print(table(found, scores, f"{scenario.name}, {cfg.split} split, {cfg.episodes} episodes"))
+    made = table(found, scores, f"{scenario.name}, {cfg.split} split, {cfg.episodes} episodes")
+    console.print(made.rich(console.width))
     for line in [*([why] if why else []), *remarks(cfg.policy, found)]:
         console.print(line, highlight=False, markup=False)
 
@@ -89,22 +91,17 @@ def _scores(found: Mapping[str, Evaluation], droop: Evaluation) -> tuple[dict[st
         return {}, str(error)
 
 
-def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Any:
+def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
     """The controllers side by side."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
+    from dcgrid_env.benchmark.tables import Table
 
-    made = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    made.add_column("mean over episodes", no_wrap=True)
-    for name in found:
-        made.add_column(Text(name), justify="right", overflow="fold")
+    rows = []
     if scores:
         for i, label in enumerate(("score", "95 % interval: from", "to")):
-            made.add_row(label, *(f"{scores[name][i]:.3f}" for name in found))
+            rows.append((label, *(f"{scores[name][i]:.3f}" for name in found)))
     for label, key, decimals in ROWS:
-        made.add_row(label, *(f"{found[name].means[key]:.{decimals}f}" for name in found))
-    return made
+        rows.append((label, *(f"{found[name].means[key]:.{decimals}f}" for name in found)))
+    return Table(title, ("mean over episodes", *found), tuple(rows))
 
 
 def remarks(policy: str, found: Mapping[str, Evaluation]) -> list[str]:

@@ -12,6 +12,7 @@ from dcgrid_env.commands.results import meta, write_json
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series
+    from dcgrid_env.benchmark.tables import Table
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,10 @@ def main(cfg: Run) -> None:
         for name, recorder in recorders.items()
         for record in episode_records(scenario.name, name, seeds, recorder.metrics())
     ]
-    console.print(table(scenario, records, names, cfg))
+    summed_up = table(scenario, records, names, cfg)
+    console.print(summed_up.rich(console.width, fixed=2))
+    for note in summed_up.notes:
+        console.print(note)
     console.print(linear_difference(scenario, seeds))
     for name, controller in controllers.items():
         if said := stability.warning(scenario, controller):
@@ -125,19 +129,14 @@ ROWS = (
 """Rows of the table: name, unit, metric, factor, decimals, how episodes are summed up."""
 
 
-def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Any:
+def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
     """The controllers side by side, summed up over the episodes."""
-    from rich import box
-    from rich.table import Table
+    from dcgrid_env.benchmark.tables import Table
 
     n = len(records) // len(names)
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
-    made = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    made.add_column("mean over episodes", no_wrap=True)
-    made.add_column("unit")
-    for name in names:
-        made.add_column(name, justify="right")
+    rows = []
     for label, unit, key, factor, decimals, how in ROWS:
         if key not in records[0]:
             continue  # of requests, where the load is made of them
@@ -149,11 +148,10 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
             values = [factor * r[key] for r in own]
             value = sum(values) / len(values) if how == "mean" else min(values) if how == "min" else max(values)
             cells.append(f"{value:.{decimals}f}")
-        made.add_row(label, unit, *cells)
+        rows.append((label, unit, *cells))
     collapsed = sum(1 - r["power_flow_converged"] for r in records)
-    if collapsed:
-        made.caption = f"{collapsed:g} episodes ended in voltage collapse and are charged for it"
-    return made
+    notes = (f"{collapsed:g} episodes ended in voltage collapse and are charged for it",) if collapsed else ()
+    return Table(title, ("mean over episodes", "unit", *names), tuple(rows), notes)
 
 
 def linear_difference(scenario: Scenario, seeds: range) -> str:
@@ -172,5 +170,6 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
 def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
     """The first episode under each controller."""
     from dcgrid_env.figure import run_figure
+    from dcgrid_env.files import write_figure
 
-    run_figure(scenario, series, seed).savefig(path, dpi=130)
+    write_figure(path, run_figure(scenario, series, seed), dpi=130)
