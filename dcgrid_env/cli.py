@@ -5,8 +5,10 @@ The one module that sees all others; it imports them lazily.
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated
 
 import tyro
@@ -75,14 +77,30 @@ def main(args: list[str] | None = None) -> None:
     try:
         if given[:1] == ["train"] and given[1:2] and not given[1].startswith("-"):
             # The algorithm's own options follow, which are not known before it is imported.
-            _told(lambda: train.main(given[1:]))
+            with _terminated_in_order():
+                _told(lambda: train.main(given[1:]))
             return
         command = tyro.cli(Command, args=args, prog="dcgrid", description=about, config=bare)
         resumes = _resumes(command)
-        _told(lambda: _MAIN[type(command)](command))
+        with _terminated_in_order():
+            _told(lambda: _MAIN[type(command)](command))
     except KeyboardInterrupt:
         print("dcgrid: interrupted" + "; the same command goes on from there" * resumes, file=sys.stderr)
         raise SystemExit(_INTERRUPTED) from None
+
+
+@contextmanager
+def _terminated_in_order() -> Iterator[None]:
+    """Let SIGTERM end the command by an exception, so that nothing half written is left, as Ctrl-C does."""
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _told(work: Callable[[], None]) -> None:

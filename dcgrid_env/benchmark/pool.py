@@ -93,6 +93,7 @@ def _give(
 
 def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited everywhere
+    signal.signal(signal.SIGTERM, _end)
     while True:
         try:
             task = pipe.recv()
@@ -103,6 +104,11 @@ def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
         except Exception as error:
             result = error
         pipe.send(result)
+
+
+def _end(number: int, frame: object) -> None:
+    """End by an exception, so that what is half written goes."""
+    raise SystemExit(128 + number)
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.commands.named import scenario_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import make_folder, processes
+from dcgrid_env.commands.settings import check_folder, processes
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
@@ -50,7 +50,7 @@ def main(cfg: HindsightValues) -> None:
     jobs = processes(cfg.jobs)
     scenarios = {name: make_scenario(name, split=cfg.split) for name in scenario_names(cfg.scenarios)}
     kept = {name: _kept(cfg.out / f"{name}.json", scenario) for name, scenario in scenarios.items()}
-    make_folder(cfg.out)
+    check_folder(cfg.out)
     due = [(name, seed) for name in scenarios for seed in range(cfg.episodes) if seed not in kept[name]]
     console = Console()
     with progress_bar(console) as progress:

@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dcgrid_env.files import require_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def plain_console() -> Console:
+    """A console on what is standard output now, wherever that of a training goes.
+
+    It shows text as it is: what users name may hold brackets, or ``:key:``.
+    """
+    from rich.console import Console
+
+    return Console(file=sys.stdout, markup=False, emoji=False, highlight=False)
 
 
 def processes(jobs: int | None) -> int:
@@ -16,9 +33,12 @@ def processes(jobs: int | None) -> int:
     return jobs
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder for what will be written, before the work for it is done; ValueError where that cannot be."""
+def check_folder(folder: Path) -> None:
+    """ValueError unless a folder can be made for what will be written, before the work for it is done.
+
+    It is made when there is something to write, so that an error or Ctrl-C leaves none that is empty.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        require_folder(folder)
     except OSError as error:
         raise ValueError(f"out: no folder {folder} can be made ({error.strerror}); choose another --out") from None

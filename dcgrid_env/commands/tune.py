@@ -16,7 +16,7 @@ from typing import Any
 from dcgrid_env.commands.named import scenario_names, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import make_folder, processes
+from dcgrid_env.commands.settings import check_folder, processes
 
 Laws = dict[str, dict[str, dict[str, Any]]]
 """Law -> scenario, or scenarios with commas between -> parameters, J, trials and command."""
@@ -57,7 +57,7 @@ def main(cfg: Tune) -> None:
     if cfg.episodes < 1:
         raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
     jobs, kept = processes(cfg.jobs), _kept(cfg.out)
-    make_folder(cfg.out.parent)
+    check_folder(cfg.out.parent)
     groups = [tuple(names)] if cfg.together else [(name,) for name in names]
     asked = [(law, group) for group in groups for law in laws]
     due = [task for task in asked if cfg.again or not _stands(kept, task, cfg.episodes)]
