@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from dcgrid_env.files import new_folder
+from dcgrid_env.lock import alone
 from dcgrid_env.traces.trace import TraceError
 
 if TYPE_CHECKING:
@@ -46,12 +48,10 @@ def download(url: str, sha256: str, size_bytes: int, path: Path, progress: Progr
         return path
     # Imported late: traces are used and imported without the means to download them.
     import pooch
-    from filelock import FileLock
 
     source = _Source(url, sha256, size_bytes, path, progress)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path.with_name(path.name + ".lock")), _quiet(pooch.get_logger()):
+        with new_folder(path.parent), alone(path.with_name(path.name + ".lock")), _quiet(pooch.get_logger()):
             # The library's type for downloaders names other parameters than it passes.
             downloader = cast("Downloader", source)
             pooch.retrieve(url, f"sha256:{sha256}", fname=path.name, path=path.parent, downloader=downloader)

@@ -6,10 +6,10 @@ and a row for each sample: the time in s and the power of each GPU in W. `PowerT
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
 import math
-import os
 import shutil
 import time
 from array import array
@@ -21,6 +21,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from dcgrid_env.files import whole
 from dcgrid_env.traces.logs.csv_file import RECORDED
 from dcgrid_env.traces.nvml import GpuReader, open_gpus, started
 from dcgrid_env.traces.trace import TraceError, require_positive, steps_in
@@ -77,14 +78,17 @@ def record(
         about |= {"driver": nvml.nvmlSystemGetDriverVersion(), "hz": hz}
         facts = [gpu.facts() for gpu in chosen]
         log = _Log(len(chosen))
-        with part.open("x", buffering=1, encoding="utf-8", newline="\n") as rows:
-            rows.write(",".join(["time_s", *(f"gpu{gpu.index}_w" for gpu in chosen)]) + "\n")
-            try:
-                ended = _sample(chosen, rows, log, _slots(1 / hz, last, clock, sleep), clock, stop, progress)
-            except TraceError as error:
-                failure, ended = error, str(error)
+        try:
+            with part.open("x", buffering=1, encoding="utf-8", newline="\n") as rows:
+                rows.write(",".join(["time_s", *(f"gpu{gpu.index}_w" for gpu in chosen)]) + "\n")
+                try:
+                    ended = _sample(chosen, rows, log, _slots(1 / hz, last, clock, sleep), clock, stop, progress)
+                except TraceError as error:
+                    failure, ended = error, str(error)
+        finally:
+            if len(log.late_s) < 2:
+                part.unlink(missing_ok=True)
     if len(log.late_s) < 2:
-        part.unlink()
         raise TraceError(
             f"{path}: the recording ended after {len(log.late_s)} samples and a trace needs 2; nothing is kept"
         ) from failure
@@ -219,13 +223,8 @@ def _part_of(path: Path, overwrite: bool) -> Path:
 
 def _assemble(part: Path, path: Path, metadata: dict[str, Any]) -> None:
     """Put the first line before the rows, and the file in place when it is whole."""
-    whole = path.with_name(path.name + ".whole")
-    try:
-        opener = gzip.open if path.suffix == ".gz" else open
-        with opener(whole, "wb") as file, part.open("rb") as rows:
-            file.write(f"{RECORDED}{json.dumps(metadata, allow_nan=False)}\n".encode())
-            shutil.copyfileobj(rows, file)
-        os.replace(whole, path)
-    finally:
-        whole.unlink(missing_ok=True)
+    with whole(path) as file, part.open("rb") as rows, contextlib.ExitStack() as stack:
+        packed = stack.enter_context(gzip.GzipFile(path.name, "wb", fileobj=file)) if path.suffix == ".gz" else file
+        packed.write(f"{RECORDED}{json.dumps(metadata, allow_nan=False)}\n".encode())
+        shutil.copyfileobj(rows, packed)
     part.unlink()

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from dcgrid_env.commands.named import scenario_names, split_names
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import make_folder
+from dcgrid_env.commands.settings import check_folder, plain_console
+from dcgrid_env.commands.terminal import say, working
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Policy
@@ -24,7 +25,7 @@ class Ablate:
     scenario: str = "ieee33-weak"
     """Name of a scenario (dcgrid list)."""
     updates: int | None = None
-    """Steps of the optimiser of each training; as dcgrid train has it by default."""
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
     seeds: int = 1
     """Training seeds of each variant: 0, 1, .."""
     episodes: int = 100
@@ -57,20 +58,20 @@ def main(cfg: Ablate) -> None:
     chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
     algorithms = {name: trainings.configuration(name) for name in ("analytic", "safe") if name in ALGORITHMS}
     runs = ablation.configs(algorithms, scenario[0], chosen, cfg.seeds, cfg.runs)
-    make_folder(cfg.out)
-    console = trainings.terminal()
+    check_folder(cfg.out)
+    console = plain_console()
     failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
-    with console.status(f"{cfg.episodes} test episodes of {scenario[0]}"):
+    with working(console, f"{cfg.episodes} test episodes of {scenario[0]}"):
         found = ablation.ablation(scenario[0], cfg.episodes, runs, failures)
         ablated = ablation.ablation_table(scenario[0], cfg.episodes, found)
-    console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich())
+    console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
     transferred = None
     if policies:
-        with console.status(f"{len(policies)} policies on {len(others)} scenarios"):
+        with working(console, f"{len(policies)} policies on {len(others)} scenarios"):
             transferred = ablation.transfer_table(policies, others, cfg.episodes)
-        console.print(transferred.rich())
+        console.print(transferred.rich(console.width))
     write_text(cfg.out / "ablations.md", ablation.markdown(ablated, found, transferred, meta()["command"]))
-    console.print(f"wrote {cfg.out / 'ablations.md'}", highlight=False)
+    say(console, f"wrote {cfg.out / 'ablations.md'}")
 
 
 def _policies(asked: str) -> dict[str, Policy]:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
-from dcgrid_env.commands.settings import make_folder
+from dcgrid_env.commands.settings import check_folder, plain_console
+from dcgrid_env.commands.terminal import say
+
+if TYPE_CHECKING:
+    from dcgrid_env.learning.curves import Line
 
 
 @dataclass(frozen=True)
@@ -22,22 +27,30 @@ class Curves:
 
 def main(cfg: Curves) -> None:
     """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
-    from rich.console import Console
-
+    from dcgrid_env.files import write_figure
     from dcgrid_env.learning.curves import lines, read
     from dcgrid_env.learning.figures import curves_figure
 
     if not cfg.folders:
         raise ValueError("folders is empty; give the folder of at least one training run")
     found = lines([read(folder) for folder in cfg.folders])
-    make_folder(cfg.out.parent)
-    curves_figure(found).savefig(cfg.out, format="png", dpi=130)
-    console = Console()
+    check_folder(cfg.out.parent)
+    write_figure(cfg.out, curves_figure(found), dpi=130)
+    console = plain_console()
     for scenario, every in found.items():
         for line in every:
-            console.print(
-                f"{scenario}, {line.label}: {line.n_runs} run{'s' * (line.n_runs > 1)}, at the end "
-                f"{line.mean_pct[-1]:.2f} % below the tuned droop ({line.low_pct[-1]:.2f} to {line.high_pct[-1]:.2f})",
-                highlight=False,
-            )
-    console.print(f"wrote {cfg.out}", highlight=False)
+            say(console, f"{scenario}, {line.label}: {ending(line)}")
+    say(console, f"wrote {cfg.out}")
+
+
+def ending(line: Line) -> str:
+    """Where the runs of a line end: how far below the tuned droop's cost, or above it."""
+    mean, low, high = (_against(found[-1]) for found in (line.mean_pct, line.low_pct, line.high_pct))
+    if line.n_runs == 1:
+        return f"1 run, J at the end {mean} the tuned droop's"
+    return f"{line.n_runs} runs, J at the end {mean} the tuned droop's on average (the best {high}, the worst {low})"
+
+
+def _against(gain_pct: float) -> str:
+    shown = round(float(gain_pct), 2)
+    return f"{abs(shown):.2f} % {'below' if shown >= 0.0 else 'above'}"

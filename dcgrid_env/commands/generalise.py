@@ -10,7 +10,8 @@ from pathlib import Path
 
 from dcgrid_env.commands.named import scenario_names
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import make_folder
+from dcgrid_env.commands.settings import check_folder, plain_console
+from dcgrid_env.commands.terminal import say, working
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Generalise:
     vary: int = 6
     """Variants of each scenario to train on: other places, ratings and substation voltages."""
     updates: int | None = None
-    """Steps of the optimiser of each training; as dcgrid train analytic has it by default."""
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
     seeds: int = 1
     """Training seeds: 0, 1, .."""
     episodes: int = 100
@@ -49,12 +50,12 @@ def main(cfg: Generalise) -> None:
         raise ValueError(f"vary is {cfg.vary}; give at least 0")
     chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes, vary=cfg.vary)
     runs = generalise.configs(trainings.configuration("analytic"), scenarios, chosen, cfg.seeds, cfg.runs)
-    make_folder(cfg.out)
-    console = trainings.terminal()
+    check_folder(cfg.out)
+    console = plain_console()
     failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
-    with console.status(f"{cfg.episodes} test episodes of each scenario"):
+    with working(console, f"{cfg.episodes} test episodes of each scenario"):
         found = generalise.generalise(cfg.episodes, runs, failures)
         made = generalise.table(cfg.episodes, found)
-    console.print(brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich())
+    console.print(brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width))
     write_text(cfg.out / "generalise.md", generalise.markdown(found, made, meta()["command"]))
-    console.print(f"wrote {cfg.out / 'generalise.md'}", highlight=False)
+    say(console, f"wrote {cfg.out / 'generalise.md'}")

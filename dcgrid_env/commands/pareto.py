@@ -10,7 +10,8 @@ from pathlib import Path
 
 from dcgrid_env.commands.named import scenario_names
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import make_folder
+from dcgrid_env.commands.settings import check_folder, plain_console
+from dcgrid_env.commands.terminal import say, working
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Pareto:
     delays: str = "0.25,0.5,1,2,4,8"
     """Limits on mean delay, s, separated by commas."""
     updates: int | None = None
-    """Steps of the optimiser of each training; as dcgrid train analytic has it by default."""
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
     seeds: int = 1
     """Training seeds of each limit: 0, 1, .."""
     episodes: int = 100
@@ -38,7 +39,7 @@ class Pareto:
 def main(cfg: Pareto) -> None:
     """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
     from dcgrid_env.commands import trainings
-    from dcgrid_env.files import write_text
+    from dcgrid_env.files import write_figure, write_text
     from dcgrid_env.learning import pareto
     from dcgrid_env.learning.figures import pareto_figure
     from dcgrid_env.learning.tables import brief
@@ -49,14 +50,14 @@ def main(cfg: Pareto) -> None:
     limits_s = trainings.positive_numbers("delays", cfg.delays)
     chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
     configs = pareto.configs(trainings.configuration("analytic"), scenario[0], limits_s, chosen, cfg.seeds, cfg.runs)
-    make_folder(cfg.out / "images")
-    console = trainings.terminal()
+    check_folder(cfg.out / "images")
+    console = plain_console()
     failures = trainings.do(configs, cfg.jobs, console)
     if failures:
         raise ValueError(f"{len(failures)} of {len(configs)} trainings failed: {next(iter(failures.values()))}")
-    with console.status(f"{cfg.episodes} test episodes of {scenario[0]}"):
+    with working(console, f"{cfg.episodes} test episodes of {scenario[0]}"):
         front = pareto.front(scenario[0], cfg.episodes, configs)
-    pareto_figure(front).savefig(cfg.out / "images" / "pareto.png", dpi=130)
+    write_figure(cfg.out / "images" / "pareto.png", pareto_figure(front), dpi=130)
     write_text(cfg.out / "pareto.md", pareto.markdown(front, meta()["command"], "images/pareto.png"))
-    console.print(brief(pareto.learned_table(front), "J", "J but for waiting", "mean delay, s").rich())
-    console.print(f"wrote {cfg.out / 'pareto.md'} and {cfg.out / 'images' / 'pareto.png'}", highlight=False)
+    console.print(brief(pareto.learned_table(front), "J", "J but for waiting", "mean delay, s").rich(console.width))
+    say(console, f"wrote {cfg.out / 'pareto.md'} and {cfg.out / 'images' / 'pareto.png'}")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
+from dcgrid_env.commands.settings import check_folder, plain_console
+from dcgrid_env.commands.terminal import say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,8 +34,7 @@ class Reproduce:
 
 def main(cfg: Reproduce) -> None:
     """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
-    from rich.console import Console
-
+    from dcgrid_env.files import write_text
     from dcgrid_env.study.figures import draw_all
     from dcgrid_env.study.load import choose_load
     from dcgrid_env.study.markdown import render
@@ -42,8 +43,8 @@ def main(cfg: Reproduce) -> None:
 
     runs = Runs(Setting(choose_load(cfg.trace), cfg.episodes, cfg.placement))
     records: dict[str, Any] = {"meta": meta() | {"trace": _origin(runs)}}
-    cfg.out.mkdir(parents=True, exist_ok=True)
-    console = Console()
+    check_folder(cfg.out)
+    console = plain_console()
     with progress_bar(console) as progress:
         bar = progress.add_task("", total=len(PARTS) + 1)
         begun = 0
@@ -58,9 +59,9 @@ def main(cfg: Reproduce) -> None:
         records["figures"] = draw_all(runs, cfg.out)
         progress.advance(bar)
     write_json(cfg.out / "reproduction.json", records)
-    (cfg.out / "reproduction.md").write_text(render(records), encoding="utf-8")
+    write_text(cfg.out / "reproduction.md", render(records))
     console.print(_claims(records["claims"]))
-    console.print(f"load: {runs.setting.load.description}\nwrote {cfg.out / 'reproduction.md'}", highlight=False)
+    say(console, f"load: {runs.setting.load.description}\nwrote {cfg.out / 'reproduction.md'}")
 
 
 def _claims(rows: list[dict[str, str]]) -> Table:

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import tyro
 
+from dcgrid_env.commands.settings import plain_console
+from dcgrid_env.commands.terminal import say, working
+
 
 @dataclass(frozen=True)
 class Ship:
@@ -26,8 +29,6 @@ class Ship:
 
 def main(cfg: Ship) -> None:
     """Score, write, print. ValueError for runs that do not belong together, before anything is written."""
-    from rich.console import Console
-
     from dcgrid_env.agents.policy import FOLDER
     from dcgrid_env.agents.ship import ship
     from dcgrid_env.commands.listing import card_line
@@ -35,8 +36,8 @@ def main(cfg: Ship) -> None:
     if cfg.episodes < 2:
         raise ValueError(f"episodes is {cfg.episodes}; give at least 2, a score's interval takes them")
     out = cfg.out or FOLDER
-    console = Console()
-    with console.status(f"{len(cfg.folders)} policies, {cfg.episodes} episodes each"):
+    console = plain_console()
+    with working(console, f"{len(cfg.folders)} policies, {cfg.episodes} episodes each"):
         card = ship(cfg.folders, cfg.name, cfg.scenario, cfg.episodes, out)
-    console.print(f"{cfg.name}: {card_line(card)}", highlight=False)
-    console.print(f"wrote {out / cfg.name}.safetensors and .json", highlight=False)
+    say(console, f"{cfg.name}: {card_line(card)}")
+    say(console, f"wrote {out / cfg.name}.safetensors and .json")

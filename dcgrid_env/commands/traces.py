@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from dcgrid_env.commands.settings import plain_console
+from dcgrid_env.commands.terminal import say, working
+
 if TYPE_CHECKING:
     from dcgrid_env.traces import PowerTrace
 
@@ -82,35 +85,34 @@ def main(cfg: Traces) -> None:
 
 def fetch(cfg: Fetch) -> None:
     """Download and say under which licence, and what to cite."""
-    from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
     from dcgrid_env.traces.recordings import RECORDINGS
     from dcgrid_env.traces.recordings import fetch as download
 
-    console = Console()
-    with Progress(TextColumn(cfg.name), BarColumn(), DownloadColumn(), console=console, transient=True) as progress:
+    console = plain_console()
+    with Progress(
+        TextColumn(cfg.name, markup=False), BarColumn(), DownloadColumn(), console=console, transient=True
+    ) as progress:
         task = progress.add_task(cfg.name, total=None)
         path = download(cfg.name, cfg.cache, lambda have, size: progress.update(task, completed=have, total=size))
     recording = RECORDINGS[cfg.name]
-    console.print(f"{path}\n{recording.description}", highlight=False)
-    console.print(f"licence: {recording.licence}\ncite:    {recording.citation}", highlight=False)
+    say(console, f"{path}\n{recording.description}")
+    say(console, f"licence: {recording.licence}\ncite:    {recording.citation}")
 
 
 def show(cfg: Show) -> None:
     """Draw and say what was drawn."""
-    from rich.console import Console
-
+    from dcgrid_env.files import write_figure
     from dcgrid_env.traces.figure import trace_figure
 
     names = [cfg.name, *([cfg.against] if cfg.against else [])]
     traces = {name: _long_enough(name, _find(name, cfg), cfg) for name in names}
-    cfg.out.parent.mkdir(parents=True, exist_ok=True)
-    trace_figure(traces, cfg.dt_s).savefig(cfg.out, dpi=130)
-    console = Console()
+    write_figure(cfg.out, trace_figure(traces, cfg.dt_s), dpi=130)
+    console = plain_console()
     for name, trace in traces.items():
-        console.print(f"{name}: {trace.duration_s:g} s, {trace.provenance}", highlight=False)
-    console.print(f"wrote {cfg.out}", highlight=False)
+        say(console, f"{name}: {trace.duration_s:g} s, {trace.provenance}")
+    say(console, f"wrote {cfg.out}")
 
 
 def _find(name: str, cfg: Show) -> PowerTrace:
@@ -141,12 +143,10 @@ def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
 
 def record(cfg: Record) -> None:
     """Record, with the power on one line as it comes."""
-    from rich.console import Console
-
     from dcgrid_env.traces.recorder import record as sample
 
-    console = Console()
-    with console.status("recording, Ctrl-C to end") as status:
+    console = plain_console()
+    with working(console, "recording, Ctrl-C to end") as status:
         noted = sample(
             cfg.out,
             cfg.hz,
@@ -156,8 +156,8 @@ def record(cfg: Record) -> None:
             overwrite=cfg.overwrite,
         )
     jitter = noted["jitter_s"]
-    console.print(
+    say(
+        console,
         f"wrote {cfg.out}: {noted['samples']} samples of {len(noted['gpus'])} GPUs, {noted['missed']} missed, "
         f"jitter mean {1e3 * jitter['mean']:.1f} ms, 99 % {1e3 * jitter['p99']:.1f} ms",
-        highlight=False,
     )

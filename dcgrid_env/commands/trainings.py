@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.settings import processes
+from dcgrid_env.commands.terminal import say
 from dcgrid_env.commands.train import ALGORITHMS, imported
 
 if TYPE_CHECKING:
@@ -55,25 +56,16 @@ def do(configs: Iterable[Any], jobs: int | None, console: Console) -> dict[Path,
     n, asked = processes(jobs), list(configs)
     due = [config for config in asked if not finished(config)]
     if len(due) < len(asked):
-        console.print(f"{len(asked) - len(due)} of {len(asked)} trainings are done already with these settings")
+        say(console, f"{len(asked) - len(due)} of {len(asked)} trainings are done already with these settings")
     failures: dict[Path, str] = {}
     if not due:
         return failures
-    console.print(f"the first: {due[0].out / LOG}", highlight=False)
+    say(console, f"the first: {due[0].out / LOG}")
     with progress_bar(console) as progress:
         bar = progress.add_task("trainings", total=len(asked), completed=len(asked) - len(due))
         for config, failure in train_all(due, n):
             if failure is not None:
                 failures[config.out] = failure
-                console.print(f"failed: {failure}", highlight=False, markup=False)
+                say(console, f"failed: {failure}")
             progress.advance(bar)
     return failures
-
-
-def terminal() -> Console:
-    """A console on what is standard output now, wherever that of the trainings goes."""
-    import sys
-
-    from rich.console import Console
-
-    return Console(file=sys.stdout)

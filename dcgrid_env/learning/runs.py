@@ -13,11 +13,11 @@ import json
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.benchmark.pool import Died, each
-from dcgrid_env.files import write_json
+from dcgrid_env.files import new_folder, write_json
 
 FINISHED, LOG = "finished.json", "training.log"
 PLACES = ("out", "resume")
@@ -58,14 +58,24 @@ def train(config: Any) -> str | None:
     """
     from dcgrid_env.agents.training import TrainingError
 
-    config.out.mkdir(parents=True, exist_ok=True)
     try:
-        with (config.out / LOG).open("a", encoding="utf-8") as log, contextlib.redirect_stdout(log):
+        with new_folder(config.out), _log(config.out / LOG) as log, contextlib.redirect_stdout(log):
             importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=True))
     except TrainingError as error:
         return str(error)
     write_json(config.out / FINISHED, _settings(config))
     return None
+
+
+@contextlib.contextmanager
+def _log(path: Path) -> Iterator[TextIO]:
+    """A log to add to; gone again where nothing was said in it."""
+    try:
+        with path.open("a", encoding="utf-8") as log:
+            yield log
+    finally:
+        if path.stat().st_size == 0:
+            path.unlink()
 
 
 def train_all(configs: Sequence[Any], jobs: int) -> Iterator[tuple[Any, str | None]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from dcgrid_env.files import write_figure
 from dcgrid_env.study.bus13 import BUS
 from dcgrid_env.study.feeder_figures import BUSES, against_number, four_buses, map_figure, step_figure
 from dcgrid_env.study.load_figures import (
@@ -88,10 +89,9 @@ def draw_all(runs: Runs, folder: Path) -> list[dict[str, Any]]:
         6: lambda: four_buses(runs, seed),
         7: lambda: before_and_after(runs, seed),
     }
-    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     made = []
     for number, caption in captions(runs, seed).items():
         file = f"{FOLDER}/reproduction-fig{number}.png"
-        makers[number]().savefig(folder / file, dpi=DPI)
+        write_figure(folder / file, makers[number](), dpi=DPI)
         made.append({"figure": number, "file": file, "caption": caption})
     return made

@@ -291,6 +291,12 @@ def test_a_crash_leaves_rows_that_read(record, tmp_path):
         if time_s > 1:
             raise OSError("No space left on device")
 
+    def crash_at_once(time_s, power_w):
+        raise OSError("No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        record("site.csv.gz", progress=crash_at_once)
+    assert left(tmp_path) == set()
     with pytest.raises(OSError, match="No space left"):
         record("site.csv.gz", progress=crash)
     assert left(tmp_path) == {"site.csv.part"}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import threading
 
 import pytest
 
@@ -24,6 +25,26 @@ def test_a_unit_comes_back_if_all_is_the_same(tmp_path):
     for other in ({"first": 25}, {"episodes": 20}, {"controller": "none"}, {"scenario": "ieee123"}):
         assert store.get(dataclasses.replace(UNIT, **other)) is None
     assert store.get(dataclasses.replace(UNIT, controller_hash="changed")) is None
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_two_benchmarks_in_one_folder_keep_whole_units(tmp_path):
+    units, failed = [dataclasses.replace(UNIT, first=first) for first in range(8)], []
+
+    def put(store):
+        try:
+            for unit in units * 5:
+                store.put(unit, record(unit))
+        except OSError as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=put, args=(Store(tmp_path),)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failed
+    assert [Store(tmp_path).get(unit) for unit in units] == [record(unit) for unit in units]
     assert not list(tmp_path.rglob("*.part"))
 
 

@@ -67,7 +67,7 @@ def test_generalise_leaves_each_out(here, capsys):
     assert "| ieee33 | toy6 | " in page
     main(["curves", "results/generalise/without-toy6/ieee33-vary-0-2-0", "--out", "docs/images/curves.png"])
     assert (here / "docs/images/curves.png").read_bytes()[:4] == b"\x89PNG"
-    assert "ieee33, analytic: 1 run, at the end" in capsys.readouterr().out
+    assert "ieee33, analytic: 1 run, J at the end " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env.agents import Card
-from dcgrid_env.learning.curves import Curve, lines, read
+from dcgrid_env.commands.curves import ending
+from dcgrid_env.learning.curves import Curve, Line, lines, read
 from dcgrid_env.learning.figures import curves_figure
 
 
@@ -72,3 +73,22 @@ def test_the_figure_has_a_panel_for_each_scenario(tmp_path):
     assert [ax.get_title() for ax in shown] == list(names)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo", "analytic"]
     figure.canvas.draw()
+
+
+@pytest.mark.parametrize(
+    ("gains_pct", "said"),
+    [
+        ([7.24], "1 run, J at the end 7.24 % below the tuned droop's"),
+        ([-7.24], "1 run, J at the end 7.24 % above the tuned droop's"),
+        ([-1e-9], "1 run, J at the end 0.00 % below the tuned droop's"),
+        (
+            [1.0, -4.0],
+            "2 runs, J at the end 1.50 % above the tuned droop's on average (the best 1.00 % below, the worst 4.00 % "
+            "above)",
+        ),
+    ],
+)
+def test_where_a_line_ends_is_said_as_below_or_above(gains_pct, said):
+    gains = np.array(gains_pct)[:, None]
+    ends = (gains.mean(axis=0), gains.min(axis=0), gains.max(axis=0))
+    assert ending(Line("ppo", np.array([1.0]), *ends, n_runs=len(gains))) == said

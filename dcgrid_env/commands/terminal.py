@@ -1,0 +1,21 @@
+"""What the commands say on the terminal: text as it stands, whatever brackets a name of the user's holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.status import Status
+
+
+def say(console: Console, text: str) -> None:
+    """Print lines as they are, none folded by us, so that a path or a command can be copied."""
+    console.print(text, soft_wrap=True)
+
+
+def working(console: Console, text: str) -> Status:
+    """A context manager that shows what is being done."""
+    from rich.text import Text
+
+    return console.status(Text(text))  # a plain string would be read as markup
