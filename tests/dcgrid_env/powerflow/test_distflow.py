@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import Solution, distflow
+from dcgrid_env import Solution, distflow, lindistflow
 from dcgrid_env.powerflow.compiled import distflow_lanes
 
 SHAPES = {
@@ -276,3 +276,25 @@ def test_the_largest_load_of_two_buses_is_where_the_hand_worked_one_is(two_bus):
         load = largest_kva * np.array([[0.99], [1.01]])
         solution = distflow(two_bus(r, x), load * [0.0, p], load * [0.0, q], v0_pu)
         assert solution.converged.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("lanes", [1, 20])
+@pytest.mark.parametrize("method", [distflow, lindistflow])
+def test_a_voltage_beyond_100_pu_is_no_operating_point(two_bus, method, lanes):
+    none = np.zeros((lanes, 2))
+    for v0_pu, settles in ((99.0, True), (101.0, False)):
+        solution = method(two_bus(0.04, 0.07), none, none, v0_pu)
+        assert solution.converged.tolist() == [settles] * lanes
+
+
+@pytest.mark.parametrize("lanes", [1, 20])
+@pytest.mark.parametrize("method", [distflow, lindistflow])
+def test_a_collapsed_feeder_has_no_flow_and_next_to_no_voltage(feeder, method, lanes):
+    p_kw, q_kvar = (1e3 * np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
+    solution = method(feeder, p_kw, q_kvar, 1.02)
+    assert not solution.converged.any()
+    assert np.isinf(solution.residual_kva).all()
+    np.testing.assert_allclose(solution.v_pu[:, 0], 1.02)
+    np.testing.assert_allclose(solution.v_pu[:, 1:], 0.01)
+    for field in ("p_branch_kw", "q_branch_kvar", "current_sq_pu", "loss_kw"):
+        assert not getattr(solution, field).any(), field

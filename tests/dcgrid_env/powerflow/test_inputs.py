@@ -54,11 +54,12 @@ def test_the_bus_is_named_by_its_own_name(method, kind):
 @BOTH
 @pytest.mark.parametrize("lanes", [1, 20])
 @pytest.mark.parametrize("value", [NAN, INF])
-def test_a_load_at_the_substation_is_checked_as_well(toy6, method, kind, lanes, value):
-    p_kw = np.ones((lanes, 6))
-    p_kw[0, 0] = value
-    with pytest.raises(PowerFlowError, match=f"p_kw of bus 0 is {value}"):
-        method(toy6, kind(p_kw), kind(np.ones((lanes, 6))))
+@pytest.mark.parametrize("field", ["p_kw", "q_kvar"])
+def test_a_load_at_the_substation_is_checked_as_well(toy6, method, kind, lanes, value, field):
+    loads = {name: np.ones((lanes, 6)) for name in ("p_kw", "q_kvar")}
+    loads[field][0, 0] = value
+    with pytest.raises(PowerFlowError, match=f"{field} of bus 0 is {value}"):
+        method(toy6, kind(loads["p_kw"]), kind(loads["q_kvar"]))
 
 
 @pytest.mark.usefixtures("torch_warns_always")
