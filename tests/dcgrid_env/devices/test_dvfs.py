@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import LinearDvfs
-from dcgrid_env.devices import DataCenterParams
+from dcgrid_env import LinearDvfs, PhaseDvfs
+from dcgrid_env.devices import DataCenterParams, speed_share
 
 SITE = DataCenterParams(
     p_rated_kw=np.array([1000.0, 200.0]),
@@ -51,3 +51,28 @@ def test_derivatives_follow_whichever_limits():
     assert work.grad is not None
     np.testing.assert_allclose(f.grad, [770.0 / 1410.0, 0.0])
     np.testing.assert_allclose(work.grad, [0.0, 1.0])
+
+
+F_MHZ = np.array([[1410.0, 1000.0], [705.0, 250.0], [282.0, 500.0]])
+CLOCK = F_MHZ / SITE.f_max_mhz
+
+
+def test_speed_under_the_linear_law_is_the_clocks_share():
+    np.testing.assert_allclose(speed_share(LinearDvfs(), SITE, F_MHZ), CLOCK[..., None], rtol=1e-12)
+
+
+def test_speed_under_the_phase_law_is_each_phases_own():
+    found = speed_share(PhaseDvfs(decode_clock_share=0.05), SITE, F_MHZ)
+    slow = 1.0 / (1.0 + 0.05 * (1.0 / CLOCK - 1.0))
+    np.testing.assert_allclose(found, np.stack((CLOCK, slow), axis=-1), rtol=1e-12)
+
+
+def test_speed_is_found_where_a_site_can_do_more_than_its_rating():
+    class Twice:
+        """Up to twice the dynamic power, falling with the square of the clock."""
+
+        def serve(self, params, f_mhz, work_kw):
+            done = np.minimum(work_kw, 2.0 * params.p_dynamic_kw * (f_mhz / params.f_max_mhz) ** 2)
+            return done, done
+
+    np.testing.assert_allclose(speed_share(Twice(), SITE, F_MHZ), CLOCK[..., None] ** 2, rtol=1e-12)
