@@ -81,6 +81,22 @@ def test_a_large_batch_spread_over_threads_draws_the_same_noise(monkeypatch):
         np.testing.assert_array_equal(single.q_load_kvar[0], outside.q_load_kvar[lane])
 
 
+def test_a_lane_without_a_seed_goes_through_its_seeds_episodes_in_turn():
+    scenario = make_scenario("ieee123", horizon=3)
+    simulation = Simulation(scenario, 2)
+    simulation.reset([7, 8])
+    for number in (0, 1, 2):
+        now = simulation.now.episode
+        for lane, seed in enumerate((7, 8)):
+            wanted = draw(scenario, [seed], number)
+            assert now.key[lane] == wanted.key[0]
+            assert now.buses[lane].tolist() == wanted.buses[0].tolist()
+        simulation.reset([None, None])
+    # Seeded again, it begins with the first.
+    simulation.reset([None, 8])
+    assert simulation.now.episode.key.tolist() == [draw(scenario, [7], 4).key[0], draw(scenario, [8]).key[0]]
+
+
 # --- placement -----------------------------------------------------------------------------------
 
 
@@ -468,3 +484,11 @@ def test_sites_generated_side_by_side_stay_so_together():
     course = np.array([episode.p_ref_kw(scenario, drawn, np.full(20, k)) for k in range(100)])
     for lane in range(20):
         assert np.corrcoef(course[:, lane].T).min() > 0.95
+
+
+def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
+    scenario = make_scenario("ieee33", inverter_trace="pv", horizon=3590)
+    length = episode.sun_rows(scenario).shape[1]
+    begins = draw(scenario, range(1000)).sun % length
+    # The last of its 3591 seconds is the row's last at the latest.
+    assert np.unique(begins).tolist() == list(range(length - 3590))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, Fault, Recorder, ScenarioError, episode, forecast, make_scenario
+from dcgrid_env import DcgridVectorEnv, Fault, Recorder, ScenarioError, episode, field_names, forecast, make_scenario
 from dcgrid_env.simulation import Simulation
 
 
@@ -77,6 +77,22 @@ def test_a_lost_capacitor_injects_nothing():
         assert (known.available == 1.0).all()
         lost_kvar.add(float(kvar[bus]))
     assert len(lost_kvar) > 1
+
+
+def test_what_is_lost_has_no_reactive_limit_and_is_seen_to_have_none():
+    faults = (Fault(("inv_2",), (4.0, 4.0), (3.0, 3.0)), Fault(("dc_1",), (6.0, 6.0), (2.0, 2.0)))
+    scenario = make_scenario("ieee33-weak", faults=faults, horizon=12)
+    at = {agent: scenario.agents.index(agent) for agent in ("inv_2", "dc_1")}
+    names = [(agent, name) for agent, own in field_names(scenario).items() for name in own]
+    simulation = Simulation(scenario, 2)
+    simulation.reset([0, 1])
+    for step in range(1, 13):
+        found = simulation.step(np.full((2, 10), 0.3))
+        for agent, gone in (("inv_2", 5 <= step < 8), ("dc_1", 7 <= step < 9)):
+            limit_kvar = found.state.q_limit_kvar[:, at[agent]]
+            assert ((limit_kvar == 0.0) == gone).all()
+            seen = found.observation[:, names.index((agent, "q_limit"))]
+            np.testing.assert_allclose(seen, limit_kvar / scenario.q_scale_kvar[at[agent]], rtol=1e-6)
 
 
 def test_kinds_and_ids_are_drawn_from_together():

@@ -282,6 +282,12 @@ def test_distances_and_neighbours_walked_along_the_feeder(name):
             assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)  # nearest first
 
 
+def test_an_agent_at_the_bus_of_another_is_no_neighbour_of_itself():
+    scenario = make_scenario("toy6", observe="neighbours")
+    nearest = placed_at(scenario, [3, 3, 5], lanes=2).nearest - 3 * np.arange(2)[:, None, None]
+    assert nearest.tolist() == [[[1, 2], [0, 2], [0, 1]]] * 2
+
+
 def test_neighbours_are_of_the_own_lane():
     scenario = make_scenario("ieee123", observe="neighbours")
     simulation, transitions = play(scenario, 4, 2)
