@@ -135,6 +135,16 @@ def test_the_figures_say_something():
     assert any(0.0 < m["outside_bus_seconds_pct"] < m["outside_buses_pct"] for m in found)
 
 
+def test_a_voltage_at_the_edge_of_the_band_is_within_it():
+    scenario = make_scenario("toy6", band_pu=0.0625, horizon=1)
+    _, (begun, ended) = record(scenario, 1, random_action(scenario, 1))
+    # 1 +- 0.0625 are exact in binary; of five buses two are at the edges and one is beyond.
+    v_pu = np.array([[1.0, 1.0625, 0.9375, 1.0, np.nextafter(1.0625, 2.0), 1.0]])
+    at_edge = ended._replace(state=ended.state._replace(v_pu=v_pu))
+    found = Series(scenario, [begun, at_edge], 0).metrics()
+    assert found["outside_bus_seconds_pct"] == found["outside_buses_pct"] == pytest.approx(20.0)
+
+
 def test_no_datacenter_has_neither_work_nor_clock():
     scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
     recorder, course = record(scenario, 2, random_action(scenario, 2))
