@@ -86,10 +86,8 @@ class Droop(LocalController):
             + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0)
             + self._alpha_per_s(waiting) * waiting
         )
-        dynamic = dc.p_dynamic_kw
-        p_min = dc.p_idle_kw + dynamic * (dc.f_min_mhz / dc.f_max_mhz)
-        p = np.clip(p, p_min, dc.p_rated_kw)
-        return np.clip((p - dc.p_idle_kw) / dynamic * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz), q
+        f_mhz = (p - dc.p_idle_kw) / dc.p_dynamic_kw * dc.f_max_mhz
+        return np.clip(f_mhz, dc.f_min_mhz, dc.f_max_mhz), q  # which cuts P to P_min and p_rated
 
     def _alpha_per_s(self, waiting_kws: np.ndarray) -> np.ndarray | float:
         """Share of the backlog added to the power asked for, per second, now."""
