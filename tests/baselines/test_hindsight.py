@@ -1,5 +1,7 @@
 """Hindsight: its program against the environment, a direct nonlinear solution, and every controller there is."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -62,6 +64,31 @@ def test_toy6_against_a_direct_nonlinear_solution():
         assert ours <= direct + 1e-3
         # Without the solution's own start, the direct search does not get below it either.
         assert direct >= ours - 1e-3
+
+
+@pytest.mark.parametrize(
+    ("costs", "best"),
+    [([3.0, 2.0, 2.5], 2), ([2.0, 3.0, 2.5], 1), ([3.0, 2.5, 2.0], 3)],
+    ids=["middle", "first", "last"],
+)
+def test_the_best_of_its_rounds_is_kept(monkeypatch, costs, best):
+    """Whichever program's actions do best in the environment; the bound is that of the last program."""
+    module = import_module("dcgrid_env.baselines.hindsight")
+    bounds, left = iter([1.9, 1.8, 1.7]), iter(costs)
+
+    class Replayed:
+        def __init__(self, j):
+            self.j = j
+
+        def metrics(self):
+            return [{"J": self.j}]
+
+    monkeypatch.setattr(module._Program, "solve", lambda self: (bound := next(bounds), np.full((2, 4), bound)))
+    monkeypatch.setattr(module, "replay", lambda scenario, actions, seed: Replayed(next(left)))
+    found = hindsight(make_scenario("toy6", horizon=2), 0, rounds=3)
+    assert found.J == found.recorder.metrics()[0]["J"] == min(costs)
+    assert found.actions[0, 0] == [1.9, 1.8, 1.7][best - 1]
+    assert (found.bound, found.rounds) == (1.7, 3)
 
 
 def test_on_a_linear_grid_one_program_is_enough():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import CostWeights, DcgridEnv, PhaseDvfs, distflow, make_scenario
+from dcgrid_env import CostWeights, DcgridEnv, PhaseDvfs, distflow, forecast, lindistflow, make_scenario
 from dcgrid_env.baselines.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model import ModelController, slopes
 from dcgrid_env.baselines.mpc import Mpc
@@ -101,6 +101,27 @@ def test_noise_is_smoothed_by_more_than_half():
     v = course(rollout(scenario, restless, range(4)), 4)[:-1]
     error = (np.array(restless.believed) - v)[20:]
     assert 0.0 < np.sqrt((error**2).mean()) < 0.5 * noise
+
+
+@pytest.mark.parametrize("changed", [{}, {"dt_s": 0.2}, {"load_rho": 0.6, "load_sigma": 0.02}])
+def test_the_gain_is_that_of_what_the_loads_do_in_a_step(changed):
+    """The other loads of episodes as drawn, on the linear grid, and the steady state of Kalman's recursion."""
+    noise = 0.0005
+    scenario = make_scenario("ieee33-weak", horizon=400, voltage_noise_pu=noise, observe="feeder", **changed)
+    moves = []
+    for seed in range(12):
+        known = forecast(scenario, seed)
+        v_pu = lindistflow(scenario.feeder, known.p_load_kw, known.q_load_kvar, 1.0).v_pu[:, 1:]
+        moves.append(np.diff(0.5 * v_pu**2, axis=0))  # what a voltage of 1 p.u. would move by
+    variance, gain = 0.0, 1.0
+    for _ in range(1000):  # predicted, then corrected
+        predicted = variance + np.mean(np.square(moves))
+        gain = predicted / (predicted + noise**2)
+        variance = (1.0 - gain) * predicted
+    restless = Restless()
+    restless.reset(scenario)
+    assert 0.1 < gain < 0.9
+    assert restless._gain == pytest.approx(gain, rel=0.02)
 
 
 def test_p_ref_is_reconstructed_from_draw_and_queue():

@@ -1,5 +1,7 @@
 """Model predictive control: its solver against HiGHS, its law by hand, every interface, and droop and hindsight."""
 
+from importlib import import_module
+
 import gymnasium
 import numpy as np
 import pytest
@@ -7,10 +9,11 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from dcgrid_env import DcgridVectorEnv, field_names, make_scenario, parallel_env
-from dcgrid_env.baselines import Droop, rollout
+from dcgrid_env.baselines import Droop, Local, rollout
 from dcgrid_env.baselines.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.hindsight import hindsight
-from dcgrid_env.baselines.lookahead import Program, solve
+from dcgrid_env.baselines.lookahead import Iterate, Program, solve
+from dcgrid_env.baselines.model import Estimate, slopes
 from dcgrid_env.baselines.mpc import Mpc
 
 CONTROLLERS = [FeedbackOptimisation, lambda: Mpc(horizon=1), lambda: Mpc(horizon=5, rounds=40)]
@@ -187,6 +190,57 @@ def test_looking_ahead_work_waits_for_a_better_voltage():
 
     assert solve(of(2), None, 500).y[0, :, 0] == pytest.approx([0.0, 0.5], abs=1e-3)
     assert solve(of(1), None, 500).y[0, :, 0] == pytest.approx([0.5], abs=1e-3)
+
+
+def toy6_estimate(controller, p_ref_kw, p_ref_next_kw, **overrides):
+    """The controller started on toy6, and what it knows: all at 1 p.u., nothing drawn by inverters."""
+    scenario = make_scenario("toy6", observe="feeder", **overrides)
+    controller.reset(scenario)
+    seen = Local(
+        v_pu=np.ones((1, 3)), p_kw=np.array([[p_ref_kw, 0.0, 0.0]]), q_kvar=np.zeros((1, 3)),
+        p_ref_next_kw=np.array([[p_ref_next_kw]]), backlog_kws=np.zeros((1, 1)),
+        r_pu_per_mw=np.full((1, 3), 0.01), x_pu_per_mvar=np.full((1, 3), 0.02),
+    )  # fmt: skip
+    by_p, by_q = slopes(scenario, np.array([[4, 3, 5]]))
+    return Estimate(seen, np.ones((1, 5)), np.full((1, 3), 800.0), by_p, by_q, np.array([[p_ref_kw]]))
+
+
+@pytest.mark.parametrize("dt_s", [1.0, 2.0])
+def test_the_forecast_begins_with_what_is_observed(dt_s):
+    """The site has drawn 800, then 1200 kW; 1800 are to come, which it sees where there is a preview."""
+    mean_seen, mean_drawn = (800.0 + 1200.0 + 1800.0) / 3.0, (800.0 + 1200.0) / 2.0
+    for preview, known, mean, steps in ((True, 1800.0, mean_seen, [0, 1, 2]), (False, 1200.0, mean_drawn, [1, 2, 3])):
+        controller = Mpc(horizon=3, forecast_s=5.0)
+        first = toy6_estimate(controller, 800.0, 1200.0, preview=preview, dt_s=dt_s)
+        controller._forecast(first)
+        coming = first.seen._replace(p_ref_next_kw=np.array([[1800.0]]))
+        found = controller._forecast(first._replace(seen=coming, p_ref_kw=np.array([[1200.0]])))
+        assert found[0, :, 0] == pytest.approx([mean + np.exp(-k * dt_s / 5.0) * (known - mean) for k in steps])
+
+
+@pytest.mark.parametrize(
+    ("p_ref_kw", "served_kw", "share"),
+    [
+        (2500.0, 1000.0, 1000.0 / 1925.0),
+        (1500.0, 300.0, 300.0 / 1925.0),
+        (1500.0, 925.0, 1.0),
+        (3000.0, 1000.0, 1000 / 2425),
+    ],
+    ids=["less than all", "less than little", "all there is", "of more than the rating"],
+)
+def test_the_clock_is_the_share_served_of_what_the_top_clock_serves(monkeypatch, p_ref_kw, served_kw, share):
+    """toy6's site: 575 kW idle and 1925 kW above it; a boost may take it beyond its 2500 kW."""
+
+    def solved(program, start, rounds):
+        y = np.zeros((1, program.offset.shape[1], 4))
+        y[:, 0] = served_kw / 1925.0, 0.1, -0.2, 0.3
+        return Iterate(*[y] * 6)
+
+    monkeypatch.setattr(import_module("dcgrid_env.baselines.mpc"), "solve", solved)
+    controller = Mpc(horizon=2)
+    f_mhz, q_kvar = controller.plan(toy6_estimate(controller, 1000.0, p_ref_kw, boost_share=1.3))
+    assert f_mhz[0] == pytest.approx([max(share * 1410.0, 210.0)])
+    assert q_kvar[0] == pytest.approx([192.5, -200.0, 300.0])
 
 
 @pytest.mark.parametrize("make", CONTROLLERS)

@@ -55,6 +55,7 @@ def test_the_interquartile_mean_is_that_of_the_middle_half():
         ([1.0, 1.0], [2.0, 2.0, 2.0], [1.0, 1.0], r"j_droop has shape \(3,\)"),
         ([1.0], [2.0], [1.0], r"j has shape \(1,\)"),
         ([1.0, 1.0], [2.0, 2.0], [2.0, 2.5], "nothing between"),
+        ([1.0, 1.0], [2.0, 3.0], [3.0, 2.0], "nothing between"),
     ],
 )
 def test_what_cannot_be_scored_is_named(j, j_droop, j_hindsight, message):
