@@ -79,6 +79,43 @@ def test_the_saved_policy_is_the_best_of_the_curve(finished):
     assert found["J"] == pytest.approx(min(row["J"] for row in read_curve(finished)), rel=1e-9)
 
 
+QUICK = dataclasses.replace(TINY, updates=16, learning_rate=0.08, lanes=2, hidden=(4,), validation_episodes=2)
+
+
+@pytest.fixture(scope="module")
+def spoilt(tmp_path_factory):
+    """A run that grows worse, and its rates of learning."""
+    rates = []
+
+    class Spoilt(Learner):
+        """From the third batch on every setpoint is driven to its end."""
+
+        def set_rate(self, learning_rate):
+            super().set_rate(learning_rate)
+            rates.append(self.optimiser.param_groups[0]["lr"])
+
+        def episodes(self, i, iteration, require_finite):
+            figures = super().episodes(i, iteration, require_finite)
+            if iteration > 2:
+                with torch.no_grad():
+                    for network in self.networks.values():
+                        network.layers[-1].bias.fill_(5.0)  # pyright: ignore
+            return figures
+
+    return main(dataclasses.replace(QUICK, out=tmp_path_factory.mktemp("spoilt") / "run"), Spoilt), rates
+
+
+def test_the_rate_of_learning_falls_along_a_cosine(spoilt):
+    # toy6's 100 steps are four windows, so 16 updates are four batches: at 0, 1/4, 1/2 and 3/4 of half a turn.
+    assert spoilt[1] == pytest.approx([0.08, 0.04 * (1.0 + np.sqrt(0.5)), 0.04, 0.04 * (1.0 - np.sqrt(0.5))])
+
+
+def test_a_policy_that_grows_worse_is_not_kept(spoilt):
+    first, last = (row["J"] for row in read_curve(spoilt[0]))
+    assert last > 1.5 * first
+    assert Card.load(spoilt[0] / "policy.json").validation_J == first
+
+
 def test_a_run_that_was_killed_goes_on_to_the_same_curve(finished, tmp_path):
     cfg = dataclasses.replace(TINY, out=tmp_path / "run")
     with pytest.raises(KeyboardInterrupt):
@@ -152,6 +189,18 @@ def test_the_price_of_waiting_follows_the_limit_on_delay(limit, rises):
     expected = [np.exp(0.1), np.exp(0.2)] if rises else [np.exp(-0.1), np.exp(-0.2)]
     assert found == pytest.approx(expected, rel=1e-5)
     assert learner.factors["violation"] == 1.0
+
+
+def test_what_is_left_at_a_windows_end_has_the_price_of_waiting():
+    learner = Learner(QUICK, grids_of(QUICK))
+    env = learner.envs[0]
+    env.reset(range(2))
+    step = env.step(torch.zeros(2, 4))
+    waiting = step._replace(state=step.state._replace(backlog_kws=torch.tensor([[500.0], [1500.0]])))
+    plain = env.scenario.weights.leftover * 1000.0 / 2500.0  # the mean backlog over the rating
+    for factor in (1.0, 3.0, 0.25):
+        learner.factors["delay"] = factor
+        assert float(learner._left(env, waiting)) == pytest.approx(factor * plain)
 
 
 def test_the_multiplier_stays_within_its_range():
