@@ -132,6 +132,15 @@ def test_a_file_put_there_by_hand_is_checked_and_used(server, path):
     assert server.ranges == []
 
 
+def test_a_file_that_is_whole_needs_neither_the_means_to_download_nor_a_folder_to_write_in(path, monkeypatch):
+    path.parent.mkdir()
+    path.write_bytes(CONTENT)
+    monkeypatch.setitem(sys.modules, "pooch", None)
+    monkeypatch.setitem(sys.modules, "filelock", None)
+    assert download("http://nowhere.invalid/data.csv", SHA256, len(CONTENT), path) == path
+    assert [p.name for p in path.parent.iterdir()] == [path.name]  # no lock beside it
+
+
 def test_a_spoilt_file_in_the_cache_is_replaced(server, path):
     path.parent.mkdir()
     path.write_bytes(CONTENT[:-1])

@@ -33,6 +33,13 @@ def test_without_clouds_it_is_flat_and_a_lasting_cloud_stays():
     assert generate_pv(600.0, 0, dark).power_kw[-1] == pytest.approx(0.5)
 
 
+def test_a_trace_may_begin_in_the_sun_or_under_a_cloud():
+    begins = np.array([generate_pv(1.0, seed).power_kw[0] for seed in range(200)])
+    assert 0.2 < np.mean(begins >= 0.75) < 0.8
+    assert 0.2 < np.mean(begins < 0.6) < 0.8
+    assert begins.min() >= 0.75 * 0.2
+
+
 def test_splits_share_no_sky():
     rows = [pv_rows(split, 1.0, 600.0, 4) for split in ("train", "validation", "test")]
     assert len({row.tobytes() for split in rows for row in split}) == 12

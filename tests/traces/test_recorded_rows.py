@@ -45,6 +45,19 @@ def test_every_request_stands_in_the_row_it_arrives_in():
     np.testing.assert_allclose(begin, SERVED.requests.arrival_s[inside])
 
 
+def test_a_recording_may_begin_at_any_time():
+    assert SERVED.requests is not None
+    later = SERVED.requests._replace(arrival_s=SERVED.requests.arrival_s + 4096.0)
+    shifted = PowerTrace(
+        SERVED.time_s + 4096.0, SERVED.power_kw, "later", None, SERVED.compute_kw, later, rated_kw=SERVED.rated_kw
+    )
+    for split in SPLITS:
+        rows, wanted = (from_recordings([trace], split, 1.0) for trace in (shifted, SERVED))
+        np.testing.assert_allclose(rows.p_share, wanted.p_share, atol=1e-9)
+        for found, own in zip(rows.requests[0], wanted.requests[0], strict=True):
+            np.testing.assert_allclose(found, own, atol=1e-9)
+
+
 def test_the_environment_tells_their_delays():
     scenario = make_scenario("ieee33-weak", trace=(SERVED,), dvfs=PhaseDvfs(), split="test")
     metrics = rollout(scenario, NoControl(), range(2)).metrics()[0]
