@@ -227,8 +227,9 @@ POINTS = {
     "bowl": {0.0: BOWL_AT_0, 0.05: BOWL_AT_EDGE, 0.06: 0.025, 0.1: 0.105, 1.0: 1.905},
     "courant_beltrami": {0.0: 0.0, 0.02: 0.0, 0.05: 0.0, 0.07: 4e-4, 0.15: 0.01, 1.0: 0.9025},
     # 1 - 0.5^4 = 15/16; 1 - 0.9^4 = 0.3439.
-    "bump": {0.0: 0.0, 0.1: math.exp(-1 / 0.3439), 0.5: math.exp(-16 / 15), 1.0: math.exp(-1), 1.5: math.exp(-16 / 15)},
-}
+    "bump": {0.0: 0.0, 0.1: math.exp(-1 / 0.3439), 0.5: math.exp(-16 / 15), 1.0: math.exp(-1), 1.5: math.exp(-16 / 15),
+             2.0: 0.0, 2.5: 0.0},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "points"), POINTS.items(), ids=POINTS)
@@ -237,6 +238,15 @@ def test_voltage_cost_at_some_points(kind, points):
     np.testing.assert_allclose(found, list(points.values()), rtol=1e-12, atol=1e-17)
     tensors = voltage_cost(kind, torch.tensor(list(points), dtype=torch.float64), 0.05)
     np.testing.assert_allclose(tensors.numpy(), found, rtol=1e-12, atol=1e-17)
+
+
+def test_a_voltage_cost_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="voltage cost 'l3' is none of l1, l2, bowl, courant_beltrami, bump"):
+        voltage_cost("l3", np.zeros(3), 0.05)
+
+
+def test_the_total_is_the_sum_of_all_terms():
+    assert total(Costs(*(2.0**i for i in range(len(Costs._fields))))) == 2.0 ** len(Costs._fields) - 1.0
 
 
 def test_l2_is_a_square():
@@ -363,6 +373,17 @@ def test_largest_costs_worked_by_hand():
     bound = largest_costs(scenario)
     # A voltage of 0 or 2, 0.77 of the rating queued for 80 s, everything else at its end.
     assert bound == pytest.approx(Costs(100.0, 950.0, 0.3 * 0.77 * 80, 0.02, 2.0, 50.0, 6.0, 9 * 0.77 * 80))
+
+
+@pytest.mark.parametrize(
+    ("kind", "largest"),
+    [("l1", 1.0), ("l2", 1.0), ("bowl", 1.905), ("courant_beltrami", 0.95**2), ("bump", math.exp(-1))],
+)
+def test_the_largest_voltage_cost_is_that_of_no_voltage(kind, largest):
+    scenario = make_scenario("toy6", voltage_cost=kind)
+    assert largest_costs(scenario).voltage == pytest.approx(100.0 * largest)
+    grid = voltage_cost(kind, np.linspace(0.0, 1.0, 1001), scenario.band_pu)
+    assert largest_costs(scenario).voltage == 100.0 * grid.max()
 
 
 def test_a_boost_may_queue_and_lose_more():
