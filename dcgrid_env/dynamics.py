@@ -74,8 +74,8 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
     phases = xp.stack((none, none), axis=-1) if scenario.phases == 2 else none
     top = none + scenario.f_max_mhz
     before = State(
-        v, v, agents + scenario.v0_pu, agents + scenario.v0_pu, 0.0 * v[..., 1:], none, top, top, none, none, agents,
-        agents, agents, phases, phases, phases,
+        v, v, agents, agents, 0.0 * v[..., 1:], none, top, top, none, none, agents, agents, agents, phases, phases,
+        phases,
     )  # fmt: skip
     state, solution = _step(scenario, before, top, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
