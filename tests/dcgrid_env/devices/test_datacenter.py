@@ -43,6 +43,7 @@ CASES = {
     "queue empty in mid-step": ((200.0, 430.0, 1410.0, 5.0), (0.0, 200.0, 240.0, 470.0)),
     "queue shrinks": ((500.0, 430.0, 1410.0, 0.5), (215.0, 200.0, 770.0, 1000.0)),
     "a burst on a full queue": ((5000.0, 1000.0, 1410.0, 1.0), (5000.0, 770.0, 770.0, 1000.0)),
+    "more than the rating without a boost": ((0.0, 1200.0, 1410.0, 1.0), (200.0, 970.0, 770.0, 1000.0)),
     "queue grows at the lowest clock": ((1000.0, 1000.0, 141.0, 1.0), (1693.0, 770.0, 77.0, 307.0)),
 }
 
@@ -165,6 +166,18 @@ def test_laws_of_any_sequence_of_two_phases(dt_s, drawn):
         if f == 1410.0:
             assert backlog.sum() <= before + 1e-9 * scale
         before = float(backlog.sum())
+
+
+def test_each_lane_of_a_batch_is_stepped_as_it_would_be_alone():
+    rng, site = np.random.default_rng(3), params(1000.0, 400.0, 50.0)
+    backlog, power = rng.uniform(0.0, 900.0, (5, 3, 2)), rng.uniform(0.2, 1.0, (5, 3)) * site.p_rated_kw
+    clock, share = rng.uniform(210.0, 1410.0, (5, 3)), rng.uniform(0.0, 1.0, (5, 3))
+    batch = datacenter.step(site, PhaseDvfs(), backlog, power, clock, 0.5, share)
+    assert batch.phase_served_kw.shape == batch.phase_backlog_kws.shape == (5, 3, 2)
+    for lane in range(5):
+        alone = datacenter.step(site, PhaseDvfs(), backlog[lane], power[lane], clock[lane], 0.5, share[lane])
+        for found, wanted in zip(batch, alone, strict=True):
+            np.testing.assert_array_equal(found[lane], wanted)
 
 
 @pytest.mark.parametrize("law", [LinearDvfs(), PhaseDvfs()])

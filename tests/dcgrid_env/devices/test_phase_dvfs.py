@@ -97,5 +97,10 @@ def test_a_parameter_that_is_no_share_is_refused(field, value):
         PhaseDvfs(**{field: value})
 
 
+@pytest.mark.parametrize("value", [0.0, 1.0, 0, 1])
+def test_a_share_may_be_all_or_nothing(value):
+    assert PhaseDvfs(value, value, value).compute_linear_share == value
+
+
 def test_phases_of_a_law():
     assert (phases_of(LinearDvfs()), phases_of(PhaseDvfs()), phases_of(object())) == (1, 2, 1)
