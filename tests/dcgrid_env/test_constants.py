@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import make_scenario
-from dcgrid_env.constants import constants
+from dcgrid_env import Feeder, make_scenario
+from dcgrid_env.constants import constants, inverse
 
 
 def test_figures_worked_by_hand():
@@ -24,6 +24,19 @@ def test_figures_worked_by_hand():
     np.testing.assert_allclose(known.datacenter.p_idle_kw, [250.0, 125.0, 50.0])
     np.testing.assert_allclose(known.datacenter.p_dynamic_kw, [750.0, 375.0, 150.0])
     np.testing.assert_allclose(known.datacenter.q_max_kvar, [400.0, 200.0, 80.0])
+
+
+def test_inverses_of_any_size():
+    assert inverse(np.array([0.0, 0.25, 1.0, 8.0])).tolist() == [0.0, 4.0, 1.0, 0.125]
+
+
+def test_a_feeder_without_load_divides_nothing_by_zero():
+    feeder = Feeder.from_tables(
+        name="bare", base_kv=1.0, substation=0, v0_pu=1.0, bus_ids=[0, 1], p_load_kw=[0.0, 0.0],
+        q_load_kvar=[0.0, 0.0], from_bus=[0], to_bus=[1], r_ohm=[0.1], x_ohm=[0.1],
+    )  # fmt: skip
+    bare = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenter_buses=(), inverter_buses=(1,))
+    assert constants(bare, np.empty(0)).p_all_kw == 1.0
 
 
 def test_no_datacenter_divides_nothing_by_zero():

@@ -440,6 +440,16 @@ def test_inverter_schedule_is_injected():
     assert simulation.transition.truncated.all()
 
 
+def test_without_a_schedule_inverters_inject_nothing():
+    scenario = make_scenario("ieee33", inverter_trace=None, horizon=4)
+    drawn = draw(scenario, range(20))
+    assert not drawn.sun.any()
+    step = np.full(20, 4)
+    outside, _ = episode.exogenous(scenario, drawn, step, np.zeros((20, 33)), episode.p_ref_kw(scenario, drawn, step))
+    assert outside.p_inverter_kw.shape == (20, scenario.n_inverters)
+    assert not outside.p_inverter_kw.any()
+
+
 def test_unusable_inverter_schedules_are_refused_before_the_first_episode():
     with pytest.raises(ScenarioError, match=r"inverter_trace rises to 30.*scaled_to"):
         make_scenario("toy6", inverter_trace=recording([10.0, 30.0, 20.0], "kilowatts"))

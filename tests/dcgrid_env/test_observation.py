@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
+from dcgrid_env import CostWeights, Feeder, PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
 from dcgrid_env.dynamics import State
 from dcgrid_env.observation import Placement
 from dcgrid_env.simulation import Simulation, Transition
@@ -105,6 +105,33 @@ def test_bounds_of_the_fields():
     np.testing.assert_array_equal(joint_high, np.concatenate([p[1] for p in parts]))
 
 
+def test_without_a_band_voltages_are_in_per_unit():
+    nothing_outside = CostWeights(violation=0.0)
+    scenario = make_scenario("toy6", band_pu=0.0, weights=nothing_outside, observe="neighbours")
+    low, high = observation.bounds(scenario)["dc_0"]
+    assert (low[0], high[0], low[1], high[1]) == (-1.0, 1.0, -1.0, 1.0)
+    for scope in ("neighbours", "feeder"):
+        found = toy6_observed(
+            **{"band_pu": 0.0, "weights": nothing_outside, "observe": scope},
+            **({} if scope == "neighbours" else {"measured": hand_made()["state"].v_pu}),
+        )
+        assert found["dc_0"]["v_deviation"] == pytest.approx(0.02)
+        assert (found["inv_0"]["r"], found["inv_0"]["x"]) == pytest.approx((0.02, 0.04))
+        other = "neighbour0_v_deviation" if scope == "neighbours" else "v_deviation_5"
+        assert found["dc_0"][other] == pytest.approx(0.04)
+
+
+def test_a_feeder_without_resistance_has_a_narrow_range_of_it():
+    feeder = Feeder.from_tables(
+        name="bare", base_kv=1.0, substation=0, v0_pu=1.0, bus_ids=[0, 1], p_load_kw=[0.0, 1.0],
+        q_load_kvar=[0.0, 0.0], from_bus=[0], to_bus=[1], r_ohm=[0.0], x_ohm=[0.1],
+    )  # fmt: skip
+    scenario = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenter_buses=(), inverter_buses=(1,))
+    _, high = observation.bounds(scenario)["inv_0"]
+    assert high[COMMON.index("r")] == np.float32(1e-6)
+    assert high[COMMON.index("x")] == pytest.approx(0.1 / 0.05)
+
+
 # --- figures worked by hand ------------------------------------------------------------------------
 
 
@@ -141,9 +168,13 @@ def placed_at(scenario: Scenario, buses: list[int], lanes: int = 1) -> Placement
     return observation.placement(scenario, np.array([buses] * lanes))
 
 
-def toy6_observed(**overrides: Any) -> dict[str, dict[str, float]]:
+def toy6_observed(measured: Any = None, **overrides: Any) -> dict[str, dict[str, float]]:
+    """``measured``: every bus's voltage, where the feeder is observed."""
     scenario = make_scenario("toy6", **overrides)
-    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **hand_made())
+    inputs = hand_made()
+    if measured is not None:
+        inputs |= {"v_measured_pu": measured, "v_before_pu": measured}
+    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     return {agent: {k: float(v[0]) for k, v in own.items()} for agent, own in named(scenario, joint).items()}
 
 
