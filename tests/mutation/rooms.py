@@ -1,0 +1,93 @@
+"""Which modules a mutation run covers, and which tests are asked about each."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from operators import Mutant, mutants_of
+
+
+@dataclass(frozen=True)
+class Room:
+    """Modules with the tests that should notice a mutant of them; paths from the root of the tree."""
+
+    name: str
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+    private_cache: bool
+
+    def asked(self, root: Path, module: str) -> list[str]:
+        """Test files in the order in which they are asked about a module, its own first."""
+        path = Path(module)
+        own = Path("tests") / path.parent / f"test_{path.stem}.py"
+        found: dict[str, None] = {}
+        for given in (own, *map(Path, self.tests)):
+            if (root / given).is_dir():
+                found |= {str(file.relative_to(root)): None for file in sorted((root / given).rglob("test_*.py"))}
+            elif (root / given).is_file():
+                found[str(given)] = None
+        return list(found)
+
+
+def read_rooms(file: Path, root: Path, names: list[str]) -> list[Room]:
+    """The rooms named, or all of them; ValueError for one that is not there or has no module or test."""
+    known = tomllib.loads(file.read_text())["rooms"]
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise ValueError(f"no room {unknown[0]!r} in {file.name}; choose from {', '.join(known)}")
+    found = []
+    for name in names or known:
+        given = known[name]
+        modules = tuple(
+            str(path.relative_to(root)) for pattern in given["modules"] for path in sorted(root.glob(pattern))
+        )
+        missing = [test for test in given["tests"] if not (root / test).exists()]
+        if not modules or missing:
+            what = missing[0] if missing else ", ".join(given["modules"])
+            raise ValueError(f"room {name!r} of {file.name}: there is no {what}")
+        found.append(Room(name, modules, tuple(given["tests"]), given.get("private_cache", False)))
+    return found
+
+
+def preloaded(file: Path) -> list[str]:
+    """Modules that are imported once for all trials."""
+    return tomllib.loads(file.read_text()).get("preload", [])
+
+
+@dataclass(frozen=True)
+class Equivalent:
+    """A change that no test can notice, as nothing that the module promises changes with it."""
+
+    module: str
+    before: str
+    after: str
+    reason: str
+
+    def is_of(self, mutant: Mutant) -> bool:
+        """Whether a mutant is this change."""
+        return (self.module, self.before, self.after) == (mutant.module, mutant.before, mutant.after)
+
+
+def read_equivalents(file: Path) -> list[Equivalent]:
+    """The changes listed in a file; ValueError for one without a reason."""
+    found = [Equivalent(**entry) for entry in tomllib.loads(file.read_text()).get("equivalent", [])]
+    for entry in found:
+        if not entry.reason.strip():
+            raise ValueError(f"{file.name}: {entry.module}: {entry.after!r} stands there without a reason; give one")
+    return found
+
+
+def all_mutants(root: Path, room: Room) -> list[Mutant]:
+    """Every mutant of a room's modules."""
+    return [mutant for module in room.modules for mutant in mutants_of(module, (root / module).read_bytes())]
+
+
+def stale(root: Path, entries: list[Equivalent]) -> list[Equivalent]:
+    """Entries that name no mutant of the tree as it is."""
+    found: dict[str, list[Mutant]] = {}
+    for module in {entry.module for entry in entries}:
+        path = root / module
+        found[module] = mutants_of(module, path.read_bytes()) if path.is_file() else []
+    return [entry for entry in entries if not any(entry.is_of(mutant) for mutant in found[entry.module])]
