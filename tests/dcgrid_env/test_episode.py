@@ -5,7 +5,7 @@ import pytest
 
 from dcgrid_env import PRESETS, PhaseDvfs, Scenario, ScenarioError, episode, make_scenario
 from dcgrid_env.simulation import Simulation
-from dcgrid_env.trace_pool import trace_pool, window_steps
+from dcgrid_env.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
 
 
@@ -497,8 +497,8 @@ def test_sites_generated_side_by_side_stay_so_together():
 
 
 def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
-    scenario = make_scenario("ieee33", inverter_trace="pv", horizon=3590)
-    length = episode.sun_rows(scenario).shape[1]
+    scenario = make_scenario("ieee33", inverter_trace="pv", horizon=3579)
+    length = sun_rows(scenario).shape[1]
     begins = draw(scenario, range(1000)).sun % length
-    # The last of its 3591 seconds is the row's last at the latest.
-    assert np.unique(begins).tolist() == list(range(length - 3590))
+    # The last of its 3580 seconds is the row's last at the latest.
+    assert np.unique(begins).tolist() == list(range(length - 3579))
