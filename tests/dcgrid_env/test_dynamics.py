@@ -483,6 +483,19 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
     assert bool(solution.converged.all())
 
 
+@pytest.mark.parametrize("n_node", [1, 2, 3])
+@pytest.mark.parametrize("n_agent", [1, 2, 4])
+def test_any_number_of_agents_at_any_number_of_nodes(n_agent, n_node):
+    lanes, n_bus = 5, 20
+    rng = np.random.default_rng(0)
+    at = np.array([rng.permutation(n_bus)[: n_agent * n_node] for _ in range(lanes)]).reshape(lanes, n_agent, n_node)
+    nodes = at + n_bus * np.arange(lanes)[:, None, None]
+    power, v_pu = rng.normal(size=(lanes, n_agent)), rng.uniform(0.9, 1.1, (lanes, n_bus))
+    np.testing.assert_allclose(dynamics._to_nodes(power, nodes), np.repeat(power[..., None] / n_node, n_node, axis=-1))
+    wanted = [[v_pu[lane, at[lane, agent]].mean() for agent in range(n_agent)] for lane in range(lanes)]
+    np.testing.assert_allclose(dynamics.from_nodes(v_pu, nodes), wanted)
+
+
 # --- voltage collapse ----------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from dcgrid_env import Solution, distflow, lindistflow
 from dcgrid_env.powerflow.compiled import distflow_lanes
@@ -150,8 +151,16 @@ def test_float32_is_within_1e_5_of_float64(feeder, random_loads):
     double = distflow(feeder, *loads)
     assert single.v_pu.dtype == np.float32
     assert single.converged.all()
+    assert (single.residual_kva <= np.float32(1e-2)).all()
     np.testing.assert_allclose(single.v_pu, double.v_pu, atol=1e-5, rtol=0.0)
     np.testing.assert_allclose(single.loss_kw, double.loss_kw, rtol=1e-3, atol=1e-2)
+
+
+@pytest.mark.parametrize("lanes", [1, 20])
+def test_one_sweep_is_enough_without_load(toy6, lanes):
+    solution = distflow(toy6, np.zeros((lanes, 6)), np.zeros((lanes, 6)), max_sweeps=1)
+    assert solution.converged.all()
+    assert (solution.iterations == 1).all()
 
 
 def test_a_tolerance_of_its_own_is_kept(toy6, base):
@@ -280,11 +289,19 @@ def test_the_largest_load_of_two_buses_is_where_the_hand_worked_one_is(two_bus):
 
 @pytest.mark.parametrize("lanes", [1, 20])
 @pytest.mark.parametrize("method", [distflow, lindistflow])
-def test_a_voltage_beyond_100_pu_is_no_operating_point(two_bus, method, lanes):
+@pytest.mark.parametrize("kind", ["numpy", "arrays"])
+@pytest.mark.parametrize(
+    ("v0_pu", "settles"), [(0.01, False), (0.011, True), (99.0, True), (100.0, False), (101.0, False)]
+)
+def test_only_voltages_between_a_hundredth_and_a_hundred_are_operating_points(
+    two_bus, by_arrays, kind, method, lanes, v0_pu, settles
+):
     none = np.zeros((lanes, 2))
-    for v0_pu, settles in ((99.0, True), (101.0, False)):
-        solution = method(two_bus(0.04, 0.07), none, none, v0_pu)
-        assert solution.converged.tolist() == [settles] * lanes
+    if kind == "arrays":
+        by_arrays()
+        none = torch.zeros(lanes, 2, dtype=torch.float64)
+    solution = method(two_bus(0.04, 0.07), none, none, v0_pu)
+    assert solution.converged.tolist() == [settles] * lanes
 
 
 @pytest.mark.parametrize("lanes", [1, 20])

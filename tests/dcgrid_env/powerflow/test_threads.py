@@ -2,6 +2,7 @@
 
 import itertools
 import multiprocessing
+import os
 import sys
 import threading
 import warnings
@@ -29,6 +30,18 @@ def test_slices_cover_every_lane_once(monkeypatch, threads, lanes):
     assert slices[0][0] == 0
     assert slices[-1][1] == lanes
     assert all(a[1] == b[0] for a, b in itertools.pairwise(slices))
+
+
+def test_as_many_threads_as_cores_unless_told(monkeypatch):
+    monkeypatch.delenv("DCGRID_NUM_THREADS", raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {1, 3, 5} if pid == 0 else {1}, raising=False)
+    assert n_threads() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    for cores, threads in ((7, 7), (None, 1)):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        assert n_threads() == threads
+    monkeypatch.setenv("DCGRID_NUM_THREADS", "1")
+    assert n_threads() == 1
 
 
 def test_two_threads_work_at_the_same_time(monkeypatch):
