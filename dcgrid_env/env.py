@@ -10,6 +10,7 @@ import numpy as np
 from dcgrid_env.actions import joint_action
 from dcgrid_env.face import Face, as_seed, check_running, joint_spaces
 from dcgrid_env.info import InfoLevel, info_arrays
+from dcgrid_env.plain_spec import PlainSpec
 from dcgrid_env.scenario import Scenario
 from dcgrid_env.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from dcgrid_env.simulation import Transition
 
 
-class DcgridEnv(Face, gymnasium.Env[np.ndarray, np.ndarray]):
+class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
 
     ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the

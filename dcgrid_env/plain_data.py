@@ -51,7 +51,9 @@ def from_plain(name: str, value: Any, weights: CostWeights) -> Any:
     convert = _CONVERSIONS.get(name)
     if convert is not None:
         value = convert(value)
-    return tuple(value) if isinstance(value, list | np.ndarray) else value
+    if isinstance(value, list | np.ndarray):
+        return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def to_plain(value: Any) -> Any:

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from dcgrid_env.actions import joint_action
 from dcgrid_env.face import Face, as_seed, joint_spaces
 from dcgrid_env.info import InfoLevel, info_arrays
+from dcgrid_env.plain_spec import PlainSpec
 from dcgrid_env.scenario import Scenario
 from dcgrid_env.time_limit import with_horizon
 
@@ -23,7 +24,7 @@ AUTORESET_MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 """Gymnasium's modes by the names that ``autoreset_mode`` takes."""
 
 
-class DcgridVectorEnv(Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class DcgridVectorEnv(PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """``num_envs`` lanes of a scenario; lane i seeded with seed + i is the single environment's episode of that seed.
 
     Lanes whose episode has ended begin their next one as ``autoreset_mode`` has it, in each mode as gymnasium's own

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from dcgrid_env import CostWeights, Fault, Feeder, LinearDvfs, PhaseDvfs, Scenario, ScenarioError, make_scenario
+from dcgrid_env import (
+    CostWeights,
+    Fault,
+    Feeder,
+    LinearDvfs,
+    PhaseDvfs,
+    Scenario,
+    ScenarioError,
+    load_feeder,
+    make_scenario,
+)
 from dcgrid_env.plain_data import to_plain
 from dcgrid_env.traces import PowerTrace, generate_inference
 
@@ -88,6 +98,26 @@ def test_a_field_goes_through_the_spec_of_an_environment(name):
     assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
     env.close()
     again.close()
+
+
+def test_objects_go_through_the_spec_of_an_environment_too():
+    fault = Fault(("dc_0",), (1.0, 2.0))
+    objects = {
+        "weights": CostWeights(backlog=1),
+        "faults": (fault,),
+        "dvfs": PhaseDvfs(),
+        "feeder": load_feeder("ieee33"),
+    }
+    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", max_episode_steps=30, p_rated_kw=np.float64(900.0), **objects)
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
+    assert again.unwrapped.scenario.faults == (fault,)
+    assert again.unwrapped.scenario.horizon == 30
+    batch: Any = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, **objects)
+    assert batch.spec.kwargs["dvfs"]["law"] == "phase"
+    assert batch.spec.kwargs["weights"]["backlog"] == 1
+    for made in (env, again, batch):
+        made.close()
 
 
 def test_weights_that_a_mapping_leaves_out_keep_their_value():
