@@ -48,10 +48,9 @@ class Driver:
 
 def test_ids_presets_and_scenarios_make_the_same_batch():
     own = make_scenario("ieee33-weak", horizon=7)
-    ways: Any = (("dcgrid/IEEE33Weak-v0", {"horizon": 7}), ("ieee33-weak", {"horizon": 7}), (own, {}))
-    for scenario, overrides in ways:
-        env = sb3_vec_env(scenario, 2, **overrides)
-        assert env.get_attr("scenario") == [own] * 2
+    env = sb3_vec_env("dcgrid/IEEE33Weak-v0", 2, horizon=7)
+    for same in (env, sb3_vec_env("ieee33-weak", 2, horizon=7), sb3_vec_env(own, 2)):
+        assert same.get_attr("scenario") == [own] * 2
     assert sb3_vec_env(own, 2, "shared").num_envs == 2 * 7
     native = DcgridVectorEnv(2, own)
     env.seed(4)

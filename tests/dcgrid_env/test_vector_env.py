@@ -157,6 +157,19 @@ def test_save_and_restore_between_an_end_and_the_next_beginning():
             np.testing.assert_array_equal(found, expected)
 
 
+def test_a_lane_that_waits_for_its_next_episode_does_not_run_out_of_load():
+    # The recording's training share is one window to the second: there is no load beyond an episode's end.
+    load = PowerTrace(np.arange(41.0), np.linspace(0.2, 0.9, 41), name="short")
+    extra = {"trace": (load,), "horizon": 22}
+    env = DcgridVectorEnv(2, "toy6", autoreset_mode="next_step", **extra)
+    env.reset(seed=0)
+    still = np.zeros((2, 4))
+    env.step(still)
+    env.reset(options={"reset_mask": np.array([True, False])})  # so that lane 1 ends a step before lane 0
+    ends = [tuple(env.step(still)[3]) for _ in range(23)]
+    assert ends[-3:] == [(False, True), (True, False), (False, False)]
+
+
 def test_buses_in_info_are_those_of_the_episode_that_begins():
     env = DcgridVectorEnv(2, "ieee123", autoreset_mode="next_step", horizon=1)
     env.reset(seed=0)
