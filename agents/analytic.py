@@ -30,13 +30,14 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv, TensorStep
-from dcgrid_env.agents.config import Training, check
+from dcgrid_env.agents.config import Training, check, trained_on
 from dcgrid_env.agents.modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.policy import Policy
 from dcgrid_env.agents.training import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
 from dcgrid_env.agents.variants import scenarios, variant
 from dcgrid_env.agents.view import View
+from dcgrid_env.baselines.files import file_name
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
@@ -223,7 +224,7 @@ class Learner:
         """The policy as it stands, as NumPy arrays."""
         networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
         return Policy(
-            networks, observe=self.cfg.observe, **self.chosen, scenario=self.cfg.scenario, made_with=made_with()
+            networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with()
         )
 
 
@@ -264,7 +265,7 @@ def check_limits(cfg: Analytic) -> None:
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
     """Scenarios of the training split: those named, then variants of each."""
-    named = scenarios(cfg.scenario, split="train", observe=cfg.observe)
+    named = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
     rng = np.random.default_rng([cfg.seed, 1])
     return named + [variant(grid, rng) for _ in range(cfg.vary) for grid in named]
 
@@ -277,9 +278,11 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
         raise ValueError("violation_limit_pu: the violation has weight 0 in a scenario; its price cannot be found")
     model = learner(cfg, grids)
-    validate = Validation([s.name for s in scenarios(cfg.scenario)], cfg.validation_episodes)
-    label = cfg.scenario.replace(",", "+").replace(" ", "")
-    with open_run(cfg.out or Path("results/train") / f"{label}-{cfg.algorithm()}-{cfg.seed}", cfg, cfg.resume) as run:
+    judged_on = scenarios(cfg.scenario, cfg.set, "validation")
+    validate = Validation(judged_on, cfg.validation_episodes)
+    label = "+".join(file_name(scenario.name) for scenario in judged_on)
+    folder = cfg.out or Path("results/train") / f"{label}-{cfg.algorithm()}-{cfg.seed}"
+    with open_run(folder, cfg, cfg.resume, judged_on) as run:
         return _train(cfg, run, model, grids, validate)
 
 

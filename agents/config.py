@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from dcgrid_env.agents.settings import settings
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 Act = Literal["both", "clock", "q"]
 
@@ -21,7 +22,10 @@ class Training:
     """
 
     scenario: str = "ieee123"
-    """Preset to train on; for analytic and safe also several, separated by commas."""
+    """What to train on: a preset, or path/to/file.py:function or package.module:function that makes your own; for
+    analytic and safe also several, separated by commas."""
+    set: tuple[str, ...] = ()
+    """Fields of the scenario that are to be otherwise, FIELD=VALUE, for instance --set horizon=60 load_sigma=0.1."""
     view: Literal["shared", "centralised"] = "shared"
     """One policy for all agents on their own observations, or one that sees and moves all."""
     seed: int = 0
@@ -79,6 +83,11 @@ class Training:
 
 MOST_SEEDS = 2**24
 """Training seeds whose episodes are not those of another one."""
+
+
+def trained_on(cfg: Training) -> str:
+    """What a policy's file says it was trained on: the preset, or the words that name another scenario."""
+    return ScenarioSpec(cfg.scenario, cfg.set).label
 
 
 def check(cfg: Training, *more: str) -> None:

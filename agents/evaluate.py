@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from dcgrid_env import Scenario
-from dcgrid_env.baselines import Controller, published, rollout
+from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.score import Score, score
 
 REFERENCE = "droop-tuned"
 """The controller of score 0."""
 STATIC = ("constant-q-tuned", "placement-tuned")
 """Rules that measure nothing: the least that a policy must beat."""
+
+
+_checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
+"""Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
 
 
 @dataclass(frozen=True)
@@ -29,38 +33,46 @@ class Evaluation:
     means: Mapping[str, float]
     """Mean over the episodes of each metric."""
 
-    def score(self, droop: Evaluation) -> Score:
-        """Score against the tuned droop on the same episodes and the hindsight published for them.
+    def score(self, droop: Evaluation, hindsight: Published | None = None) -> Score:
+        """Score against the tuned droop on the same episodes, and hindsight's costs of them.
 
-        ValueError, saying why, where there is none: other episodes, no hindsight published for exactly this scenario,
-        split and seeds, or episodes that are drawn otherwise here than there.
+        Parameters
+        ----------
+        droop
+            What the tuned droop comes to on the same episodes.
+        hindsight
+            Costs of perfect foresight, ``published(scenario, folder)``; those that ship unless given.
+
+        Raises
+        ------
+        ValueError
+            Where there is no score, saying why: other episodes, no hindsight of exactly this scenario, split and seeds,
+            or episodes that are drawn otherwise here than there.
         """
         if droop.seeds != self.seeds or droop.scenario != self.scenario:
             raise ValueError("no score: the droop was run on other episodes; evaluate both on the same")
         if len(self.seeds) < 2:
             raise ValueError("no score: an interval takes at least 2 episodes")
-        return score(self.J, droop.J, _hindsight(self.scenario, self.seeds))
+        return score(self.J, droop.J, _costs(self.scenario, self.seeds, hindsight or published(self.scenario)))
 
 
-@lru_cache(maxsize=64)
-def _hindsight(scenario: Scenario, seeds: tuple[int, ...]) -> np.ndarray:
-    """Published costs of these episodes, (n_episode,), once it is sure that they are the same here."""
-    known = published(scenario)
+def _costs(scenario: Scenario, seeds: tuple[int, ...], known: Published | None) -> np.ndarray:
+    """Hindsight's costs of these episodes, (n_episode,), once it is sure that they are the same here."""
     if known is None:
         raise ValueError(
             f"no score: hindsight is published for the test split of the presets as they are, not for this "
             f"{scenario.name} ({scenario.split} split)"
         )
-    at = {int(seed): i for i, seed in enumerate(known.seeds)}
-    missing = [seed for seed in seeds if seed not in at]
-    if missing:
-        raise ValueError(f"no score: hindsight is published for {len(at)} episodes, not for seed {missing[0]}")
-    index = [at[seed] for seed in seeds]
-    known.check_episodes(scenario, max(index) + 1)
-    return known.J[index]
+    if missing := known.missing(seeds):
+        raise ValueError(f"no score: hindsight is published for {len(known.seeds)} episodes, not for seed {missing[0]}")
+    own = known.of(seeds)
+    if own.episode_hashes not in _checked.get(scenario, ()):
+        own.check_episodes(scenario, len(seeds))
+        _checked.setdefault(scenario, set()).add(own.episode_hashes)
+    return own.J
 
 
-def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int]) -> Evaluation:
+def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], name: str | None = None) -> Evaluation:
     """Run a policy, or any controller, through the episodes of these seeds.
 
     Parameters
@@ -71,13 +83,15 @@ def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int]) -
         What to run; its split says which episodes the seeds mean.
     seeds
         One episode each, all at once as a batch.
+    name
+        What errors call the controller; its class by default.
 
     Raises
     ------
-    ValueError
-        Where the controller cannot drive the scenario; a ``PolicyError`` from a policy, saying what differs.
+    ControllerError
+        A ValueError, where the controller fails or cannot drive the scenario, saying what differs.
     """
-    recorder = rollout(scenario, controller, seeds)
+    recorder = rollout(scenario, controller, seeds, name=name)
     metrics = recorder.metrics()
     means = {name: float(np.mean([m[name] for m in metrics])) for name in metrics[0]}
     return Evaluation(scenario, tuple(seeds), np.array([m["J"] for m in metrics]), means)

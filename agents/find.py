@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 
-from dcgrid_env import PRESETS, Scenario
+from dcgrid_env import PRESETS, Scenario, make_scenario
 from dcgrid_env.agents.policy import SHIPPED, SUFFIX, Policy
-from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.named import CONTROLLERS, TUNED, make_controller
+from dcgrid_env.baselines import CONTROLLERS, TUNED, Controller, make_controller
+from dcgrid_env.baselines.own_code import Named, OwnCodeError, described, load, parse, place
+from dcgrid_env.baselines.scenario_spec import options_of
+from dcgrid_env.baselines.tuned import grid_difference
 
-FORMS = f"give package.module:Class or path/to/file.py:Class for one of your own, or a saved policy's {SUFFIX} file"
+FORMS = (
+    "give package.module:Class or path/to/file.py:Class for one of your own, with its arguments in parentheses if it "
+    f"takes any, or a saved policy's {SUFFIX} file"
+)
 
 
 def preset_of(policy: str) -> str | None:
@@ -38,76 +39,68 @@ NAMES = (*CONTROLLERS, *TUNED, *TRAINED)
 """All that a benchmark of everything runs; ``SHIPPED`` policies can be named besides."""
 
 
-def find_controller(spec: str, scenario: Scenario) -> Controller:
+def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = None) -> Controller:
     """A fresh controller for a scenario.
 
     Parameters
     ----------
     spec
-        A name (``NAMES``, ``SHIPPED``); ``package.module:Class`` or ``path/to/file.py:Class``, constructed without
-        arguments (this runs the user's code; modules of the working directory are found too); or the path of a saved
-        policy, ending in .safetensors (this runs no code).
+        A name (``NAMES``, ``SHIPPED``); ``package.module:Class`` or ``path/to/file.py:Class``, which runs the user's
+        code (modules of the working directory are found too), with literals as arguments if the class takes any,
+        ``file.py:Class(gain=0.5)``; or the path of a saved policy, ending in .safetensors (this runs no code).
     scenario
         What it is to drive; tuned controllers look up their gains by it.
+    tuned
+        A file of ``dcgrid tune`` that the gains must come from, see ``make_controller``.
 
     Raises
     ------
     ValueError
-        For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario.
+        For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario;
+        an ``OwnCodeError`` where the user's code fails.
     """
     if spec in CONTROLLERS or spec in TUNED:
-        return make_controller(spec, scenario)
+        return make_controller(spec, scenario, tuned)
     if spec in SHIPPED:
         return Policy.load(spec)
     if spec in TRAINED:
-        if scenario.name not in TRAINED[spec]:
-            there = ", ".join(TRAINED[spec])
-            raise ValueError(f"controller {spec!r}: none ships for {scenario.name!r}, but for {there}; train one")
-        return Policy.load(f"{scenario.name}-{spec}")
+        return Policy.load(_trained_for(spec, scenario))
     if spec.endswith(SUFFIX):
         if not Path(spec).is_file():
             raise ValueError(f"controller {spec!r}: there is no such file; {FORMS}")
         return Policy.load(spec)
-    where, colon, name = spec.rpartition(":")
-    if not colon:
+    named = parse(spec)
+    if named is None:
         raise ValueError(f"unknown controller {spec!r}; there are {', '.join((*NAMES, *SHIPPED))}; or {FORMS}")
-    made = _construct(spec, _module(spec, where), name)
+    made = _construct(spec, named, load(named, f"controller {spec!r}"))
     if not isinstance(made, Controller):
         raise ValueError(f"controller {spec!r}: {type(made).__name__} is no controller; give it reset and act")
     return made
 
 
-def _module(spec: str, where: str) -> ModuleType:
-    try:
-        if where.endswith(".py"):
-            return _from_file(Path(where))
-        here = str(Path.cwd())
-        if here not in sys.path:
-            sys.path.append(here)
-        return importlib.import_module(where)
-    except FileNotFoundError:
-        raise ValueError(f"controller {spec!r}: there is no file {where}; {FORMS}") from None
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"controller {spec!r}: importing {where} fails: {type(error).__name__}: {error}") from error
-
-
-def _from_file(path: Path) -> ModuleType:
-    found = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}", path)
-    if found is None or found.loader is None:
-        raise FileNotFoundError(path)
-    module = importlib.util.module_from_spec(found)
-    sys.modules[found.name] = module  # where dataclasses and pickle look for it
-    found.loader.exec_module(module)
-    return module
-
-
-def _construct(spec: str, module: ModuleType, name: str) -> object:
-    kind = getattr(module, name, None)
-    if not callable(kind):
-        raise ValueError(f"controller {spec!r}: {module.__file__} has no class {name!r}; {FORMS}")
-    try:
-        return kind()
-    except (Exception, SystemExit) as error:
+def _trained_for(name: str, scenario: Scenario) -> str:
+    """Name of the shipped policy that a name stands for on a scenario; ValueError where none was trained for it."""
+    train = f"train one with `dcgrid train {name} {options_of(scenario, '--scenario')}`"
+    if scenario.name not in TRAINED[name]:
         raise ValueError(
-            f"controller {spec!r}: constructing it without arguments fails: {type(error).__name__}: {error}"
+            f"controller {name!r}: none ships for {scenario.name!r}, but for {', '.join(TRAINED[name])}; {train}"
+        )
+    policy = f"{scenario.name}-{name}"
+    if differs := grid_difference(scenario, make_scenario(scenario.name)):
+        raise ValueError(
+            f"controller {name!r}: the policy that ships for {scenario.name!r} was trained on the preset, from which "
+            f"this one differs in {differs}; {train}, or name {policy!r} itself to run it all the same"
+        )
+    return policy
+
+
+def _construct(spec: str, named: Named, kind: object) -> object:
+    if not callable(kind):
+        raise ValueError(f"controller {spec!r}: {named.name!r} of {named.where} is no class; {FORMS}")
+    try:
+        return kind(*named.positional, **dict(named.keywords))
+    except (Exception, SystemExit) as error:
+        how = "" if named.positional or named.keywords else " without arguments"
+        raise OwnCodeError(
+            f"controller {spec!r}: constructing it{how} fails{place(error)}: {described(error)}"
         ) from error

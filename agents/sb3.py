@@ -22,14 +22,17 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 
-from dcgrid_env import Scenario, make_scenario
-from dcgrid_env.agents.config import Training, check
+from dcgrid_env import Scenario
+from dcgrid_env.agents.config import Training, check, trained_on
 from dcgrid_env.agents.lanes import AgentLanes, JointLanes, Outputs
 from dcgrid_env.agents.modules import CLIP
 from dcgrid_env.agents.network import Network
 from dcgrid_env.agents.policy import Policy
 from dcgrid_env.agents.training import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.validation import Validation, made_with
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.files import file_name
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 SMALLEST_STD = 1e-4
 
@@ -86,7 +89,9 @@ def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterato
     """
     lanes = lanes_for(cfg, outputs)
     name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
-    with open_run(cfg.out or Path("results/train") / f"{cfg.scenario}-{name}-{cfg.seed}", cfg, cfg.resume) as run:
+    judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
+    folder = cfg.out or Path("results/train") / f"{file_name(judged_on.name)}-{name}-{cfg.seed}"
+    with open_run(folder, cfg, cfg.resume, [judged_on]) as run:
         yield run, lanes
 
 
@@ -97,7 +102,9 @@ def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
         raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
-    scenario = make_scenario(cfg.scenario, split="train", observe=cfg.observe)
+    spec = ScenarioSpec(cfg.scenario, cfg.set)
+    make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
+    scenario = spec.make("train", observe=cfg.observe)
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     if cfg.view == "centralised":
         return JointLanes(scenario, cfg.lanes, cfg.act, outputs)
@@ -232,7 +239,7 @@ def export(
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
         outputs=lanes.outputs, gains=lanes.gains,
-        scenario=cfg.scenario, made_with=made_with(),
+        scenario=trained_on(cfg), made_with=made_with(),
     )  # fmt: skip
 
 
@@ -267,7 +274,8 @@ def train(
     TrainingError
         Where parameters or losses are not finite; the checkpoint before stays.
     """
-    validate, state = Validation([cfg.scenario], cfg.validation_episodes), run.load()
+    judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
+    validate, state = Validation([judged_on], cfg.validation_episodes), run.load()
     best, done, spent = math.inf, 0, np.zeros(3)
     if state is not None:
         model.set_parameters(state["parameters"], exact_match=True, device=model.device)

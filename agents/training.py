@@ -15,7 +15,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -25,6 +25,7 @@ import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
+from dcgrid_env import Scenario, scenario_hash
 from dcgrid_env.agents.card import Card
 from dcgrid_env.files import clear_parts, new_folder, whole, write_text
 from dcgrid_env.lock import HeldError, held
@@ -50,7 +51,7 @@ class TrainingError(RuntimeError):
 
 
 @contextmanager
-def open_run(folder: Path, config: Any, resume: bool = False) -> Iterator[Run]:
+def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequence[Scenario] = ()) -> Iterator[Run]:
     """A training run in a folder that nobody else trains in meanwhile.
 
     A run that ends by an error or an interruption before it has anything to go on from leaves nothing behind.
@@ -63,6 +64,8 @@ def open_run(folder: Path, config: Any, resume: bool = False) -> Iterator[Run]:
         The algorithm's configuration, a dataclass.
     resume
         Go on from the folder's checkpoint (from the beginning where there is none yet).
+    scenarios
+        What is trained on; their hashes stand in config.json, so that no run goes on with others of the same names.
 
     Raises
     ------
@@ -73,7 +76,7 @@ def open_run(folder: Path, config: Any, resume: bool = False) -> Iterator[Run]:
     try:
         with new_folder(folder), held(folder, "training"):
             clear_parts(folder)  # of a training that was killed
-            run = Run(folder, config, resume)
+            run = Run(folder, config, resume, scenarios)
             try:
                 yield run
             except BaseException:
@@ -88,7 +91,7 @@ def open_run(folder: Path, config: Any, resume: bool = False) -> Iterator[Run]:
 class Run:
     """A training run's folder; made by :func:`open_run`."""
 
-    def __init__(self, folder: Path, config: Any, resume: bool):
+    def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
         self.folder = folder
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
@@ -96,6 +99,7 @@ class Run:
         self._began_s = time.perf_counter()
         self._writer: SummaryWriter | None = None
         about = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+        about["scenario_hashes"] = [scenario_hash(scenario) for scenario in scenarios]
         if (folder / "config.json").exists():
             self._check(about, resume)
         write_text(folder / "config.json", json.dumps(about | {"version": version("dcgrid-env")}, indent=2) + "\n")

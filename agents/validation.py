@@ -21,13 +21,13 @@ class Validation:
     Parameters
     ----------
     scenarios
-        Names of presets; figures are means over them.
+        Presets by name, or scenarios on the validation split; figures are means over them.
     episodes
         Seeds 0, 1, .. of each.
     """
 
-    def __init__(self, scenarios: Sequence[str], episodes: int):
-        self.scenarios = [make_scenario(name, split="validation") for name in scenarios]
+    def __init__(self, scenarios: Sequence[str | Scenario], episodes: int):
+        self.scenarios = [make_scenario(s, split="validation") if isinstance(s, str) else s for s in scenarios]
         self.seeds = range(episodes)
         self.j_droop = self._mean([self._run(s, make_controller("droop-tuned", s)) for s in self.scenarios])["J"]
 
@@ -60,6 +60,6 @@ def made_with() -> str:
     for word in words:
         if word == "--out":
             next(words, None)
-        elif word not in ("--resume", "--no-resume") and not word.startswith("--out="):
+        elif word not in ("--resume", "--no-resume", "--traceback") and not word.startswith("--out="):
             kept.append(word)
     return shlex.join(kept)

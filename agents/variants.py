@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env import Scenario, make_scenario
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 
-def scenarios(names: str, **overrides: object) -> list[Scenario]:
-    """Presets named in one string, separated by commas; ScenarioError for an unknown name, ValueError for none."""
+def scenarios(names: str, overrides: tuple[str, ...] = (), split: str = "train", **chosen: object) -> list[Scenario]:
+    """Scenarios named in one string, separated by commas, with overrides ``FIELD=VALUE`` and fields that are chosen.
+
+    ValueError for one that cannot be, or none.
+    """
     found = [name.strip() for name in names.split(",") if name.strip()]
     if not found:
-        raise ValueError(f"scenario is {names!r}; name at least one preset (dcgrid list)")
-    return [make_scenario(name, **overrides) for name in found]
+        raise ValueError(f"scenario is {names!r}; name at least one (dcgrid list)")
+    return [ScenarioSpec(name, overrides).make(split, **chosen) for name in found]
 
 
 def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
@@ -45,23 +46,32 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
 """Description and factory of each."""
 
 TUNED: dict[str, str] = {
-    f"{law}{SUFFIX}": f"{law}, its parameters tuned on the validation split of the preset" for law in TUNABLE
+    f"{law}{SUFFIX}": f"{law}, its parameters tuned on the validation split of the scenario" for law in TUNABLE
 }
 """Description of those whose parameters depend on the scenario."""
 
 
-def make_controller(name: str, scenario: Scenario | None = None) -> Controller:
+def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Path | None = None) -> Controller:
     """A fresh controller.
+
+    Parameters
+    ----------
+    name
+        One of ``CONTROLLERS`` or ``TUNED``.
+    scenario
+        What it is to drive; tuned controllers look up their parameters by it.
+    tuned
+        A file of ``dcgrid tune`` that must have them; see ``tuned.tuned_parameters`` for where they are without one.
 
     Raises
     ------
     ValueError
-        For an unknown name, listing those that exist, or a tuned one without a scenario for which parameters ship.
+        For an unknown name, listing those that exist, or a tuned one without a scenario for which there are parameters.
     """
     if name in CONTROLLERS:
         return CONTROLLERS[name][1]()
     if name not in TUNED:
         raise ValueError(f"unknown controller {name!r}; there are {', '.join((*CONTROLLERS, *TUNED))}")
     if scenario is None:
-        raise ValueError(f"controller {name!r} is tuned for each preset; say which scenario it is for")
-    return tuned_controller(name.removesuffix(SUFFIX), scenario)
+        raise ValueError(f"controller {name!r} is tuned for each scenario; say which one it is for")
+    return tuned_controller(name.removesuffix(SUFFIX), scenario, tuned)

@@ -3,15 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Recorder, Scenario
+from dcgrid_env import ActionError, DcgridVectorEnv, Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Placed
+from dcgrid_env.baselines.own_code import OwnCodeError, described, one_line, place
+
+
+class ControllerError(OwnCodeError):
+    """A controller that fails, or refuses the scenario; what it raised is the cause.
+
+    Parameters
+    ----------
+    name
+        What the controller is called.
+    during
+        ``reset``, ``place`` or ``act``.
+    cause
+        What was raised there.
+    refuses
+        The scenario's name where the controller says, by a ValueError in ``reset``, that it cannot drive it.
+    """
+
+    def __init__(self, name: str, during: str, cause: BaseException, refuses: str | None = None):
+        plain = isinstance(cause, ActionError) or refuses is not None  # what tells all without its kind
+        at = place(cause)
+        self.refuses, self.told = refuses, one_line(cause) if plain else described(cause)
+        self.where, self.traced = f"{during}{at}", not plain
+        doing = f"fails in {self.where}" if refuses is None else f"cannot drive {refuses}{at}"
+        super().__init__(f"controller {name!r} {doing}: {self.told}")
 
 
 def rollout(
-    scenario: Scenario, controller: Controller, seeds: Sequence[int], on_step: Callable[[], None] | None = None
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    on_step: Callable[[], None] | None = None,
+    name: str | None = None,
 ) -> Recorder:
     """Drive one episode for each seed to its end; lane i of the recorder is seed i.
 
@@ -25,25 +55,63 @@ def rollout(
         One lane each.
     on_step
         Called after each step (for progress).
+    name
+        What errors call the controller; its class by default.
 
     Raises
     ------
-    ValueError
-        Where the controller returns something that is no action, naming the agent.
+    ControllerError
+        A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
+    called = name or type(controller).__name__
     # Actions and metrics are those of the team, whoever is paid what.
     scenario = scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
     env = DcgridVectorEnv(len(seeds), scenario)
     observations, info = env.reset(seed=list(seeds))
     recorder = Recorder(scenario, env.transition)
-    controller.reset(scenario)
+    _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, Placed):
         index = scenario.feeder.index
-        controller.place(np.array([[index(bus) for bus in info[f"bus_{agent}"]] for agent in scenario.agents]).T)
+        buses = np.array([[index(bus) for bus in info[f"bus_{agent}"]] for agent in scenario.agents]).T
+        _asked(called, "place", controller.place, buses)
     while not recorder.over:
-        observations, *_ = env.step(controller.act(observations))
+        action = _asked(called, "act", _action_of, controller, observations)
+        try:
+            observations, *_ = env.step(action)
+        except ActionError as error:
+            raise ControllerError(called, "act", error) from error
         recorder.add(env.transition)
         if on_step is not None:
             on_step()
     env.close()
     return recorder
+
+
+def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, refuses: str | None = None) -> Any:
+    """What a controller's method returns; whatever it raises is a ControllerError, but for Ctrl-C."""
+    try:
+        return method(*given)
+    except (Exception, SystemExit) as error:
+        refused = refuses if isinstance(error, ValueError) else None
+        raise ControllerError(called, during, error, refused) from error
+
+
+def _action_of(controller: Controller, observations: np.ndarray) -> Any:
+    """The action for observations, a tensor of another library as an array.
+
+    A tensor that records gradients is refused rather than detached: all that led to it would be kept in memory step
+    after step, and no derivative ever comes back through a rollout.
+    """
+    action = controller.act(observations)
+    if action is None:
+        raise ActionError("act returned None; return the action")
+    if getattr(action, "requires_grad", False):
+        raise ActionError(
+            "the action is a tensor that records gradients, which a rollout does not follow; act under "
+            "torch.no_grad() or return action.detach() (TensorEnv is what gives derivatives)"
+        )
+    if hasattr(action, "detach"):
+        action = action.detach().cpu()
+    if hasattr(action, "dtype") and np.iscomplexobj(action):
+        raise ActionError("the action is complex; give real numbers in [-1, 1]")
+    return action

@@ -5,14 +5,14 @@ The one module that sees all others; it imports them lazily.
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import traceback
+from collections.abc import Callable
 from typing import Annotated
 
 import tyro
 
+from dcgrid_env.benchmark.pool import terminated_in_order
 from dcgrid_env.commands import (
     ablate,
     benchmark,
@@ -68,47 +68,42 @@ _INTERRUPTED = 130
 """Status that shells give to what Ctrl-C has ended."""
 
 
+TRACEBACK = "--traceback"
+"""The one option of every command; it may stand anywhere on the line."""
+ABOUT = f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole."
+
+
 def main(args: list[str] | None = None) -> None:
     """Entry point of ``dcgrid``; bad input ends with one line on standard error and status 2, Ctrl-C with 130."""
-    about = "Voltage control of feeders with data centres."
     bare = (tyro.conf.OmitSubcommandPrefixes,)  # `dcgrid traces fetch`, not `traces action:fetch`
     resumes = False
-    given = sys.argv[1:] if args is None else args
+    asked = sys.argv[1:] if args is None else args
+    given, whole = [word for word in asked if word != TRACEBACK], TRACEBACK in asked
     try:
         if given[:1] == ["train"] and given[1:2] and not given[1].startswith("-"):
             # The algorithm's own options follow, which are not known before it is imported.
-            with _terminated_in_order():
-                _told(lambda: train.main(given[1:]))
+            with terminated_in_order():
+                _told(lambda: train.main(given[1:]), whole)
             return
-        command = tyro.cli(Command, args=args, prog="dcgrid", description=about, config=bare)
+        command = tyro.cli(Command, args=given, prog="dcgrid", description=ABOUT, config=bare)
         resumes = _resumes(command)
-        with _terminated_in_order():
-            _told(lambda: _MAIN[type(command)](command))
+        with terminated_in_order():
+            _told(lambda: _MAIN[type(command)](command), whole)
     except KeyboardInterrupt:
         print("dcgrid: interrupted" + "; the same command goes on from there" * resumes, file=sys.stderr)
         raise SystemExit(_INTERRUPTED) from None
 
 
-@contextmanager
-def _terminated_in_order() -> Iterator[None]:
-    """Let SIGTERM end the command by an exception, so that nothing half written is left, as Ctrl-C does."""
-
-    def end(number: int, frame: object) -> None:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _told(work: Callable[[], None]) -> None:
-    """Do the work; bad input is one line."""
+def _told(work: Callable[[], None], whole: bool) -> None:
+    """Do the work; bad input is one line, or all of it where that is asked for."""
     try:
         work()
     except (ValueError, OSError) as error:
-        print(f"dcgrid: {error}", file=sys.stderr)
+        if whole:
+            traceback.print_exception(error)
+        else:
+            more = f"; {TRACEBACK} shows all of it" if getattr(error, "traced", False) else ""
+            print(f"dcgrid: {error}{more}", file=sys.stderr)
         raise SystemExit(2) from None
 
 
@@ -116,6 +111,8 @@ def _resumes(command: Command) -> bool:
     """Whether a command keeps what it has done, and does not do it again."""
     if isinstance(command, traces.Traces):
         return isinstance(command.action, traces.Fetch)
+    if isinstance(command, evaluate.Evaluate):
+        return command.hindsight
     if isinstance(command, tune.Tune):
         return not command.again
     return isinstance(command, hindsight.HindsightValues | pareto.Pareto | ablate.Ablate | generalise.Generalise)

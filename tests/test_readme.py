@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 
 import dcgrid_env
 from dcgrid_env import make_scenario
+from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.score import score
+from dcgrid_env.cli import main
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -82,9 +85,9 @@ def test_scores_come_out_again(scenario):
 
 def test_python_examples_run(capsys):
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), {})
+        exec(compile(block, "README.md", "exec"), {"__name__": "__main__"})
     printed = capsys.readouterr().out.split()
     assert [round(float(x), 4) for x in printed[:2]] == [0.9131, 202.6771]
 
@@ -98,3 +101,27 @@ def test_agents_are_those_of_the_cards():
     made = runpy.run_path(str(ROOT / "docs" / "agents.py"))["table"]()
     assert made.count("\n") == 1 + len(dcgrid_env.PRESETS)
     assert made in README
+
+
+def test_the_controller_of_the_example_can_be_imported_without_running_anything(tmp_path, capsys):
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Leaning" in b)
+    (tmp_path / "leaning.py").write_text(block)
+    spec = f"{tmp_path}/leaning.py:Leaning(slope_kvar_per_pu=300)"
+    law = find_controller(spec, make_scenario("ieee33-weak"))
+    assert law.slope_kvar_per_pu == 300  # pyright: ignore[reportAttributeAccessIssue]
+    assert capsys.readouterr().out == ""
+
+
+def test_the_scenario_of_the_example_runs_on_the_command_line(tmp_path, monkeypatch):
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "def make()" in b)
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(block)
+    section = README[README.index("## Your own scenario") :].split("\n## ")[0]
+    (commands,) = re.findall(r"```bash\n(.*?)```", section, re.DOTALL)
+    run, *others = (shlex.split(line.partition("   #")[0]) for line in commands.splitlines())
+    main([*run[1:], "--episodes", "1"])
+    assert Path("results/run/results.json").is_file()
+    for words in others:
+        assert words[:1] == [".venv/bin/dcgrid"]
+        assert words[1] in ("tune", "hindsight", "evaluate", "benchmark", "train")
+        assert "own.py:make" in words

@@ -16,9 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env.agents.find import find_controller
 from dcgrid_env.baselines import rollout
-from dcgrid_env.benchmark.jobs import V_EDGES_PU, on_test_split
+from dcgrid_env.baselines.own_code import described
+from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.benchmark.jobs import V_EDGES_PU, Case
 from dcgrid_env.benchmark.summary import REFERENCE, ScenarioSummary, Summary
 from dcgrid_env.figure import run_figure
 
@@ -32,7 +33,7 @@ LABEL_HEIGHT_IN, OTHER_HEIGHT_IN = 0.17, 1.1
 class Replay:
     """Episodes of a scenario to run again and draw, each under all of the controllers."""
 
-    scenario: str
+    case: Case
     costliest: Mapping[str, int]
     """Of each of the controllers the seed of its costliest episode."""
 
@@ -64,19 +65,21 @@ class Drawn:
 
 def draw(sheet: Sheet) -> Drawn:
     """The figures of a scenario."""
-    band_pu = on_test_split(sheet.summary.scenario).band_pu
+    band_pu = sheet.worst.case.scenario().band_pu
     return Drawn(png(scenario_figure(sheet.summary, sheet.voltages, band_pu)), replay(sheet.worst))
 
 
 def replay(task: Replay) -> tuple[bytes, ...] | str:
     """Each episode as a PNG, or why there is none."""
-    scenario = on_test_split(task.scenario)
+    scenario = task.case.scenario()
     runs = {}
     for name in task.costliest:
         try:
-            runs[short(name)] = rollout(scenario, find_controller(name, scenario), task.seeds)
+            runs[short(name)] = rollout(scenario, task.case.controller(name), task.seeds, name=name)
+        except ControllerError as error:
+            return f"{name} failed when this was run again, in {error.where}: {error.told}"
         except (Exception, SystemExit) as error:  # in a batch it worked; the user's code, so anything
-            return f"{name} failed when this was run again: {type(error).__name__}: {error}"
+            return f"{name} failed when this was run again: {described(error)}"
     return tuple(
         png(run_figure(scenario, {name: recorder.lane(i) for name, recorder in runs.items()}, seed), dpi=80)
         for i, seed in enumerate(task.seeds)

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario
+from dcgrid_env.baselines.published import Published
 from dcgrid_env.benchmark.figures import Replay, Sheet
-from dcgrid_env.benchmark.jobs import V_EDGES_PU, Unit, on_test_split
-from dcgrid_env.benchmark.summary import REFERENCE, Published, ScenarioSummary, summarise
+from dcgrid_env.benchmark.jobs import V_EDGES_PU, Case, Unit
+from dcgrid_env.benchmark.summary import REFERENCE, ScenarioSummary, summarise
 
 
 @dataclass(frozen=True)
 class Results:
     """One scenario's results."""
 
+    case: Case
     summary: ScenarioSummary
     records: Mapping[str, Sequence[Mapping[str, Any]]]
     """Episodes of each controller that did not fail, in the order of their seeds."""
@@ -35,11 +37,11 @@ class Results:
         best = min(others, key=lambda name: rows[name]["J"]) if others else REFERENCE
         both = (best, REFERENCE) if others and REFERENCE in rows else (best,)
         costliest = {name: max(self.records[name], key=lambda record: record["J"])["seed"] for name in both}
-        return Sheet(self.summary, self.voltages, Replay(self.summary.scenario, costliest))
+        return Sheet(self.summary, self.voltages, Replay(self.case, costliest))
 
 
 def gather(
-    scenarios: Sequence[str],
+    cases: Sequence[Case],
     controllers: Sequence[str],
     episodes: int,
     done: Mapping[Unit, Mapping[str, Any]],
@@ -50,7 +52,7 @@ def gather(
 
     Parameters
     ----------
-    scenarios, controllers, episodes
+    cases, controllers, episodes
         As planned.
     done
         Records of the finished units; those of a pair that failed elsewhere are left out.
@@ -60,7 +62,8 @@ def gather(
         Hindsight's figures for a scenario, None where there are none.
     """
     found = []
-    for name in scenarios:
+    for case in cases:
+        name = case.scenario().name
         failed = {controller: text for (scenario, controller), text in failures.items() if scenario == name}
         own = sorted((u for u in done if u.scenario == name and u.controller not in failed), key=lambda u: u.first)
         records: dict[str, list[Mapping[str, Any]]] = {u.controller: [] for u in own}
@@ -70,12 +73,23 @@ def gather(
             records[unit.controller] += done[unit]["episodes"]
             first, counts = done[unit]["voltage"]["first_bin"], done[unit]["voltage"]["counts"]
             voltages[unit.controller][first : first + len(counts)] += counts
-        hindsight, doubt = published(on_test_split(name)), None
-        if hindsight is not None:
+        hindsight, doubt = published(case.scenario()), no_hindsight(case, episodes, published)
+        if hindsight is not None and doubt is None:
+            hindsight = hindsight.of(range(episodes))
             try:
-                hindsight.check_episodes(on_test_split(name), episodes)
+                hindsight.check_episodes(case.scenario(), episodes)
             except ValueError as error:
                 doubt = str(error)
         summary = summarise(name, episodes, records, observes, failed, controllers, hindsight, doubt)
-        found.append(Results(summary, records, voltages))
+        found.append(Results(case, summary, records, voltages))
     return found
+
+
+def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Published | None]) -> str | None:
+    """Why there is no hindsight for the episodes of a scenario and the command that solves them; None if there is."""
+    known = published(case.scenario())
+    missing = len(known.missing(range(episodes))) if known else episodes
+    if not missing:
+        return None
+    command = f"dcgrid hindsight {case.spec.options('--scenarios')} --episodes {episodes}"
+    return f"hindsight is not known for {missing} of the {episodes} episodes; solve them with `{command}`"

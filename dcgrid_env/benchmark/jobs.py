@@ -8,16 +8,18 @@ import inspect
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, __version__, make_scenario, scenario_hash
+from dcgrid_env import Scenario, __version__, scenario_hash
 from dcgrid_env.agents.find import find_controller
 from dcgrid_env.baselines import Controller, Placed, rollout
+from dcgrid_env.baselines.own_code import described, one_line, parse
+from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.metrics import Recorder
 
 SPLIT = "test"
@@ -34,6 +36,7 @@ class Unit:
     """What defines a unit's result."""
 
     scenario: str
+    """The scenario's own name."""
     controller: str
     """As asked for."""
     first: int
@@ -50,12 +53,35 @@ class Unit:
         return range(self.first, self.first + self.episodes)
 
 
+GIVES_ANOTHER = "failed: {} gives another scenario in each process; let it draw nothing at random, or from a fixed seed"
+
 CODE = (type, FunctionType, BuiltinFunctionType, ModuleType, np.ufunc)
 """What a controller may hold that is code and no parameter."""
 
 
-class DoesNotApply(ValueError):
-    """A controller refuses a scenario."""
+@dataclass(frozen=True)
+class Case:
+    """A scenario on the test split and where its tuned gains come from, as processes hand it to each other."""
+
+    spec: ScenarioSpec
+    tuned: Path | None = None
+    """A file of ``dcgrid tune``; None as for ``make_controller``."""
+
+    def scenario(self) -> Scenario:
+        """The scenario; one object in a process."""
+        return self.spec.make(SPLIT)
+
+    def controller(self, name: str) -> Controller:
+        """A fresh controller for it; ValueError where there is none."""
+        return find_controller(name, self.scenario(), self.tuned)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A unit and what it takes to run it."""
+
+    unit: Unit
+    case: Case
 
 
 def episode_records(
@@ -69,51 +95,54 @@ def episode_records(
 
 
 def plan(
-    scenarios: Sequence[str], controllers: Sequence[str], episodes: int
-) -> tuple[list[Unit], dict[tuple[str, str], str]]:
+    cases: Sequence[Case], controllers: Sequence[str], episodes: int
+) -> tuple[list[Task], dict[tuple[str, str], str]]:
     """Units for all pairs, scenario by scenario, and why the rest have none, by (scenario, controller)."""
-    units: list[Unit] = []
+    tasks: list[Task] = []
     failures: dict[tuple[str, str], str] = {}
-    for name in scenarios:
-        scenario = on_test_split(name)
-        form = scenario_hash(scenario)
+    for case in cases:
+        scenario = case.scenario()
+        form, name = scenario_hash(scenario), scenario.name
         for spec in controllers:
             try:
-                identity = controller_hash(find_controller(spec, scenario), spec)
+                identity = controller_hash(case.controller(spec), spec)
             except ValueError as error:
-                failures[name, spec] = f"does not apply: {_line(error)}"
+                failures[name, spec] = f"does not apply: {one_line(error)}"
                 continue
             except Exception as error:
-                failures[name, spec] = f"failed: {type(error).__name__}: {_line(error)}"
+                failures[name, spec] = f"failed: {described(error)}"
                 continue
             for first in range(0, episodes, UNIT_EPISODES):
                 count = min(UNIT_EPISODES, episodes - first)
-                units.append(Unit(name, spec, first, count, form, identity, __version__))
-    return units, failures
+                tasks.append(Task(Unit(name, spec, first, count, form, identity, __version__), case))
+    return tasks, failures
 
 
-@cache
-def on_test_split(name: str) -> Scenario:
-    """A preset on the test split."""
-    return make_scenario(name, split=SPLIT)
-
-
-def run(unit: Unit) -> dict[str, Any]:
+def run(task: Task) -> dict[str, Any]:
     """The unit's record: what defines it, its episodes and voltages, or ``failure``, one line."""
+    unit = task.unit
     try:
-        controller = find_controller(unit.controller, on_test_split(unit.scenario))
-        recorder = rollout(on_test_split(unit.scenario), _Refusing(controller), unit.seeds)
-    except DoesNotApply as error:
-        return {"unit": asdict(unit), "failure": f"does not apply: {_line(error)}"}
+        scenario, controller = task.case.scenario(), task.case.controller(unit.controller)
+        if scenario_hash(scenario) != unit.scenario_hash:
+            return _failure(unit, GIVES_ANOTHER.format(task.case.spec.where))
+        recorder = rollout(scenario, controller, unit.seeds, name=unit.controller)
+    except ControllerError as error:
+        return _failure(
+            unit, f"does not apply: {error.told}" if error.refuses else f"failed in {error.where}: {error.told}"
+        )
     except (Exception, SystemExit) as error:  # whatever the user's code does, the others go on
-        return {"unit": asdict(unit), "failure": f"failed: {type(error).__name__}: {_line(error)}"}
+        return _failure(unit, f"failed: {described(error)}")
     metrics, counts = _figures(recorder, unit.episodes)
     return {
         "unit": asdict(unit),
-        "observes": observed(controller, on_test_split(unit.scenario)),
+        "observes": observed(controller, scenario),
         "episodes": episode_records(unit.scenario, unit.controller, unit.seeds, metrics, unit.first),
         "voltage": {"first_bin": int(np.flatnonzero(counts)[0]), "counts": np.trim_zeros(counts).tolist()},
     }
+
+
+def _failure(unit: Unit, text: str) -> dict[str, Any]:
+    return {"unit": asdict(unit), "failure": text}
 
 
 def observed(controller: Controller, scenario: Scenario) -> str:
@@ -123,35 +152,20 @@ def observed(controller: Controller, scenario: Scenario) -> str:
 
 
 def controller_hash(controller: Controller, spec: str = "") -> str:
-    """SHA-256 of a fresh controller's parameters, of the file its class stands in and of the one that ``spec``, as the
-    command line names it, is or begins with, 16 hexadecimal digits.
+    """SHA-256 of a fresh controller's parameters, of the file its class stands in, and of the file and the arguments
+    that ``spec``, as the command line names it, holds, 16 hexadecimal digits.
     """
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
-    named = Path(spec if spec.endswith(".safetensors") else spec.rpartition(":")[0])
-    if named.suffix in (".safetensors", ".py"):
-        digest.update(named.read_bytes())
+    named = parse(spec)
+    file = Path(spec) if spec.endswith(".safetensors") else named.path if named else None
+    if file is not None:
+        digest.update(file.read_bytes())
+    if named and (named.positional or named.keywords):
+        digest.update(repr((named.positional, named.keywords)).encode())
     _add(digest, controller, {})
     return digest.hexdigest()[:16]
-
-
-class _Refusing:
-    """A controller whose ValueError in ``reset`` means that it does not apply, and not that it failed."""
-
-    def __init__(self, controller: Controller):
-        self._controller = controller
-        self.act = controller.act
-        if isinstance(controller, Placed):
-            self.place = controller.place
-        if hasattr(controller, "observe"):
-            self.observe = getattr(controller, "observe")  # noqa: B009 (no part of the protocol)
-
-    def reset(self, env_info: Scenario) -> None:
-        try:
-            self._controller.reset(env_info)
-        except ValueError as error:
-            raise DoesNotApply(error) from error
 
 
 def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np.ndarray]:
@@ -163,11 +177,6 @@ def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np
         inside = np.clip(series.v_pu[1:, 1:], V_EDGES_PU[0], V_EDGES_PU[-1])
         counts += np.histogram(inside, V_EDGES_PU)[0]
     return metrics, counts
-
-
-def _line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 300 else text[:297] + "..."
 
 
 def _add(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:

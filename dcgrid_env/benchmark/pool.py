@@ -93,22 +93,37 @@ def _give(
 
 def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited everywhere
-    signal.signal(signal.SIGTERM, _end)
-    while True:
-        try:
-            task = pipe.recv()
-        except (EOFError, ConnectionError):
-            return
-        try:
-            result = work(task)
-        except Exception as error:
-            result = error
-        pipe.send(result)
+    with terminated_in_order():
+        while True:
+            try:
+                task = pipe.recv()
+            except (EOFError, ConnectionError):
+                return
+            try:
+                result = work(task)
+            except Exception as error:
+                result = error
+            pipe.send(result)
+
+
+@contextlib.contextmanager
+def terminated_in_order() -> Iterator[None]:
+    """Let SIGTERM end the process by an exception, so that what is half written goes, as under Ctrl-C."""
+    before = signal.signal(signal.SIGTERM, _end)
+    try:
+        yield
+    except _Terminated as terminated:
+        raise SystemExit(terminated.args[0]) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _end(number: int, frame: object) -> None:
-    """End by an exception, so that what is half written goes."""
-    raise SystemExit(128 + number)
+    raise _Terminated(128 + number)
+
+
+class _Terminated(BaseException):
+    """SIGTERM has come; no SystemExit, which a user's own code may raise and which is then a failure of that code."""
 
 
 @contextlib.contextmanager

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env import __version__
+from dcgrid_env.baselines.files import file_name
 from dcgrid_env.benchmark.jobs import Unit
 from dcgrid_env.files import write_json
 
@@ -64,7 +64,7 @@ class Store:
         if own.get("scenario_hash") != unit.scenario_hash:
             raise ValueError(
                 f"{path} is of another {unit.scenario}, of hash {own.get('scenario_hash')} and not "
-                f"{unit.scenario_hash}; give another --out, or delete {self.folder / unit.scenario}"
+                f"{unit.scenario_hash}; give another --out, or delete {path.parents[1]}"
             )
         return record if own == asdict(unit) else None
 
@@ -76,10 +76,8 @@ class Store:
 
     def path(self, unit: Unit) -> Path:
         """The unit's file."""
-        plain = re.sub(r"[^A-Za-z0-9-]+", "_", unit.controller)[-40:]
-        if plain != unit.controller:  # two that differ only in what was left out stay apart
-            plain += "-" + hashlib.sha256(unit.controller.encode()).hexdigest()[:8]
-        return self.folder / unit.scenario / plain / f"{unit.first}-{unit.first + unit.episodes - 1}.json"
+        last = unit.first + unit.episodes - 1
+        return self.folder / file_name(unit.scenario) / file_name(unit.controller) / f"{unit.first}-{last}.json"
 
 
 def _digest(record: dict[str, Any]) -> str:

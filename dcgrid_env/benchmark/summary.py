@@ -4,38 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env.baselines import Published
 from dcgrid_env.baselines.score import Estimate, score
 
 REFERENCE = "droop-tuned"
 """The controller of score 0."""
-
-
-class Published(Protocol):
-    """Perfect foresight on the published test episodes, see ``baselines.published``."""
-
-    @property
-    def seeds(self) -> np.ndarray:
-        """(n,)"""
-        ...
-
-    @property
-    def J(self) -> np.ndarray:
-        """Cost that hindsight reaches, replayed, (n,)."""
-        ...
-
-    @property
-    def bound(self) -> np.ndarray:
-        """The optimum of the program, linearised around the best trajectory found, (n,)."""
-        ...
-
-    def check_episodes(self, scenario: Scenario, n: int) -> None:
-        """ValueError unless the first ``n`` episodes are drawn here as they were there."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -90,7 +67,7 @@ class ScenarioSummary:
     no_score: str | None
     """Why there are no scores, None if there are."""
     hindsight: Hindsight | None
-    """None where it is not published for these episodes."""
+    """None where it is not known for these episodes."""
 
     @property
     def working(self) -> list[Summary]:
@@ -119,15 +96,16 @@ def summarise(
     order
         The controllers in the order of the rows.
     published
-        Hindsight's figures, None where there are none for the scenario.
+        Hindsight's figures for these episodes in the order of their seeds, None where there are none to be used.
     doubt
-        Why they cannot be used, None if they can.
+        Why there are none, None if there are.
     """
     droop = [r["J"] for r in records[REFERENCE]] if REFERENCE in records else None
-    best, bound = (None, None) if doubt else _of_seeds(published, episodes)
-    reason = doubt or _why_no_score(failures, droop, best, published, episodes)
-    if reason:
-        reason = f"no score: {reason}"
+    best = None if published is None or doubt else published.J
+    missing = [] if droop else [f"{REFERENCE} {failures.get(REFERENCE, 'was not run')}"]
+    missing += [doubt] if doubt else []
+    why = "; ".join(missing) or _why_no_score(droop, best, episodes)
+    reason = f"no score: {why}" if why else None
     rows = []
     for name in order:
         if name in failures:
@@ -152,35 +130,15 @@ def summarise(
             )
         rows.append(row)
     hindsight = None
-    if best is not None and bound is not None:
-        gap_pct = 100.0 * float(np.abs((best - bound) / best).max())
-        hindsight = Hindsight(float(best.mean()), float(bound.mean()), gap_pct)
+    if best is not None and published is not None:
+        gap_pct = 100.0 * float(np.abs((best - published.bound) / best).max())
+        hindsight = Hindsight(float(best.mean()), float(published.bound.mean()), gap_pct)
     return ScenarioSummary(scenario, episodes, tuple(rows), reason, hindsight)
 
 
-def _of_seeds(published: Published | None, episodes: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-    if published is None:
-        return None, None
-    at = {int(seed): i for i, seed in enumerate(published.seeds)}
-    if not all(seed in at for seed in range(episodes)):
-        return None, None
-    index = [at[seed] for seed in range(episodes)]
-    return published.J[index], published.bound[index]
-
-
-def _why_no_score(
-    failures: Mapping[str, str],
-    droop: Sequence[float] | None,
-    best: np.ndarray | None,
-    published: Published | None,
-    episodes: int,
-) -> str | None:
-    if droop is None:
-        return f"{REFERENCE} {failures.get(REFERENCE, 'was not run')}"
-    if published is None:
-        return "no hindsight values are published for this scenario"
-    if best is None:
-        return f"hindsight is published for {len(published.seeds)} episodes, not for all of these {episodes}"
+def _why_no_score(droop: Sequence[float] | None, best: np.ndarray | None, episodes: int) -> str | None:
+    if droop is None or best is None:
+        return "hindsight is not known"
     if episodes < 2:
         return "an interval takes at least 2 episodes"
     if np.mean(droop - best) <= 0.0:

@@ -12,20 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.commands.named import scenario_names, split_names
+from dcgrid_env.commands.named import scenario_specs, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import processes
+from dcgrid_env.commands.settings import Overrides, Scenarios, plain_console, processes, tuned_from
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from dcgrid_env.benchmark.gather import Results
-    from dcgrid_env.benchmark.jobs import Unit
+    from dcgrid_env.benchmark.jobs import Case, Task, Unit
     from dcgrid_env.benchmark.store import Store
 
-MOST_EPISODES = 100
-"""Test episodes that are published, seeds 0 to 99."""
 STATIC = ("constant-q-tuned", "placement-tuned")
 """The simplest rivals of a learner; where they are run they stand just below the reference."""
 
@@ -34,54 +32,80 @@ STATIC = ("constant-q-tuned", "placement-tuned")
 class Benchmark:
     """What to run."""
 
-    scenarios: str = "all"
-    """Names of scenarios, separated by commas, or all (dcgrid list)."""
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "local"
-    """Separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, saved policies
-    (.safetensors); local (made by hand, without a model of the feeder), all (made by hand) or policies (those that
-    ship). A path must not hold a comma. The tuned droop is run besides."""
-    episodes: int = MOST_EPISODES
-    """Test episodes of each scenario, seeds 0, 1, ...; at most the published 100."""
+    """Controllers separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, in quotes with
+    arguments, as 'file.py:Class(gain=0.5)', saved policies (.safetensors); local (made by hand, without a model of the
+    feeder), all (made by hand) or policies (those that ship). A path must not hold a comma. The tuned droop is run
+    besides."""
+    episodes: int = 100
+    """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
+    dcgrid hindsight has solved besides is found in results/hindsight."""
+    tuned: Path | None = None
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/benchmark")
     """Folder for what is written; made if it is not there."""
     jobs: int | None = None
-    """Processes; by default one for each core."""
+    """Number of processes; by default one for each core."""
 
 
 def main(cfg: Benchmark) -> None:
     """Run what is not done yet, sum up, write the files. ValueError for bad settings, before anything is written."""
-    from rich.console import Console
-
     from dcgrid_env.baselines import published
+    from dcgrid_env.baselines.published import FOLDER
     from dcgrid_env.benchmark.gather import gather
-    from dcgrid_env.benchmark.jobs import plan
+    from dcgrid_env.benchmark.jobs import SPLIT, Case, plan
     from dcgrid_env.benchmark.store import Store
 
-    if not 1 <= cfg.episodes <= MOST_EPISODES:
-        raise ValueError(f"episodes is {cfg.episodes}; give 1 to {MOST_EPISODES}, the published test episodes")
+    if cfg.episodes < 1:
+        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
     jobs = processes(cfg.jobs)
-    scenarios = scenario_names(cfg.scenarios)
-    controllers = _controllers(cfg.controllers, scenarios[0])
-    units, failures = plan(scenarios, controllers, cfg.episodes)
+    cases = [Case(spec, cfg.tuned) for spec in scenario_specs(cfg.scenarios, cfg.set, SPLIT).values()]
+    controllers = _controllers(cfg.controllers, cases[0])
+    tasks, failures = plan(cases, controllers, cfg.episodes)
     store = Store(cfg.out)
-    done = {unit: record for unit in units if (record := store.get(unit))}
-    console = Console()
+    done = {task.unit: record for task in tasks if (record := store.get(task.unit))}
+    console = plain_console()
+    for line in _beforehand(cases, controllers, cfg, failures):
+        console.print(line)
     if done:
-        console.print(f"{len(done)} of {len(units)} units are done already with these settings, in {store.folder}")
+        console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
     try:
-        failures |= _run(units, done, store, jobs, console)
+        failures |= _run(tasks, done, store, jobs, console)
         with console.status("checking the episodes' hashes and summing up"):
-            results = gather(scenarios, controllers, cfg.episodes, done, failures, published)
+            results = gather(cases, controllers, cfg.episodes, done, failures, lambda s: published(s, FOLDER))
         _write(cfg, results, jobs, console)
     except KeyboardInterrupt:
-        console.print(f"interrupted with {len(done)} of {len(units)} units done; the same command goes on from there")
+        console.print(f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there")
         raise SystemExit(130) from None
 
 
-def _controllers(asked: str, scenario: str) -> list[str]:
+def _beforehand(
+    cases: Sequence[Case], controllers: Sequence[str], cfg: Benchmark, failures: dict[tuple[str, str], str]
+) -> list[str]:
+    """What a scenario lacks for its score, with the commands that make it, and whose gains are not those that ship."""
+    from dcgrid_env.baselines import published
+    from dcgrid_env.baselines.published import FOLDER
+    from dcgrid_env.benchmark.gather import no_hindsight
+    from dcgrid_env.benchmark.summary import REFERENCE
+
+    said = []
+    for case in cases:
+        name = case.scenario().name
+        lacks = failures.get((name, REFERENCE)), no_hindsight(case, cfg.episodes, lambda s: published(s, FOLDER))
+        said += [f"{name} will have no score: {reason}" for reason in lacks if reason]
+        said += tuned_from([c for c in controllers if (name, c) not in failures], case.scenario(), cfg.tuned)
+    return said
+
+
+def _controllers(asked: str, case: Case) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
-    from dcgrid_env.agents.find import NAMES, TRAINED, find_controller
-    from dcgrid_env.benchmark.jobs import on_test_split
+    from dcgrid_env.agents.find import NAMES, TRAINED
     from dcgrid_env.benchmark.summary import REFERENCE
 
     by_hand = [name for name in NAMES if name not in TRAINED]
@@ -93,26 +117,27 @@ def _controllers(asked: str, scenario: str) -> list[str]:
         raise ValueError(f"controllers is {asked!r}; name at least one, local, all or policies (dcgrid list)")
     for name in names:
         if name not in NAMES:
-            find_controller(name, on_test_split(scenario))  # ValueError for what is none
+            case.controller(name)  # ValueError for what is none
     return list(dict.fromkeys([REFERENCE, *(name for name in STATIC if name in names), *names]))
 
 
 def _is_local(name: str) -> bool:
-    """Whether a controller sees local figures alone, on the first scenario that it can be made for."""
+    """Whether a controller sees local figures alone, on the first preset that it can be made for."""
     from dcgrid_env import PRESETS
-    from dcgrid_env.agents.find import find_controller
-    from dcgrid_env.benchmark.jobs import observed, on_test_split
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.benchmark.jobs import Case, observed
 
     for preset in PRESETS:
+        case = Case(ScenarioSpec(preset))
         try:
-            return observed(find_controller(name, on_test_split(preset)), on_test_split(preset)) == "local"
+            return observed(case.controller(name), case.scenario()) == "local"
         except ValueError:
             continue
     return True
 
 
 def _run(
-    units: Sequence[Unit], done: dict[Unit, dict[str, Any]], store: Store, jobs: int, console: Console
+    tasks: Sequence[Task], done: dict[Unit, dict[str, Any]], store: Store, jobs: int, console: Console
 ) -> dict[tuple[str, str], str]:
     """Run what is not done, keeping each unit at once; what failed, by (scenario, controller)."""
     from dcgrid_env.benchmark.jobs import run
@@ -121,9 +146,10 @@ def _run(
     failed: dict[Unit, str] = {}
     with progress_bar(console) as progress:
         bar = progress.add_task(
-            "episodes", total=sum(u.episodes for u in units), completed=sum(u.episodes for u in done)
+            "episodes", total=sum(t.unit.episodes for t in tasks), completed=sum(u.episodes for u in done)
         )
-        for unit, record in each(run, [unit for unit in units if unit not in done], jobs):
+        for task, record in each(run, [task for task in tasks if task.unit not in done], jobs):
+            unit = task.unit
             if isinstance(record, Died):
                 failed[unit] = f"failed: its process ended with exit code {record.exit_code}"
             elif "failure" in record:
@@ -139,12 +165,11 @@ def _run(
 def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Console) -> None:
     """The files, the records before the figures, and the scores on the terminal."""
     from dcgrid_env import scenario_hash
-    from dcgrid_env.benchmark.jobs import SPLIT, on_test_split
+    from dcgrid_env.benchmark.jobs import SPLIT
     from dcgrid_env.benchmark.tables import score_table
     from dcgrid_env.benchmark.write import write_report, write_results
 
-    names = [result.summary.scenario for result in results]
-    hashes = {name: scenario_hash(on_test_split(name)) for name in names}
+    hashes = {result.summary.scenario: scenario_hash(result.case.scenario()) for result in results}
     about = meta() | {"split": SPLIT, "episodes": cfg.episodes, "scenarios": hashes}
     write_results(cfg.out, results, about)
     with console.status("drawing the report"):
@@ -152,7 +177,7 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     summaries = [result.summary for result in results]
     console.print(score_table(summaries, interval=False).rich(console.width))
     for note in score_table(summaries).notes:
-        console.print(note, highlight=False, markup=False)
+        console.print(note)
     for row in (row for result in results for row in result.summary.rows if row.failure):
-        console.print(f"{row.scenario}, {row.controller}: {row.failure}", highlight=False, markup=False)
-    console.print(f"wrote results.json, results.md and report.html in {cfg.out}", highlight=False, markup=False)
+        console.print(f"{row.scenario}, {row.controller}: {row.failure}")
+    console.print(f"wrote results.json, results.md and report.html in {cfg.out}")

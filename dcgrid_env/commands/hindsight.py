@@ -6,72 +6,116 @@ one there; where an interruption left a hole between them, that command fills it
 
 from __future__ import annotations
 
-import json
-import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.commands.named import scenario_names
+from dcgrid_env.commands.named import scenario_specs
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import check_folder, processes
+from dcgrid_env.commands.settings import Overrides, Scenarios, check_folder, plain_console, processes
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from dcgrid_env import Scenario
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 
 @dataclass(frozen=True)
 class HindsightValues:
     """What to solve."""
 
-    scenarios: str = "all"
-    """Names of scenarios separated by commas (dcgrid list), or all."""
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
     episodes: int = 100
-    """Episodes of each: seeds 0, 1, .."""
+    """Number of episodes of each: seeds 0, 1, .."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation or test."""
     jobs: int | None = None
-    """Processes; all cores by default."""
+    """Number of processes; by default one for each core."""
     out: Path = Path("results/hindsight")
     """Folder for SCENARIO.json; episodes that stand in it are not solved again."""
 
 
 def main(cfg: HindsightValues) -> None:
     """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
-    from rich.console import Console
-
-    from dcgrid_env import make_scenario
-    from dcgrid_env.benchmark.pool import Died, each
-
     if cfg.episodes < 1:
         raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
     jobs = processes(cfg.jobs)
-    scenarios = {name: make_scenario(name, split=cfg.split) for name in scenario_names(cfg.scenarios)}
-    kept = {name: _kept(cfg.out / f"{name}.json", scenario) for name, scenario in scenarios.items()}
-    check_folder(cfg.out)
-    due = [(name, seed) for name in scenarios for seed in range(cfg.episodes) if seed not in kept[name]]
-    console = Console()
+    specs = scenario_specs(cfg.scenarios, cfg.set, cfg.split)
+    console = plain_console()
+    kept = solve_missing(specs, cfg.split, dict.fromkeys(specs, range(cfg.episodes)), cfg.out, jobs, console)
+    for name, episodes in kept.items():
+        console.print(f"{name:>16}  {_said(episodes)}")
+
+
+def solve_missing(
+    specs: Mapping[str, ScenarioSpec],
+    split: str,
+    seeds: Mapping[str, Iterable[int]],
+    folder: Path,
+    jobs: int,
+    console: Console,
+) -> dict[str, dict[int, dict[str, Any]]]:
+    """Solve those of the episodes that a folder does not hold, over processes, and keep each at once.
+
+    Parameters
+    ----------
+    specs
+        Scenarios by their own names.
+    split
+        Which episodes the seeds mean.
+    seeds
+        By the same names.
+    folder
+        Where ``hindsight_file`` of each name is, made if it is not there.
+    jobs
+        Number of processes.
+    console
+        Where the progress is shown.
+
+    Returns
+    -------
+    dict
+        By name: the records of all episodes that its file holds now, by seed.
+
+    Raises
+    ------
+    ValueError
+        For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
+        hindsight cannot solve.
+    """
+    from dcgrid_env.baselines.published import hindsight_file
+    from dcgrid_env.benchmark.pool import Died, each
+
+    kept = {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
+    check_folder(folder)
+    due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
     with progress_bar(console) as progress:
         bar = progress.add_task("episodes", total=len(due))
-        for (name, seed), found in each(partial(solve, cfg.split), due, jobs):
+        for (spec, seed), found in each(partial(solve, split), due, jobs):
+            name = spec.make(split).name
             if isinstance(found, Died):
                 raise OSError(f"the process that solved {name}, seed {seed}, ended with code {found.exit_code}")
             kept[name][seed] = found
-            _write(cfg.out / f"{name}.json", scenarios[name], kept[name])
+            _write(hindsight_file(folder, name), spec, split, kept[name])
             progress.advance(bar)
-    for name, episodes in kept.items():
-        console.print(f"{name:>16}  {_said(episodes)}", highlight=False)
+    return kept
 
 
-def solve(split: str, task: tuple[str, int]) -> dict[str, Any]:
-    """The record of one episode, given the scenario's name and the seed."""
-    from dcgrid_env import episode_hash, make_scenario
+def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
+    """The record of one episode, given what names the scenario and the seed."""
+    from dcgrid_env import episode_hash
     from dcgrid_env.baselines.hindsight import hindsight
 
-    name, seed = task
-    scenario = make_scenario(name, split=split)
+    spec, seed = task
+    scenario = spec.make(split)
     found = hindsight(scenario, seed)
     return {
         "seed": seed,
@@ -98,51 +142,27 @@ def _said(episodes: dict[int, dict[str, Any]]) -> str:
     )
 
 
-def _kept(path: Path, scenario: Scenario) -> dict[int, dict[str, Any]]:
-    """Episodes that stand in a file; ValueError, which names it, for one of another scenario or a damaged one."""
+def kept_episodes(folder: Path, scenario: Scenario) -> dict[int, dict[str, Any]]:
+    """Episodes that a folder holds of a scenario; ValueError where its file is damaged or of another scenario."""
     from dcgrid_env import scenario_hash
+    from dcgrid_env.baselines.published import hindsight_file, read_hindsight
 
-    if not path.exists():
+    content = read_hindsight(folder, scenario.name)
+    if content is None:
         return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise _damaged(path, f"is no JSON ({error})") from None
-    if not isinstance(content, dict) or not {"scenario_hash", "episodes"} <= set(content):
-        raise _damaged(path, "has no 'scenario_hash' and 'episodes'")
     if content["scenario_hash"] != scenario_hash(scenario):
-        raise ValueError(f"{path} is of another {scenario.name}; move it away, or choose another --out")
-    if not isinstance(content["episodes"], list):
-        raise _damaged(path, "has 'episodes' that are no list")
-    for place, episode in enumerate(content["episodes"]):
-        if wrong := _wrong(episode):
-            raise _damaged(path, f"has {wrong} in its episode at place {place}")
+        raise ValueError(
+            f"{hindsight_file(folder, scenario.name)} is of another {scenario.name}; move it away, or choose another "
+            "--out or another name (--set name=...)"
+        )
     return {episode["seed"]: episode for episode in content["episodes"]}
 
 
-def _damaged(path: Path, wrong: str) -> ValueError:
-    return ValueError(f"{path} {wrong}; delete it, or choose another --out")
-
-
-def _wrong(episode: Any) -> str | None:
-    """What is missing in an episode's record, or not what it should be; None if it is whole."""
-    kinds = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
-    if not isinstance(episode, dict):
-        return "no record"
-    for key, kind in kinds.items():
-        if key not in episode:
-            return f"no {key!r}"
-        value = episode[key]
-        if not isinstance(value, kind) or (kind is float and not math.isfinite(value)):
-            return f"{key} = {value!r}"
-    return None
-
-
-def _write(path: Path, scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> None:
+def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[str, Any]]) -> None:
     from dcgrid_env import scenario_hash
 
-    count = max(episodes) + 1
-    command = f"dcgrid hindsight --scenarios {scenario.name} --split {scenario.split} --episodes {count}"
+    scenario, count = spec.make(split), max(episodes) + 1
+    command = f"dcgrid hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
     write_json(
         path,
         {

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
+
+from dcgrid_env.commands.settings import plain_console
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Card
@@ -35,7 +36,7 @@ def main(cfg: List) -> None:
         "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
         "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
     }
-    console = Console()
+    console = plain_console()
     for kind, rows in tables.items():
         table = Table(kind, "what it is", box=None, header_style="bold", pad_edge=False)
         for name, text in rows.items():

@@ -1,11 +1,35 @@
-"""Lists of names as the command line takes them."""
+"""Names as the command line takes them: lists with commas, and scenarios with other values for some fields."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+_OPEN, _CLOSED, _QUOTES = "([{", ")]}", "'\""
+
 
 def split_names(text: str) -> list[str]:
-    """Names separated by commas, each once, in order."""
-    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    """Names separated by commas, each once, in order; a comma within brackets is part of a name.
+
+    ValueError where a bracket is not closed.
+    """
+    names, depth, quote = [""], 0, ""
+    for sign in text:
+        if quote or (depth and sign in _QUOTES):
+            quote = "" if sign == quote else quote or sign
+        elif sign in _OPEN:
+            depth += 1
+        elif sign in _CLOSED:
+            depth = max(0, depth - 1)
+        if sign == "," and not depth:
+            names.append("")
+        else:
+            names[-1] += sign
+    if depth:
+        raise ValueError(f"{text!r} opens a bracket and does not close it; close it (a path may hold none)")
+    return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 
 def scenario_names(text: str) -> list[str]:
@@ -19,3 +43,27 @@ def scenario_names(text: str) -> list[str]:
     if not names:
         raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
     return names
+
+
+def scenario_specs(text: str, overrides: tuple[str, ...], split: str) -> dict[str, ScenarioSpec]:
+    """Scenarios by their own names: presets, all of them for ``all``, or the user's, each with the overrides.
+
+    ValueError for one that cannot be, none, or two of one name, which could not be told apart in what is written.
+    """
+    from dcgrid_env import PRESETS
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+    named = list(PRESETS) if text.strip() == "all" else split_names(text)
+    if not named:
+        raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
+    found: dict[str, ScenarioSpec] = {}
+    for where in named:
+        spec = ScenarioSpec(where, overrides)
+        name = spec.make(split).name
+        if name in found:
+            raise ValueError(
+                f"scenarios: {found[name].where} and {where} are both called {name!r}; give each a name of its own, or "
+                "run one at a time"
+            )
+        found[name] = spec
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -29,7 +30,7 @@ def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
 def meta() -> dict[str, Any]:
     """Command, versions and machine behind a result."""
     return {
-        "command": " ".join(["dcgrid", *sys.argv[1:]]),
+        "command": shlex.join(["dcgrid", *sys.argv[1:]]),
         "versions": {"python": platform.python_version(), **versions(PACKAGES)},
         "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
     }

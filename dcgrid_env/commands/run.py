@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dcgrid_env.commands.named import split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
+from dcgrid_env.commands.settings import Overrides, plain_console, tuned_from
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series
@@ -20,27 +21,33 @@ class Run:
     """What to run."""
 
     scenario: str = "ieee123"
-    """Name of a scenario (dcgrid list)."""
+    """Name of a scenario (dcgrid list), or path/to/file.py:function or package.module:function that makes your own."""
+    set: Overrides = ()
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "none,inverters,droop"
-    """Separated by commas: names, module:Class or file.py:Class of your own, or saved policies (.safetensors). A path
-    must not hold a comma."""
+    """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
+    'file.py:Class(gain=0.5)', or saved policies (.safetensors). A path must not hold a comma."""
     episodes: int = 8
-    """Episodes for each controller: those of seeds seed, seed + 1, ..."""
+    """Number of episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0
+    """Seed of the first episode."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation, test, or ood (another GPU or service)."""
     trace: str | None = None
     """Load of the data centres instead of the scenario's: a generator, or recordings and files separated by commas."""
-    dvfs: Literal["linear", "phase"] = "linear"
-    """How the clock acts: on all work alike, or by phase (prefill and training follow it, decode hardly does)."""
+    dvfs: Literal["linear", "phase"] | None = None
+    """How the clock acts, the scenario's own way unless given: on all work alike, or by phase (prefill and training
+    follow it, decode hardly does)."""
+    tuned: Path | None = None
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/run")
     """Folder for results.json and figure.png; made if it is not there."""
 
 
 def main(cfg: Run) -> None:
     """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
-    from rich.console import Console
-
+    from dcgrid_env import scenario_hash
     from dcgrid_env.agents.find import find_controller
     from dcgrid_env.baselines import rollout, stability
     from dcgrid_env.benchmark.jobs import episode_records
@@ -49,19 +56,16 @@ def main(cfg: Run) -> None:
         raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
     scenario = _scenario(cfg)
     names = split_names(cfg.controllers)
-    controllers = {name: find_controller(name, scenario) for name in names}
+    controllers = {name: find_controller(name, scenario, cfg.tuned) for name in names}
     if not controllers:
         raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
     seeds = range(cfg.seed, cfg.seed + cfg.episodes)
-    console = Console()
+    console = plain_console()
     recorders = {}
     with progress_bar(console) as progress:
         for name, controller in controllers.items():
             task = progress.add_task(name, total=scenario.horizon)
-            try:
-                recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task))
-            except SystemExit as error:  # as it stands it would end the command as if all were well
-                raise ValueError(f"controller {name!r} ends the program (SystemExit: {error}); it must not") from None
+            recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
     records = [
         record
         for name, recorder in recorders.items()
@@ -72,23 +76,26 @@ def main(cfg: Run) -> None:
     for note in summed_up.notes:
         console.print(note)
     console.print(linear_difference(scenario, seeds))
+    for line in tuned_from(names, scenario, cfg.tuned):
+        console.print(line)
     for name, controller in controllers.items():
         if said := stability.warning(scenario, controller):
             console.print(f"{name}: {said}")
-    about = meta() | {"split": cfg.split, "trace": _origin(scenario)}
+    about = meta() | {"split": cfg.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
     write_json(cfg.out / "results.json", {"meta": about, "episodes": records})
     draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
     console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
 
 
 def _scenario(cfg: Run) -> Scenario:
-    from dcgrid_env import PhaseDvfs, make_scenario
+    from dcgrid_env import LinearDvfs, PhaseDvfs
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.named import recorded_trace
 
-    chosen: dict[str, Any] = {"split": cfg.split}
-    if cfg.dvfs == "phase":
-        chosen["dvfs"] = PhaseDvfs()
+    chosen: dict[str, Any] = {}
+    if cfg.dvfs is not None:
+        chosen["dvfs"] = PhaseDvfs() if cfg.dvfs == "phase" else LinearDvfs()
     if cfg.trace in TRACE_SOURCES:
         chosen["trace"] = cfg.trace
     elif cfg.trace is not None:
@@ -97,7 +104,7 @@ def _scenario(cfg: Run) -> Scenario:
         if mixed:
             raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
         chosen["trace"] = tuple(map(recorded_trace, names))
-    return make_scenario(cfg.scenario, **chosen)
+    return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from dcgrid_env.files import require_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
+
+    from dcgrid_env import Scenario
+
+Overrides = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE ...")]
+"""Fields of the scenario that are to be otherwise."""
+Scenarios = Annotated[str, tyro.conf.arg(aliases=("--scenario",))]
+"""Scenarios separated by commas; who has one alone may leave out the s."""
 
 
 def plain_console() -> Console:
@@ -42,3 +53,14 @@ def check_folder(folder: Path) -> None:
         require_folder(folder)
     except OSError as error:
         raise ValueError(f"out: no folder {folder} can be made ({error.strerror}); choose another --out") from None
+
+
+def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
+    """Lines that say which tuned controllers have their gains from a file rather than from what ships."""
+    from dcgrid_env.baselines import TUNED
+    from dcgrid_env.baselines.tuned import SUFFIX, tuned_parameters
+
+    found = {
+        name: tuned_parameters(name.removesuffix(SUFFIX), scenario, tuned).file for name in controllers if name in TUNED
+    }
+    return [f"{name}: gains of {scenario.name} from {file}" for name, file in found.items() if file is not None]

@@ -1,23 +1,30 @@
 """Tune laws on the validation split of scenarios; writes their parameters with the command that made each.
 
 The file is written after each law, so that an interrupted search goes on from there: what stands in it with the same
-command is not searched again (unless by --again), and what else stands in it stays.
+command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
+
+`dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json; with
+--tuned FILE the first three take them from another file.
 """
 
 from __future__ import annotations
 
-import json
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcgrid_env.commands.named import scenario_names, split_names
+from dcgrid_env.commands.named import scenario_specs, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import check_folder, processes
+from dcgrid_env.commands.settings import Overrides, Scenarios, check_folder, plain_console, processes
 
+if TYPE_CHECKING:
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+SPLIT = "validation"
 Laws = dict[str, dict[str, dict[str, Any]]]
 """Law -> scenario, or scenarios with commas between -> parameters, J, trials and command."""
 
@@ -28,28 +35,42 @@ class Tune:
 
     laws: str = "all"
     """Laws separated by commas: droop, droop-q, deadband, constant-q, placement; or all."""
-    scenarios: str = "all"
-    """Names of scenarios separated by commas (dcgrid list), or all."""
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
     episodes: int = 20
-    """Validation episodes of each scenario: seeds 0, 1, .."""
+    """Number of validation episodes of each scenario: seeds 0, 1, .."""
     together: bool = False
     """Whether the scenarios share one set of parameters, or each has its own."""
     jobs: int | None = None
-    """Processes; all cores by default."""
+    """Number of processes; by default one for each core."""
     out: Path = Path("results/tuned.json")
     """File to write."""
     again: bool = False
-    """Search again what stands in the file."""
+    """Whether to search again what stands in the file."""
+
+
+class Search(NamedTuple):
+    """A law and the scenarios that are to share its parameters, by their own names."""
+
+    law: str
+    names: tuple[str, ...]
+    specs: tuple[ScenarioSpec, ...]
+
+    @property
+    def key(self) -> str:
+        """Where it stands among the law's entries."""
+        return ",".join(self.names)
 
 
 def main(cfg: Tune) -> None:
     """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
-    from rich.console import Console
-
     from dcgrid_env.baselines.tune import TUNABLE
     from dcgrid_env.benchmark.pool import Died, each
 
-    names = scenario_names(cfg.scenarios)
+    specs = scenario_specs(cfg.scenarios, cfg.set, SPLIT)
     laws = list(TUNABLE) if cfg.laws.strip() == "all" else split_names(cfg.laws)
     unknown = [law for law in laws if law not in TUNABLE]
     if unknown or not laws:
@@ -58,64 +79,69 @@ def main(cfg: Tune) -> None:
         raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
     jobs, kept = processes(cfg.jobs), _kept(cfg.out)
     check_folder(cfg.out.parent)
-    groups = [tuple(names)] if cfg.together else [(name,) for name in names]
-    asked = [(law, group) for group in groups for law in laws]
-    due = [task for task in asked if cfg.again or not _stands(kept, task, cfg.episodes)]
-    console = Console()
+    groups = [tuple(specs)] if cfg.together else [(name,) for name in specs]
+    asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+    due = [search for search in asked if cfg.again or not _stands(kept, search, cfg.episodes)]
+    console = plain_console()
     if len(due) < len(asked):
         done = len(asked) - len(due)
         console.print(f"{done} of {len(asked)} stand in {cfg.out} and are kept; --again searches them again")
     with progress_bar(console) as progress:
         bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
-        for (law, group), found in each(partial(_tuned, cfg.episodes), due, jobs):
+        for search, found in each(partial(_tuned, cfg.episodes), due, jobs):
             if isinstance(found, Died):
-                raise OSError(f"the process that tuned {law} for {','.join(group)} ended with code {found.exit_code}")
-            kept.setdefault(law, {})[",".join(group)] = found
+                raise OSError(f"the process that tuned {search.law} for {search.key} ended with code {found.exit_code}")
+            kept.setdefault(search.law, {})[search.key] = found
             _write(cfg.out, kept)
             values = ", ".join(f"{name} = {value}" for name, value in found["parameters"].items())
-            console.print(f"{','.join(group)} {law}: {values}; J {found['J']:.4f}", highlight=False)
+            console.print(f"{search.key} {search.law}: {values}; J {found['J']:.4f}")
             progress.advance(bar)
-    console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}", highlight=False)
+    console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}")
 
 
-def _tuned(episodes: int, task: tuple[str, tuple[str, ...]]) -> dict[str, Any]:
-    from dcgrid_env import make_scenario
+def _tuned(episodes: int, search: Search) -> dict[str, Any]:
     from dcgrid_env.baselines.tune import tune
 
-    law, names = task
-    found = tune(law, [make_scenario(name, split="validation") for name in names], episodes)
+    found = tune(search.law, [spec.make(SPLIT) for spec in search.specs], episodes)
     return {
         "parameters": found.parameters,
         "J": found.score,
         "trials": found.trials,
-        "command": _command(task, episodes),
+        "command": _command(search, episodes),
+        **_identity(search),
     }
 
 
-def _command(task: tuple[str, tuple[str, ...]], episodes: int) -> str:
-    law, names = task
-    command = f"dcgrid tune --laws {law} --scenarios {','.join(names)} --episodes {episodes}"
-    return command + " --together" * (len(names) > 1)
+def _identity(search: Search) -> dict[str, Any]:
+    """What tells the scenarios of an entry from others of their names; nothing for presets as they are."""
+    from dcgrid_env.baselines.tuned import identity
+
+    if all(spec.is_preset for spec in search.specs):
+        return {}
+    found = [identity(spec.make(SPLIT)) for spec in search.specs]
+    return found[0] if len(found) == 1 else {"scenario_hashes": [each["scenario_hash"] for each in found]}
 
 
-def _stands(kept: Laws, task: tuple[str, tuple[str, ...]], episodes: int) -> bool:
-    law, names = task
-    return kept.get(law, {}).get(",".join(names), {}).get("command") == _command(task, episodes)
+def _command(search: Search, episodes: int) -> str:
+    wheres = ",".join(spec.where for spec in search.specs)
+    words = ["dcgrid", "tune", "--laws", search.law, "--scenarios", wheres]
+    words += ["--set", *search.specs[0].set] if search.specs[0].set else []
+    return shlex.join([*words, "--episodes", str(episodes), *(["--together"] if len(search.names) > 1 else [])])
+
+
+def _stands(kept: Laws, search: Search, episodes: int) -> bool:
+    entry = kept.get(search.law, {}).get(search.key, {})
+    said = {"command": _command(search, episodes), **_identity(search)}
+    return all(entry.get(name) == value for name, value in said.items())
 
 
 def _kept(path: Path) -> Laws:
     """What stands in the file; ValueError if it cannot be one of tuned parameters."""
+    from dcgrid_env.baselines.tuned import read_tuned
+
     if path.is_dir():
         raise ValueError(f"out is {path}, a folder; give a file")
-    if not path.exists():
-        return {}
-    try:
-        laws = json.loads(path.read_text(encoding="utf-8"))["laws"]
-        if all(isinstance(entry["parameters"], dict) for of_law in laws.values() for entry in of_law.values()):
-            return laws
-    except (ValueError, KeyError, TypeError, AttributeError):
-        pass
-    raise ValueError(f"{path} is no file of tuned parameters; give another --out")
+    return read_tuned(path)
 
 
 def _write(path: Path, laws: Laws) -> None:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env.agents import Policy, PolicyError
+from dcgrid_env.agents import Policy
 from dcgrid_env.agents.evaluate import REFERENCE
+from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.learning.runs import command, folder, trained
 from dcgrid_env.learning.scored import Scored, droop_on_test, score, scored
 from dcgrid_env.learning.tables import HEADINGS, NONE, SCORE, Table, commands, estimate, figures, page, spread, wrapped
@@ -113,7 +114,9 @@ def _cell(policy: Policy, scenario: str, episodes: int) -> str:
     droop = droop_on_test(scenario, episodes)
     try:
         found = scored([policy], scenario, episodes)
-    except PolicyError:
+    except ControllerError as error:
+        if error.refuses is None:
+            raise
         return NONE
     value = found.score(droop)
     waits = round(found.mean.means["delay_mean_s"], 2) > round(droop.means["delay_mean_s"], 2)

@@ -12,7 +12,7 @@ from dcgrid_env.agents.evaluate import REFERENCE
 from dcgrid_env.baselines import Droop
 from dcgrid_env.baselines.tuned import tuned_parameters
 from dcgrid_env.learning.runs import command, folder, trained
-from dcgrid_env.learning.scored import Scored, named_on_test, scored
+from dcgrid_env.learning.scored import Scored, named_on_test, on_test, scored
 from dcgrid_env.learning.tables import HEADINGS, Table, commands, figures, page, wrapped
 
 K_P_MW_PER_PU = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
@@ -96,7 +96,7 @@ def front(scenario: str, episodes: int, configs: Sequence[Any]) -> Front:
 
 def swept(scenario: str, episodes: int) -> tuple[Swept, ...]:
     """The droop law's curves: all gains as tuned but k_p, and then alpha too, which decides what k_p costs in delay."""
-    tuned = tuned_parameters("droop", scenario)
+    tuned = tuned_parameters("droop", on_test(scenario)).parameters
     curves: list[Swept] = []
     for alpha in dict.fromkeys((float(tuned["alpha_per_s"]), BETWEEN_PER_S, PAPERS_ALPHA_PER_S)):
         gains: list[dict[str, Any]] = [tuned | {"k_p_mw_per_pu": k_p, "alpha_per_s": alpha} for k_p in K_P_MW_PER_PU]

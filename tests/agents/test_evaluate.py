@@ -70,7 +70,6 @@ def test_episodes_that_are_drawn_otherwise_here_have_no_score(test_split, monkey
     others = Published(known.seeds, known.J, known.bound, ("0" * 16, *known.episode_hashes[1:]))
     module = sys.modules["dcgrid_env.agents.evaluate"]
     monkeypatch.setattr(module, "published", lambda scenario: others)
-    module._hindsight.cache_clear()
     own = evaluate(ConstantQ(0.2), test_split, [0, 1])
     with pytest.raises(ValueError, match="episode 0 of 'toy6', test split, has the hash"):
         own.score(own)

@@ -1,5 +1,6 @@
 """Controllers as the command line names them."""
 
+import inspect
 import sys
 
 import numpy as np
@@ -87,15 +88,18 @@ def test_a_file_is_read_anew(here, toy6):
     ("spec", "message"),
     [
         ("pid", r"unknown controller 'pid'; there are none, .*; or give package.module:Class"),
-        ("nowhere.py:Still", "'nowhere.py:Still': there is no file nowhere.py; give package.module:Class"),
+        ("nowhere.py:Still", "'nowhere.py:Still': there is no file nowhere.py; give the path of one"),
         ("no.such:Still", "importing no.such fails: ModuleNotFoundError: No module named 'no'"),
         ("broken.py:Still", "importing broken.py fails: SyntaxError"),
-        ("missing.py:Still", "importing missing.py fails: ModuleNotFoundError: .*a_module_that_is_not_there"),
-        ("leaving.py:Still", "importing leaving.py fails: SystemExit: 0"),
-        ("leaving:Still", "importing leaving fails: SystemExit: 0"),
-        ("mine.py:Leaving", "constructing it without arguments fails: SystemExit: 0"),
-        ("mine.py:Moving", "has no class 'Moving'"),
-        ("mine.py:number", "has no class 'number'"),
+        (
+            "missing.py:Still",
+            "importing missing.py fails, missing.py line 1: ModuleNotFoundError: .*a_module_that_is_not_there",
+        ),
+        ("leaving.py:Still", "importing leaving.py fails, leaving.py line 2: SystemExit: 0"),
+        ("leaving:Still", "importing leaving fails, leaving.py line 2: SystemExit: 0"),
+        ("mine.py:Leaving", "constructing it without arguments fails, mine.py line 24: SystemExit: 0"),
+        ("mine.py:Moving", "has no 'Moving'; it has Still, Needy, Leaving, Idle"),
+        ("mine.py:number", "'number' of mine.py is no class"),
         ("mine.py:Needy", "constructing it without arguments fails: TypeError: .*gain"),
         ("mine.py:Idle", "Idle is no controller; give it reset and act"),
         ("nowhere.safetensors", "'nowhere.safetensors': there is no such file"),
@@ -104,6 +108,46 @@ def test_a_file_is_read_anew(here, toy6):
 def test_what_names_no_controller(here, toy6, spec, message):
     with pytest.raises(ValueError, match=message):
         find_controller(spec, toy6)
+
+
+def test_constructor_arguments(here, toy6):
+    assert find_controller("mine.py:Still(q=0.5)", toy6).q == 0.5  # pyright: ignore[reportAttributeAccessIssue]
+    assert find_controller("mine:Still(-1)", toy6).q == -1  # pyright: ignore[reportAttributeAccessIssue]
+    found = find_controller("mine.py:Still(q=[1, {'a': fast}])".replace("'a': fast", "'a': 2"), toy6)
+    assert found.q == [1, {"a": 2}]  # pyright: ignore[reportAttributeAccessIssue]
+    assert find_controller("mine.py:Still(q=fast)", toy6).q == "fast"  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    "arguments", ["(q=1 + 1)", "(q=open('x'))", "(q=", "(**{'q': 1})", "(q=1) + (2)", "(q=1, q=2)"]
+)
+def test_arguments_are_read_and_never_run(here, toy6, arguments):
+    with pytest.raises(ValueError, match=r"the arguments cannot be read \(.*give literals|unknown controller"):
+        find_controller(f"mine.py:Still{arguments}", toy6)
+
+
+def test_a_file_is_imported_once(here, toy6, capsys):
+    (here / "mine.py").write_text(MODULE + "\nprint('imported')\n")
+    for _ in range(3):
+        find_controller("mine.py:Still", toy6)
+        find_controller(str(here / "mine.py") + ":Still(q=1.0)", toy6)
+    assert capsys.readouterr().out == "imported\n"
+
+
+def test_two_files_of_one_name_stay_apart(here, toy6):
+    first = find_controller("mine.py:Still", toy6)
+    (here / "own" / "mine.py").write_text(MODULE.replace("0.25", "0.5"))
+    other = find_controller("own/mine.py:Still", toy6)
+    for controller, file in ((first, "mine.py"), (other, "own/mine.py")):
+        assert inspect.getfile(type(controller)) == str(here / file)
+
+
+def test_a_preset_of_another_grid_gets_no_policy_of_the_presets(toy6):
+    own = make_scenario("ieee33", p_rated_kw=900.0)
+    with pytest.raises(ValueError, match=r"'ppo': the policy that ships for 'ieee33' .* differs in p_rated_kw; train"):
+        find_controller("ppo", own)
+    assert isinstance(find_controller("ppo", make_scenario("ieee33", horizon=60, load_sigma=0.1)), Policy)
+    assert isinstance(find_controller("ieee33-ppo", own), Policy)
 
 
 def test_a_trained_policy_by_the_name_that_it_has_on_every_preset(toy6, monkeypatch, tmp_path):

@@ -102,8 +102,8 @@ def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
         ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
     ):
         make_controller("droop-tuned", own)
-    with pytest.raises(ValueError, match="'droop-tuned' is tuned for each preset; say which scenario"):
+    with pytest.raises(ValueError, match="'droop-tuned' is tuned for each scenario; say which"):
         make_controller("droop-tuned")
     with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
         make_controller("pid-tuned", own)
-    assert isinstance(tuned_parameters("constant-q", "ieee33")["q_share"], tuple)
+    assert isinstance(tuned_parameters("constant-q", make_scenario("ieee33")).parameters["q_share"], tuple)

@@ -3,21 +3,31 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import make_scenario
+from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.baselines import ConstantQ, Droop, NoControl, rollout
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.benchmark import jobs
-from dcgrid_env.benchmark.jobs import UNIT_EPISODES, V_EDGES_PU, Unit, controller_hash, plan, run
+from dcgrid_env.benchmark.jobs import UNIT_EPISODES, V_EDGES_PU, Case, Task, Unit, controller_hash, plan, run
+
+TOY6 = Case(ScenarioSpec("toy6"))
+
+
+def task(controller, first, episodes):
+    """A unit of toy6 with its scenario."""
+    form = scenario_hash(TOY6.scenario())
+    return Task(Unit("toy6", controller, first, episodes, form, "b", "c"), TOY6)
 
 
 def test_units_cover_the_seeds_once():
-    units, failures = plan(["toy6"], ["none", "droop"], 2 * UNIT_EPISODES + 3)
+    tasks, failures = plan([TOY6], ["none", "droop"], 2 * UNIT_EPISODES + 3)
+    units = [task.unit for task in tasks]
     assert failures == {}
     for name in ("none", "droop"):
         own = [unit for unit in units if unit.controller == name]
         assert [seed for unit in own for seed in unit.seeds] == list(range(2 * UNIT_EPISODES + 3))
         assert len({unit.scenario_hash for unit in own}) == len({unit.controller_hash for unit in own}) == 1
-    assert plan(["toy6"], ["none"], 4)[0][0] == units[0].__class__("toy6", "none", 0, 4, *_rest(units[0]))
+    assert plan([TOY6], ["none"], 4)[0][0].unit == units[0].__class__("toy6", "none", 0, 4, *_rest(units[0]))
 
 
 def _rest(unit: Unit):
@@ -25,12 +35,11 @@ def _rest(unit: Unit):
 
 
 def test_a_units_record_is_its_episodes_and_all_its_voltages():
-    unit = Unit("toy6", "droop", 4, 3, "a", "b", "c")
-    record = run(unit)
+    record = run(task("droop", 4, 3))
     recorder = rollout(make_scenario("toy6", split="test"), Droop(), [4, 5, 6])
     for i, (found, expected) in enumerate(zip(record["episodes"], recorder.metrics(), strict=True)):
         assert found == {"scenario": "toy6", "controller": "droop", "episode": 4 + i, "seed": 4 + i, **expected}
-    assert record["unit"]["scenario_hash"] == "a"
+    assert record["unit"]["controller_hash"] == "b"
     assert record["observes"] == "local"
     counts = record["voltage"]["counts"]
     assert sum(counts) == 3 * 100 * 5
@@ -54,11 +63,11 @@ class Leaving(NoControl):
 
 @pytest.mark.parametrize(
     ("controller", "text"),
-    [(Refusing, "does not apply: needs a crystal ball x"), (Leaving, "failed: SystemExit: 7")],
+    [(Refusing, "does not apply: needs a crystal ball x"), (Leaving, "failed in act, test_jobs.py line")],
 )
 def test_a_refusal_and_a_failure_are_one_line(monkeypatch, controller, text):
-    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario: controller())
-    failure = run(Unit("toy6", "x", 0, 1, "a", "b", "c"))["failure"]
+    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario, tuned: controller())
+    failure = run(task("x", 0, 1))["failure"]
     assert failure.startswith(text)
     assert len(failure.splitlines()) == 1
     assert len(failure) < 330
@@ -77,8 +86,8 @@ def test_a_wider_scope_and_places_pass_through_and_are_told(monkeypatch):
             seen["width"] = observations.shape[-1]
             return super().act(observations)
 
-    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario: Wide())
-    record = run(Unit("toy6", "x", 0, 2, "a", "b", "c"))
+    monkeypatch.setattr(jobs, "find_controller", lambda spec, scenario, tuned: Wide())
+    record = run(task("x", 0, 2))
     assert record["observes"] == "feeder, feeder's model"
     assert seen["buses"].shape == (2, 3)
     assert seen["width"] == 9 + 2 * 7 + 3 * 5
@@ -168,7 +177,7 @@ def test_another_policy_under_the_same_name_is_another_unit(tmp_path):
     found = []
     for q_share in (0.5, 0.5, 0.25):
         policy(q_share).save(path)
-        found.append(plan(["ieee123"], [str(path)], 2)[0][0])
+        found.append(plan([Case(ScenarioSpec("ieee123"))], [str(path)], 2)[0][0].unit)
     assert found[0] == found[1]
     assert found[0].controller_hash != found[2].controller_hash
     held = policy(0.25)
@@ -180,3 +189,35 @@ def test_another_policy_under_the_same_name_is_another_unit(tmp_path):
     before = controller_hash(held, f"{own}:make")
     own.write_text("one = 2")
     assert controller_hash(held, f"{own}:make") != before
+
+
+def test_constructor_arguments_are_part_of_the_controller(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(
+        "class Law:\n    def __init__(self, gain=0.0): ...\n    def reset(self, e): ...\n    def act(self, o): ...\n"
+    )
+    units = [
+        plan([TOY6], [f"{own}:Law{given}"], 2)[0][0].unit for given in ("", "(gain=0.5)", "(gain=0.25)", "(gain=0.50)")
+    ]
+    hashes = [unit.controller_hash for unit in units]
+    assert len(set(hashes)) == 3
+    assert hashes[1] == hashes[3]
+
+
+def test_a_scenario_that_is_another_in_each_process_fails(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text("from dcgrid_env import make_scenario\ndef make(): return make_scenario('toy6', name='mine')\n")
+    (task,), _ = plan([Case(ScenarioSpec(f"{own}:make"))], ["none"], 2)
+    assert "episodes" in run(task)
+    own.write_text(own.read_text().replace("'mine'", "'mine', load_sigma=0.1"))
+    assert run(task)[
+        "failure"
+    ] == f"failed: {own}:make gives another scenario in each process; let it draw nothing " + (
+        "at random, or from a fixed seed"
+    )
+
+
+def test_one_name_is_told_apart_by_its_overrides():
+    units = [plan([Case(ScenarioSpec("toy6", given))], ["none"], 2)[0][0].unit for given in ((), ("horizon=30",))]
+    assert units[0].scenario == units[1].scenario
+    assert units[0].scenario_hash != units[1].scenario_hash

@@ -8,17 +8,19 @@ import subprocess
 import sys
 import time
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import dcgrid_env.baselines
+from dcgrid_env import episode_hash
 from dcgrid_env.agents import Network, Policy, find
-from dcgrid_env.baselines import Droop, make_controller, rollout
+from dcgrid_env.baselines import Droop, Published, make_controller, rollout
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import score
 from dcgrid_env.benchmark import jobs
 from dcgrid_env.cli import main
+from dcgrid_env.commands import benchmark as benchmark_command
 from dcgrid_env.presets import make_scenario
 
 OWN = """
@@ -55,17 +57,19 @@ class Refuses(Still):
 def _known_reference(monkeypatch):
     """Gains of the reference that no later tuning moves, units of two episodes, and hindsight at 0.8 of its J."""
 
-    def make(name, scenario=None):
-        return Droop(k_q_mvar_per_pu_s=0.8) if name == "droop-tuned" else make_controller(name, scenario)
+    def make(name, scenario=None, tuned=None):
+        return Droop(k_q_mvar_per_pu_s=0.8) if name == "droop-tuned" else make_controller(name, scenario, tuned)
 
-    def values(scenario):
+    def values(scenario, folder=None):
         metrics = rollout(scenario, Droop(k_q_mvar_per_pu_s=0.8), range(10)).metrics()
         best = 0.8 * np.array([m["J"] for m in metrics])
-        return SimpleNamespace(seeds=np.arange(10), J=best, bound=0.9 * best, check_episodes=lambda scenario, n: None)
+        hashes = tuple(episode_hash(scenario, seed) for seed in range(10))
+        return Published(np.arange(10), best, 0.9 * best, hashes)
 
     monkeypatch.setattr(find, "make_controller", make)
     monkeypatch.setattr(dcgrid_env.baselines, "published", values)
     monkeypatch.setattr(jobs, "UNIT_EPISODES", 2)
+    monkeypatch.setattr(benchmark_command, "tuned_from", lambda *_: [])
 
 
 def benchmark(out, controllers, *more, scenarios="toy6", episodes=5, processes=1):
@@ -161,11 +165,11 @@ def test_an_interrupted_benchmark_goes_on_and_gives_the_same(tmp_path, capsys, m
     whole = benchmark(tmp_path / "whole", "none,droop")
     real, calls = jobs.run, []
 
-    def run(unit):
-        calls.append(unit)
+    def run(task):
+        calls.append(task)
         if len(calls) == 5:
             raise KeyboardInterrupt
-        return real(unit)
+        return real(task)
 
     out = tmp_path / "out"
     monkeypatch.setattr(jobs, "run", run)
@@ -201,9 +205,9 @@ def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monk
     results = benchmark(tmp_path / "out", ",".join(specs), episodes=3)
     told = {f["controller"]: f["failure"] for f in results["failures"]}
     assert list(told) == specs[:4]
-    assert re.match(r"failed: ActionError: action of dc_0: clock is nan in lane 0", told[specs[0]])
-    assert re.match(r"failed: ActionError: the action has shape \(2, 3\); it must be \(2, 4\)", told[specs[1]])
-    assert told[specs[2]] == "failed: RuntimeError: out of <b>ideas</b>"
+    assert re.match(r"failed in act: action of dc_0: clock is nan in lane 0", told[specs[0]])
+    assert re.match(r"failed in act: the action has shape \(2, 3\); it must be \(2, 4\)", told[specs[1]])
+    assert told[specs[2]] == "failed in act, own.py line 23: RuntimeError: out of <b>ideas</b>"
     assert told[specs[3]] == "does not apply: toy6 is beneath me"
     assert {r["controller"] for r in results["episodes"]} == {"droop-tuned", specs[4]}
     printed = capsys.readouterr().out
@@ -246,17 +250,59 @@ def test_two_processes_give_what_one_gives(tmp_path, own):
 
 
 def test_local_and_all():
-    from dcgrid_env.benchmark.jobs import on_test_split, plan
     from dcgrid_env.commands.benchmark import _controllers
 
-    everyone, local = _controllers("all", "toy6"), _controllers("local", "toy6")
+    toy6 = jobs.Case(ScenarioSpec("toy6"))
+    everyone, local = _controllers("all", toy6), _controllers("local", toy6)
     assert everyone[0] == local[0] == "droop-tuned"
     assert set(everyone) == set(find.NAMES) - set(find.TRAINED)
-    assert set(_controllers("policies,none", "toy6")) == {"droop-tuned", "none", *find.TRAINED}
+    assert set(_controllers("policies,none", toy6)) == {"droop-tuned", "none", *find.TRAINED}
     assert {"none", "droop", "volt-var", "constant-q"} <= set(local) <= set(everyone)
-    assert _controllers("none, local", "toy6").count("none") == 1
-    assert plan(["toy6"], ["none"], 1)[0][0].scenario_hash != plan(["ieee123"], ["none"], 1)[0][0].scenario_hash
-    assert on_test_split("toy6").split == "test"
+    assert _controllers("none, local", toy6).count("none") == 1
+    assert toy6.scenario().split == "test"
+
+
+SCENARIO = """
+from dcgrid_env import load_feeder, make_scenario
+
+def make():
+    weak = {"datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)}
+    return make_scenario("ieee33-weak", name="[/]", feeder=load_feeder("das69"), horizon=10, **weak)
+"""
+
+
+def test_ones_own_scenario_and_arguments_with_commas(tmp_path, own, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    own.write_text(OWN + "\nclass Share(Still):\n    def __init__(self, a, b=0): ...\n")
+    (tmp_path / "mine.py").write_text(SCENARIO)
+    spec = f"{own}:Share(1, b=[2, 3])"
+    given = {"scenarios": f"{tmp_path}/mine.py:make", "episodes": 2}
+    results = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "load_sigma=0.1", **given)
+    assert {r["controller"] for r in results["episodes"]} == {"droop-tuned", "none", spec}
+    assert list(results["meta"]["scenarios"]) == ["[/]"]
+    assert {r["scenario"] for r in results["episodes"]} == {"[/]"}
+    assert f"report.html in {tmp_path}/[/]" in capsys.readouterr().out
+    assert len(list((tmp_path / "[/]" / "units").glob("*/*/*.json"))) == 3  # no folder between for the name's slash
+    again = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "load_sigma=0.1", **given)
+    assert again["episodes"] == results["episodes"]
+    assert "3 of 3 units are done already" in capsys.readouterr().out
+
+
+def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(SCENARIO)
+    monkeypatch.setattr(find, "make_controller", make_controller)
+    monkeypatch.setattr(dcgrid_env.baselines, "published", lambda scenario, folder=None: None)
+    results = benchmark(tmp_path / "out", "none", scenarios="mine.py:make", episodes=2)
+    printed = capsys.readouterr().out
+    first, second = (line for line in printed.splitlines() if line.startswith("[/] will have no score: "))
+    assert "`dcgrid tune --laws droop --scenarios mine.py:make`" in first
+    assert second.endswith(
+        "of the 2 episodes; solve them with `dcgrid hindsight --scenarios mine.py:make --episodes 2`"
+    )
+    assert printed.index(first) < printed.index("episodes ")
+    assert [f["controller"] for f in results["failures"]] == ["droop-tuned"]
 
 
 @pytest.mark.parametrize(
@@ -268,8 +314,7 @@ def test_local_and_all():
         ({"controllers": ","}, "name at least one, local, all or policies"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
         ({"controllers": "nowhere.safetensors"}, "there is no such file"),
-        ({"episodes": 0}, "episodes is 0; give 1 to 100"),
-        ({"episodes": 101}, "episodes is 101; give 1 to 100"),
+        ({"episodes": 0}, "episodes is 0; give at least 1"),
         ({"processes": 0}, "jobs is 0; give at least 1"),
     ],
 )
@@ -290,12 +335,11 @@ def test_the_folder_of_another_run_is_refused(tmp_path, capsys):
     assert (tmp_path / "results.json").read_text() == before
 
 
-def test_units_of_a_scenario_that_has_changed_are_refused(tmp_path, capsys, monkeypatch):
+def test_units_of_a_scenario_that_has_changed_are_refused(tmp_path, capsys):
     benchmark(tmp_path, "none", episodes=2)
     capsys.readouterr()
-    monkeypatch.setattr(jobs, "on_test_split", lambda name: make_scenario(name, split="test", load_sigma=0.1))
     with pytest.raises(SystemExit) as stopped:
-        benchmark(tmp_path, "none", episodes=2)
+        benchmark(tmp_path, "none", "--set", "load_sigma=0.1", episodes=2)
     _is_one_line(stopped, capsys, "is of another toy6, of hash")
 
 

@@ -1,5 +1,7 @@
 """dcgrid train, evaluate, ship and the list of policies, as a user runs them."""
 
+import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -9,10 +11,12 @@ import numpy as np
 import pytest
 
 import dcgrid_env.agents.policy as policies
-from dcgrid_env import make_scenario
+from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Network, Policy, evaluate, find
 from dcgrid_env.agents.config import Training
 from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.tuned import identity
 from dcgrid_env.cli import main
 from dcgrid_env.commands import train
 from dcgrid_env.commands.train import ALGORITHMS
@@ -133,7 +137,9 @@ def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
     path = policy().save(tmp_path / "mine")
     main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])
     printed = " ".join(capsys.readouterr().out.split())
-    assert "no score: hindsight is published for the test split" in printed
+    assert (
+        "no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves" in printed
+    )
     assert "95 %" not in printed
     assert "waits longer" not in printed
 
@@ -190,3 +196,109 @@ def test_bad_shipping_is_one_line(tmp_path, capsys):
     assert (code, len(said.strip().splitlines())) == (2, 1)
     assert "nowhere" in said
     assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
+
+
+OWN = """
+from dcgrid_env import load_feeder, make_scenario
+
+def make():
+    weak = {"datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)}
+    return make_scenario("ieee33-weak", name="[/]", feeder=load_feeder("das69"), horizon=10, **weak)
+"""
+GAINS = {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": 1.0, "alpha_per_s": 0.3}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder with a scenario of the user's own and gains of a droop for it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
+    (tmp_path / "own.py").write_text(OWN)
+    entry = {"parameters": GAINS} | identity(ScenarioSpec("own.py:make").make("validation"))
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "tuned.json").write_text(json.dumps({"laws": {"droop": {"[/]": entry}}}))
+    return tmp_path
+
+
+def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, capsys):
+    command = ["evaluate", "none", "--scenario", "own.py:make", "--episodes", "2", "--jobs", "1"]
+    main(command)
+    printed = capsys.readouterr().out
+    assert "[/], test split, 2 episodes" in printed
+    said = (
+        r"no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves them, in "
+    )
+    assert re.search(said + r"about \S+ s to \S+ s \(one linear program took \S+ s, an episode takes 2 to 6", printed)
+    assert "constant-q-tuned is left out: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
+    assert "dcgrid tune --laws constant-q --scenarios own.py:make" in printed
+    assert "droop-tuned: gains of [/] from results/tuned.json" in printed
+    assert not (here / "results" / "hindsight").exists()
+    main([*command, "--hindsight"])
+    assert "\n score " in capsys.readouterr().out
+    (path,) = (here / "results" / "hindsight").iterdir()
+    assert [e["seed"] for e in json.loads(path.read_text())["episodes"]] == [0, 1]
+    # What is there is found again, and only what is missing is solved.
+    before = path.read_text()
+    main(command)
+    assert "\n score " in capsys.readouterr().out
+    assert path.read_text() == before
+    main([*command, "--hindsight", "--seed", "1"])
+    assert "[/], test split, 2 episodes, seeds from 1" in capsys.readouterr().out
+    assert [e["seed"] for e in json.loads(path.read_text())["episodes"]] == [0, 1, 2]
+
+
+def test_episodes_beyond_those_that_ship_are_solved(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["evaluate", "none", "--scenario", "toy6", "--seed", "98", "--episodes", "3", "--hindsight", "--jobs", "1"])
+    assert "\n score " in capsys.readouterr().out
+    kept = json.loads((tmp_path / "results" / "hindsight" / "toy6.json").read_text())
+    assert [e["seed"] for e in kept["episodes"]] == [100]
+
+
+def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, capsys):
+    folder = here / "results" / "hindsight"
+    folder.mkdir()
+    (folder / "toy6.json").write_text(json.dumps({"scenario_hash": "0" * 16, "episodes": []}))
+    command = ["evaluate", "none", "--scenario", "toy6", "--split", "validation", "--episodes", "2"]
+    code, said = stopped(capsys, *command, "--hindsight")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert "toy6.json is of another toy6; move it away" in said
+
+
+def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
+    main(["evaluate", "none", "--scenario", "toy6", "--set", "voltage_cost=l2", "--episodes", "2"])
+    assert "no score: hindsight minimises the l1 voltage cost only, not 'l2'" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("analytic", "--updates", "2", "--lanes", "4"),
+        ("ppo", "--steps", "240", "--lanes", "8", "--outputs", "droop", "--minibatches", "2"),
+    ],
+)
+def test_training_on_ones_own_scenario(options, here, capsys):
+    command = ["train", *options, "--scenario", "own.py:make", "--validation-episodes", "2", "--set", "load_sigma=0.1"]
+    main(command)
+    (folder,) = (here / "results" / "train").iterdir()
+    about = json.loads((folder / "config.json").read_text())
+    scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("validation")
+    assert (about["scenario"], about["set"]) == ("own.py:make", ["load_sigma=0.1"])
+    assert about["scenario_hashes"] == [scenario_hash(scenario)]
+    assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set load_sigma=0.1"
+    capsys.readouterr()
+    main(["evaluate", str(folder), "--episodes", "2"])
+    assert "[/], test split, 2 episodes" in capsys.readouterr().out
+    # Another content of the file is another scenario.
+    (here / "own.py").write_text(OWN.replace("horizon=10", "horizon=11"))
+    code, said = stopped(capsys, *command, "--resume")
+    assert code == 2
+    assert "scenario_hashes was" in said
+
+
+def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
+    for algorithm in ("ppo", "analytic"):
+        code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "v0_pu=1.0")
+        assert (code, len(said.splitlines())) == (2, 1)
+        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
+    assert not (here / "results" / "train").exists()

@@ -11,7 +11,10 @@ from typing import NamedTuple
 import pytest
 
 from dcgrid_env import episode_hash, make_scenario, scenario_hash
+from dcgrid_env.baselines import make_controller, published
 from dcgrid_env.baselines.hindsight import hindsight
+from dcgrid_env.baselines.published import FOLDER
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.tune import Tuned, tune
 from dcgrid_env.cli import main
 
@@ -128,7 +131,7 @@ def _interrupted(*_, **__):
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "a folder; give a file"),
-        (lambda path: path.write_text("{"), "is no file of tuned parameters; give another --out"),
+        (lambda path: path.write_text("{"), "is no file of tuned parameters; delete it, or name another"),
         (lambda path: path.write_text('{"laws": []}'), "is no file of tuned parameters"),
         (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file of tuned parameters"),
         (lambda path: path.parent.write_text(""), "no folder"),
@@ -276,3 +279,92 @@ def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, 
         main([*arguments, "--out", str(tmp_path / "out")])
     _is_one_line(stopped, capsys, message)
     assert not (tmp_path / "out").exists()
+
+
+OWN = """
+from dcgrid_env import make_scenario
+
+def make():
+    return make_scenario("toy6", name="mine", v0_pu=1.01, horizon=10)
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder with a scenario of the user's own."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN)
+    return tmp_path
+
+
+def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
+    with pytest.raises(ValueError, match="find its own with `dcgrid tune") as raised:
+        make_controller("droop-q-tuned", ScenarioSpec("own.py:make").make("test"))
+    advised = str(raised.value).partition("`")[2].rstrip("`")
+    assert advised == "dcgrid tune --laws droop-q --scenarios own.py:make"
+    command = [*advised.split()[1:], "--episodes", "1", "--jobs", "1"]
+    main(command)
+    entry = json.loads((here / "results" / "tuned.json").read_text())["laws"]["droop-q"]["mine"]
+    own = ScenarioSpec("own.py:make").make("test")
+    assert entry["scenario_hash"] == scenario_hash(own.replace(split="validation"))
+    found = make_controller("droop-q-tuned", own)
+    assert found.k_q_mvar_per_pu_s == entry["parameters"]["k_q_mvar_per_pu_s"]  # pyright: ignore
+    capsys.readouterr()
+    main(["run", "--scenario", "own.py:make", "--controllers", "droop-q-tuned", "--episodes", "1"])
+    assert "droop-q-tuned: gains of mine from results/tuned.json" in capsys.readouterr().out
+    # The same command has nothing to do, until the scenario is another.
+    main(command)
+    assert "nothing to search" in capsys.readouterr().out
+    (here / "own.py").write_text(OWN.replace("1.01", "1.02"))
+    main(command)
+    assert "wrote results/tuned.json" in capsys.readouterr().out
+
+
+def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
+    searched = _searches(monkeypatch)
+    arguments = ["tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
+    for more in (["--set", "horizon=9"], ["--set", "horizon=9"], ["--set", "horizon=8"], []):
+        main([*arguments, *more])
+    assert len(searched) == 3
+    entry = json.loads((here / "results" / "tuned.json").read_text())["laws"]["droop"]["toy6"]
+    assert set(entry) == {"parameters", "J", "trials", "command"}  # of the preset itself, as those that ship
+
+
+def test_two_scenarios_of_one_name_are_refused(here, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
+    _is_one_line(stopped, capsys, "own.py:make and ./own.py:make are both called 'mine'; give each a name of its own")
+    assert not (here / "results").exists()
+
+
+def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
+    _solutions(monkeypatch)
+    arguments = ["hindsight", "--scenario", "own.py:make", "--jobs", "1", "--episodes", "2", "--set"]
+    main([*arguments, "load_sigma=0.1"])
+    content = json.loads((here / "results" / "hindsight" / "mine.json").read_text())
+    scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("test")
+    assert content["scenario_hash"] == scenario_hash(scenario)
+    assert content["command"] == (
+        "dcgrid hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
+    )
+    known = published(scenario, FOLDER)
+    assert known is not None
+    assert known.seeds.tolist() == [0, 1]
+    assert published(scenario) is None
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments, "load_sigma=0.2"])
+    _is_one_line(stopped, capsys, "is of another mine; move it away, or choose another --out or another name")
+    main([*arguments, "load_sigma=0.2", "name=../[x]"])
+    (path,) = (p for p in (here / "results" / "hindsight").iterdir() if p.name != "mine.json")
+    assert "[x]" not in path.name
+    assert json.loads(path.read_text())["scenario"] == "../[x]"
+
+
+@pytest.mark.slow
+def test_other_processes_rebuild_ones_own_scenario(here):
+    for jobs in ("1", "2"):
+        common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--jobs", jobs]
+        main(["hindsight", *common, "--out", f"h{jobs}"])
+        main(["tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
+    for one, two in (("h1/mine.json", "h2/mine.json"), ("t1.json", "t2.json")):
+        assert json.loads((here / one).read_text()) == json.loads((here / two).read_text())

@@ -1,0 +1,167 @@
+"""Code of the user's own that the command line names: ``path/to/file.py:NAME`` or ``package.module:NAME``.
+
+A controller's class may be followed by arguments, ``file.py:Class(gain=0.5, mode=fast)``: literals alone, which are
+read and never run. A file is imported once in a process, and again where its content has changed since.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import importlib.util
+import re
+import sys
+import sysconfig
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+_NAMED = re.compile(r"(?P<where>.+?):(?P<name>[A-Za-z_]\w*)(?P<arguments>\(.*\))?", re.DOTALL)
+_LONGEST = 300
+_files: dict[Path, tuple[str, ModuleType]] = {}
+"""Files that this process has imported: digest of the content, and the module."""
+
+
+class OwnCodeError(ValueError):
+    """Code of the user's own that fails; the message is one line, what was raised is the cause."""
+
+    traced = True
+    """Whether a traceback says more than the message."""
+
+
+class Named(NamedTuple):
+    """What a text such as ``file.py:Class(gain=0.5)`` names."""
+
+    where: str
+    """A file, or a dotted module."""
+    name: str
+    positional: tuple[Any, ...] = ()
+    keywords: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def path(self) -> Path | None:
+        """The file, where it is one."""
+        return Path(self.where) if self.where.endswith(".py") else None
+
+
+def parse(spec: str) -> Named | None:
+    """Take a text apart; None where it has no such form, ValueError for arguments that are no literals."""
+    found = _NAMED.fullmatch(spec.strip())
+    if found is None:
+        return None
+    return Named(found["where"], found["name"], *_arguments(spec, found["arguments"]))
+
+
+def _arguments(spec: str, text: str | None) -> tuple[tuple[Any, ...], tuple[tuple[str, Any], ...]]:
+    if text is None:
+        return (), ()
+    try:
+        call = ast.parse(f"_{text}", mode="eval").body
+        if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
+            raise ValueError("they are no list of arguments")
+        keywords = [(argument.arg, _literal(argument.value)) for argument in call.keywords]
+        if None in dict(keywords) or len(dict(keywords)) < len(keywords):
+            raise ValueError("each has a name of its own, and ** has no meaning here")
+        return tuple(map(_literal, call.args)), tuple((str(name), value) for name, value in keywords)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ValueError(
+            f"{spec!r}: the arguments cannot be read ({one_line(error)}); give literals, such as "
+            "(gain=0.5, buses=[3, 5], mode='fast')"
+        ) from None
+
+
+def _literal(node: ast.expr) -> Any:
+    """A literal's value; a bare word is a text, since shells take quotes away."""
+    if isinstance(node, ast.Name):
+        return node.id
+    try:
+        return ast.literal_eval(node)
+    except ValueError:
+        raise ValueError(f"{ast.unparse(node)!r} is no literal") from None
+
+
+def load(named: Named, what: str) -> object:
+    """The object that is named, after its module was imported.
+
+    Parameters
+    ----------
+    named
+        What to look up.
+    what
+        How errors begin, ``controller 'own.py:Law'`` for instance.
+
+    Raises
+    ------
+    ValueError
+        Where there is no such file, or nothing of that name in it.
+    OwnCodeError
+        Where importing fails.
+    """
+    if named.path and not named.path.is_file():
+        raise ValueError(f"{what}: there is no file {named.where}; give the path of one")
+    try:
+        module = _from_file(named.path) if named.path else _from_module(named.where)
+    except (Exception, SystemExit) as error:
+        raise OwnCodeError(f"{what}: importing {named.where} fails{place(error)}: {described(error)}") from error
+    if not hasattr(module, named.name):
+        own = [name for name, held in vars(module).items() if getattr(held, "__module__", "") == module.__name__]
+        raise ValueError(f"{what}: {module.__file__} has no {named.name!r}; it has {', '.join(own) or 'nothing'}")
+    return getattr(module, named.name)
+
+
+def _from_module(dotted: str) -> ModuleType:
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    return importlib.import_module(dotted)
+
+
+def _from_file(path: Path) -> ModuleType:
+    path = path.resolve()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if path in _files and _files[path][0] == digest:
+        return _files[path][1]
+    # Named after the content, so that two files of one name do not stand in each other's place.
+    found = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}_{digest[:16]}", path)
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    sys.modules[found.name] = module  # where dataclasses and pickle look for it
+    try:
+        found.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[found.name]
+        raise
+    _files[path] = digest, module
+    return module
+
+
+def place(error: BaseException) -> str:
+    """Where the user's own code raised an error, ``, own.py line 12``; empty where none of it has a part."""
+    found = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        file, module = Path(frame.f_code.co_filename), str(frame.f_globals.get("__name__", ""))
+        ours = module == "dcgrid_env" or module.startswith("dcgrid_env.")
+        if file.suffix == ".py" and not ours and not _is_installed(file):
+            found = f", {file.name} line {line}"
+    return found
+
+
+def _is_installed(file: Path) -> bool:
+    """Whether a file is of Python's own library or of an installed package."""
+    library = Path(sysconfig.get_paths()["stdlib"])
+    return library in file.parents or bool({"site-packages", "dist-packages"} & set(file.parts))
+
+
+def described(error: BaseException) -> str:
+    """An error's kind and message on one line."""
+    text = one_line(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def one_line(error: BaseException) -> str:
+    """An error's message on one line, cut where it is very long."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

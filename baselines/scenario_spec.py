@@ -1,0 +1,168 @@
+"""Scenarios as the command line names them: a preset, or one of the user's own, with other values for some fields.
+
+    ieee33                          a preset
+    path/to/own.py:make             what a function without arguments gives, or a Scenario that stands there
+    package.module:make             likewise, of a module that can be imported
+    horizon=60 weights={backlog=1}  fields, each with a value as in TOML or JSON; quotes around a text may be left out
+
+This is the one place where such texts become scenarios; processes that share work rebuild theirs from the same texts.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shlex
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from dcgrid_env import PRESETS, Scenario, ScenarioError, make_scenario
+from dcgrid_env.baselines.own_code import OwnCodeError, described, load, parse, place
+
+FORMS = "path/to/file.py:function or package.module:function for one of your own"
+_specs: WeakKeyDictionary[Scenario, ScenarioSpec] = WeakKeyDictionary()
+"""What the scenarios that were made here were named by."""
+
+
+@dataclass(frozen=True)
+class ScenarioSpec:
+    """What names a scenario on the command line.
+
+    Parameters
+    ----------
+    where
+        A preset's name, or ``file.py:function`` or ``package.module:function``.
+    set
+        ``FIELD=VALUE`` for each field that is to be otherwise.
+    """
+
+    where: str
+    set: tuple[str, ...] = ()
+
+    def make(self, split: str, **chosen: Any) -> Scenario:
+        """The scenario on a split; the same call gives the same object as long as a file has not changed.
+
+        Parameters
+        ----------
+        split
+            train, validation, test or ood.
+        **chosen
+            Fields that a command sets itself; they must not stand in ``set`` as well.
+
+        Raises
+        ------
+        ValueError
+            For what names no scenario, or a field or value that cannot be, naming it and what would do; an
+            ``OwnCodeError`` where the user's code fails.
+        """
+        overrides = read_overrides(self.set)
+        if "split" in overrides:
+            raise ValueError("set: split is chosen by the command, with --split where it takes one; leave it out")
+        for field in chosen:
+            if field in overrides:
+                raise ValueError(f"set: {field} is an option of its own here; give --{field} instead")
+        return _made(self, _base(self.where), split, tuple(chosen.items()))
+
+    @property
+    def is_preset(self) -> bool:
+        """Whether it is a preset as it is."""
+        return self.where in PRESETS and not self.set
+
+    @property
+    def label(self) -> str:
+        """What names it in files: the preset's name, or the words of the command line."""
+        return shlex.join((self.where, "--set", *self.set)) if self.set else self.where
+
+    def options(self, flag: str) -> str:
+        """The words of the command line that name it, for instance ``--scenario own.py:make --set horizon=60``."""
+        return shlex.join((flag, self.where, *(("--set", *self.set) if self.set else ())))
+
+
+def spec_of(scenario: Scenario) -> ScenarioSpec | None:
+    """What named a scenario; None for one that was not made by ``ScenarioSpec.make``."""
+    return _specs.get(scenario)
+
+
+def options_of(scenario: Scenario, flag: str) -> str:
+    """The words of the command line that name a scenario, a placeholder for one that was made in Python."""
+    spec = spec_of(scenario)
+    return spec.options(flag) if spec else f"{flag} FILE.py:FUNCTION"
+
+
+def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Values by field of texts ``FIELD=VALUE``; ValueError for anything else, or a field that is there twice."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        field, sign, value = text.partition("=")
+        field = field.strip()
+        if not sign or not field.isidentifier():
+            raise ValueError(f"set: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
+        if field in found:
+            raise ValueError(f"set: {field} is there twice, as {found[field]!r} and as {value}; give it once")
+        found[field] = value.strip() if field == "name" else read_value(field, value.strip())
+    return found
+
+
+def read_value(field: str, text: str) -> Any:
+    """A value as TOML or JSON has it, or the text itself where it is neither and does not begin like one."""
+    try:
+        table = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        try:
+            return json.loads(text)
+        except ValueError:
+            pass
+    else:
+        if list(table) == ["value"]:
+            value = table["value"]
+            dated = isinstance(value, datetime.date | datetime.time)
+            return text if dated else value
+    if text[:1] in ("[", "{", '"', "'") or not text:
+        raise ValueError(
+            f"set: {field} is {text!r}, which can be read neither as TOML nor as JSON; write a number, true, false, a "
+            "text, a list such as [18, 33] or a table such as {backlog=1}"
+        )
+    return text
+
+
+def _base(where: str) -> str | Scenario:
+    """The name of a preset, or the user's own scenario."""
+    if where in PRESETS:
+        return where
+    if where.endswith(".py"):
+        raise ValueError(f"scenario {where!r}: say which function of it makes the scenario, {where}:make for instance")
+    named = parse(where)
+    if named is None or named.positional or named.keywords:
+        raise ScenarioError(f"unknown scenario {where!r}; there are {', '.join(PRESETS)}; or give {FORMS}")
+    found = load(named, f"scenario {where!r}")
+    made = _called(where, found) if callable(found) else found
+    if not isinstance(made, Scenario):
+        raise ValueError(
+            f"scenario {where!r} is of type {type(made).__name__}; it must be a Scenario, or a function that gives one"
+        )
+    return made
+
+
+@lru_cache(maxsize=64)
+def _called(where: str, function: Callable[[], Any]) -> Any:
+    """What a function of the user's gives; asked once, and again where its file has changed."""
+    try:
+        return function()
+    except (Exception, SystemExit) as error:
+        raise OwnCodeError(f"scenario {where!r} fails{place(error)}: {described(error)}") from error
+
+
+@lru_cache(maxsize=64)
+def _made(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: tuple[tuple[str, Any], ...]) -> Scenario:
+    """The scenario; one object for one spec, so that what is derived from it is shared."""
+    try:
+        made = make_scenario(base, **read_overrides(spec.set), **dict(chosen), split=split)
+    except (TypeError, OverflowError, MemoryError) as error:
+        is_field = "unexpected keyword argument" not in str(error)
+        raise ValueError(f"set: {f'{shlex.join(spec.set)} cannot be: ' * is_field}{error}") from None
+    _specs[made] = spec
+    return made
