@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.commands.named import scenario_specs, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import Overrides, Scenarios, plain_console, processes, tuned_from
+from dcgrid_env.commands.settings import Overrides, Scenarios, alone_in, plain_console, processes, tuned_from
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,10 +76,11 @@ def main(cfg: Benchmark) -> None:
     if done:
         console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
     try:
-        failures |= _run(tasks, done, store, jobs, console)
-        with console.status("checking the episodes' hashes and summing up"):
-            results = gather(cases, controllers, cfg.episodes, done, failures, lambda s: published(s, FOLDER))
-        _write(cfg, results, jobs, console)
+        with alone_in(cfg.out, "dcgrid benchmark"):
+            failures |= _run(tasks, done, store, jobs, console)
+            with console.status("checking the episodes' hashes and summing up"):
+                results = gather(cases, controllers, cfg.episodes, done, failures, lambda s: published(s, FOLDER))
+            _write(cfg, results, jobs, console)
     except KeyboardInterrupt:
         console.print(f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there")
         raise SystemExit(130) from None

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.commands.named import scenario_specs
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import Overrides, Scenarios, check_folder, plain_console, processes
+from dcgrid_env.commands.settings import Overrides, Scenarios, alone_in, plain_console, processes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -90,12 +90,27 @@ def solve_missing(
     ValueError
         For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
         hindsight cannot solve.
+    HeldError
+        Where another command solves episodes into this folder.
     """
+    for spec in specs.values():
+        kept_episodes(folder, spec.make(split))  # ValueError before a folder is made
+    with alone_in(folder, "dcgrid hindsight"):
+        return _solve(specs, split, seeds, folder, jobs, console)
+
+
+def _solve(
+    specs: Mapping[str, ScenarioSpec],
+    split: str,
+    seeds: Mapping[str, Iterable[int]],
+    folder: Path,
+    jobs: int,
+    console: Console,
+) -> dict[str, dict[int, dict[str, Any]]]:
     from dcgrid_env.baselines.published import hindsight_file
     from dcgrid_env.benchmark.pool import Died, each
 
     kept = {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
-    check_folder(folder)
     due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
     with progress_bar(console) as progress:
         bar = progress.add_task("episodes", total=len(due))

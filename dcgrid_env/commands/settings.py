@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dcgrid_env.files import require_folder
+from dcgrid_env.files import new_folder, require_folder
+from dcgrid_env.lock import held
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from rich.console import Console
 
@@ -53,6 +55,17 @@ def check_folder(folder: Path) -> None:
         require_folder(folder)
     except OSError as error:
         raise ValueError(f"out: no folder {folder} can be made ({error.strerror}); choose another --out") from None
+
+
+@contextmanager
+def alone_in(folder: Path, what: str) -> Iterator[None]:
+    """Hold a folder that is read, changed and written again, so that two commands at once lose nothing of each other.
+
+    ``what`` says who holds it. ValueError where the folder cannot be made, HeldError where another command holds it.
+    """
+    check_folder(folder)
+    with new_folder(folder), held(folder, what, "give an --out in another folder, or wait until it has ended"):
+        yield
 
 
 def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:

@@ -10,7 +10,7 @@ command, for the same scenario, is not searched again (unless by --again), and w
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dcgrid_env.commands.named import scenario_specs, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import Overrides, Scenarios, check_folder, plain_console, processes
+from dcgrid_env.commands.settings import Overrides, Scenarios, alone_in, plain_console, processes
 
 if TYPE_CHECKING:
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -68,7 +68,6 @@ class Search(NamedTuple):
 def main(cfg: Tune) -> None:
     """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
     from dcgrid_env.baselines.tune import TUNABLE
-    from dcgrid_env.benchmark.pool import Died, each
 
     specs = scenario_specs(cfg.scenarios, cfg.set, SPLIT)
     laws = list(TUNABLE) if cfg.laws.strip() == "all" else split_names(cfg.laws)
@@ -77,10 +76,19 @@ def main(cfg: Tune) -> None:
         raise ValueError(f"laws is {cfg.laws!r}; choose among {', '.join(TUNABLE)}, or all")
     if cfg.episodes < 1:
         raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
-    jobs, kept = processes(cfg.jobs), _kept(cfg.out)
-    check_folder(cfg.out.parent)
+    jobs = processes(cfg.jobs)
     groups = [tuple(specs)] if cfg.together else [(name,) for name in specs]
     asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+    _kept(cfg.out)  # ValueError for another kind of file, before a folder is made
+    with alone_in(cfg.out.parent, "dcgrid tune"):
+        _search(cfg, asked, jobs)
+
+
+def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
+    """Search what is due, and write the file after each."""
+    from dcgrid_env.benchmark.pool import Died, each
+
+    kept = _kept(cfg.out)
     due = [search for search in asked if cfg.again or not _stands(kept, search, cfg.episodes)]
     console = plain_console()
     if len(due) < len(asked):

@@ -127,6 +127,22 @@ def test_a_command_that_fails_at_once_makes_no_folder(here, arguments, out):
     assert not (here / out).exists()
 
 
+@pytest.mark.parametrize("name", ["benchmark", "hindsight", "tune"])
+def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, quick, name):
+    words, _ = WRITING[name]
+    folder = here / ("out/deep" if name == "hindsight" else "out")
+    folder.mkdir(parents=True)
+    with held(folder, "dcgrid test"), pytest.raises(SystemExit) as stopped:
+        main([*words])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert f"another dcgrid test (process {os.getpid()} on " in said
+    assert said.endswith("writes there; give an --out in another folder, or wait until it has ended\n")
+    assert len(said.splitlines()) == 1
+    assert not list(folder.iterdir())
+    main([*words])  # free again
+
+
 def test_a_second_training_in_the_folder_is_one_line(here, capsys):
     with held(here, "training"), pytest.raises(SystemExit) as stopped:
         main(["train", "analytic", "--scenario", "toy6", "--out", str(here)])
