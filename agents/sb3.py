@@ -35,6 +35,8 @@ from dcgrid_env.baselines.files import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 SMALLEST_STD = 1e-4
+ABOVE_0 = ("epochs", "minibatches", "clip", "max_grad_norm", "buffer", "batch", "gradient_steps", "tau")
+"""Settings of one algorithm or another that must be above 0."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterato
 
 def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
     """The lanes of the training split; ValueError for a setting that cannot be."""
-    check(cfg, "steps", "learning_rate", "wait")
+    check(cfg, "steps", "learning_rate", "wait", *(field for field in ABOVE_0 if hasattr(cfg, field)))
     if not 0.0 < cfg.gamma <= 1.0:
         raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
     device_of(cfg.device)

@@ -157,3 +157,10 @@ def test_it_learns(tmp_path):
     cfg = tiny(tmp_path, "learns", scenario="ieee123", steps=120_000, gamma=0.5, lanes=96, hidden=(16, 16))
     rows = read_curve(ppo.main(cfg))
     assert rows[-1]["J"] < 0.8 * rows[0]["J"]
+
+
+@pytest.mark.parametrize("field", ["epochs", "minibatches", "clip", "max_grad_norm"])
+def test_a_setting_that_must_be_above_0_is_named(tmp_path, field):
+    with pytest.raises(ValueError, match=rf"{field} is 0; give more than 0"):
+        ppo.main(tiny(tmp_path, **{field: 0}))
+    assert not (tmp_path / "run").exists()
