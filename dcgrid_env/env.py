@@ -8,10 +8,11 @@ import gymnasium
 import numpy as np
 
 from dcgrid_env.actions import joint_action
-from dcgrid_env.face import Face, as_seed, check_running, joint_spaces
+from dcgrid_env.face import Face, check_running, joint_spaces
 from dcgrid_env.info import InfoLevel, info_arrays
 from dcgrid_env.plain_spec import PlainSpec
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.seeds import as_seed
 from dcgrid_env.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
 
 if TYPE_CHECKING:

@@ -129,12 +129,3 @@ class Face:
         self._viewer.record(self._simulation.now)
         if self.render_mode == "human":
             self._viewer.draw()
-
-
-def as_seed(seed: Any) -> int | None:
-    """A seed as an int, None as it is; ValueError unless it is a whole number of at least 0."""
-    if seed is None:
-        return None
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed is {seed!r}; give a whole number of at least 0")
-    return int(seed)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.scenario import Scenario
+from dcgrid_env.scenario import Scenario, ScenarioError
+from dcgrid_env.seeds import whole_seed
 
 
 class Forecast(NamedTuple):
@@ -27,10 +28,15 @@ class Forecast(NamedTuple):
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
-    """The first episode of a seed, as every environment of the scenario draws it."""
+    """The first episode of a seed, as every environment of the scenario draws it.
+
+    ScenarioError for what is no Scenario, ValueError for a seed that is no whole number of at least 0.
+    """
     from dcgrid_env import episode  # brings the compiler with it, so not on import
 
-    drawn = episode.draw(scenario, np.array([seed % 2**64], np.uint64), np.zeros(1, np.uint64))
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
+    drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
     noise = np.zeros((1, scenario.feeder.n_bus))
     found = []
     for k in range(scenario.horizon + 1):

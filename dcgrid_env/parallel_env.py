@@ -13,9 +13,10 @@ from pettingzoo.utils import parallel_to_aec
 from dcgrid_env import observation
 from dcgrid_env.actions import joined_actions
 from dcgrid_env.constants import constants
-from dcgrid_env.face import Face, as_seed, check_running
+from dcgrid_env.face import Face, check_running
 from dcgrid_env.info import InfoLevel, info_arrays
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.seeds import as_seed
 from dcgrid_env.time_limit import with_horizon
 
 if TYPE_CHECKING:

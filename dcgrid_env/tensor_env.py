@@ -11,13 +11,16 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from array_api_compat import is_array_api_obj
 
 from dcgrid_env import dynamics, observation, reward
 from dcgrid_env.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.dynamics import Exogenous, State
 from dcgrid_env.observation import Placement
+from dcgrid_env.powerflow import PowerFlowError
 from dcgrid_env.presets import make_scenario
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.seeds import whole_seed
 
 
 class TensorStep(NamedTuple):
@@ -59,8 +62,10 @@ class TensorEnv:
     """
 
     def __init__(self, scenario: str | Scenario = "ieee123", *, like: Array, **overrides: Any):
-        if str(getattr(like, "dtype", like)).rpartition(".")[2] not in ("float32", "float64"):
-            raise ValueError(f"like is {like!r}; give an array of float32 or float64")
+        if not _is_floating_array(like):
+            raise ValueError(
+                f"like is {like!r}; give an array of float32 or float64, such as numpy.empty(0) or torch.empty(0)"
+            )
         self.scenario = make_scenario(scenario, **overrides)
         self.like = like
         self.step_number = self.scenario.horizon  # over, until reset
@@ -74,11 +79,15 @@ class TensorEnv:
         """Begin the first episode of each seed and return the joint observation, (lane, n_observation).
 
         With ``copies`` each episode is driven by that many lanes: lane i has the episode of seeds[i % len(seeds)].
-        ValueError for no episode.
+        ValueError for no episode, and for seeds or copies that are no whole numbers.
         """
+        if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
+            raise ValueError(f"seeds is {seeds!r}; give a list of whole numbers of at least 0, one for each episode")
+        if not isinstance(copies, int | np.integer) or isinstance(copies, bool):
+            raise ValueError(f"copies is {copies!r}; give a whole number of at least 1")
         if not len(seeds) or copies < 1:
             raise ValueError(f"{len(seeds)} seeds and {copies} copies; give at least 1 of each")
-        outside, buses = _draw(self.scenario, np.array([int(seed) % 2**64 for seed in seeds], np.uint64))
+        outside, buses = _draw(self.scenario, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
         self._outside = _Outside(*(None if a is None else as_like(a, self.like) for a in outside))
         lanes = np.arange(len(buses) * copies) % len(buses)
         self._copied = None if copies == 1 else self._index(lanes)
@@ -93,12 +102,22 @@ class TensorEnv:
         return self._observe()
 
     def step(self, action: Array) -> TensorStep:
-        """Advance every lane by joint actions (lane, n_action) in [-1, 1]; RuntimeError once the episodes are over."""
+        """Advance every lane by joint actions (lane, n_action) in [-1, 1], arrays of the kind of ``like``.
+
+        RuntimeError once the episodes are over; ValueError for actions of another kind, precision, device or shape, or
+        that are not finite.
+        """
         if self.over:
             raise RuntimeError("the episodes are over or have not begun; call reset()")
+        self._check_action(action)
         self.step_number += 1
         s, due = self.scenario, self._due
-        self.state, solution = dynamics.step(s, self.state, action, self._exogenous())
+        try:
+            self.state, solution = dynamics.step(s, self.state, action, self._exogenous())
+        except PowerFlowError:
+            self.step_number -= 1
+            self._check_finite(action)
+            raise
         self._measured = (*self._measured[1:], self._measure())
         costs = reward.team_costs(s, self.state, solution, float(self.over))
         if not all_true(solution.converged):
@@ -113,6 +132,22 @@ class TensorEnv:
         """Forget how the state came about: derivatives of later costs stop here (torch tensors)."""
         self.state = State(*(a.detach() for a in self.state))
         self._measured = tuple(a.detach() for a in self._measured)
+
+    def _check_action(self, action: Array) -> None:
+        like = self.like
+        want = (len(self._due), 2 * self.scenario.n_datacenters + self.scenario.n_inverters)
+        if not _fits(action, like):
+            given = _kind(action) if is_array_api_obj(action) else repr(action)
+            raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
+        if tuple(action.shape) != want:
+            raise ValueError(f"the action has shape {tuple(action.shape)}; it must be {want}: lanes, actuators")
+
+    def _check_finite(self, action: Array) -> None:
+        xp = namespace(action)
+        where = xp.nonzero(~xp.isfinite(action))
+        if len(where[0]):
+            lane, at = (int(i[0]) for i in where)
+            raise ValueError(f"the action of lane {lane} is {action[lane, at].item()} at {at}; give finite numbers")
 
     def _now(self, field: Array | None, ahead: int = 0) -> Array | None:
         if field is None:
@@ -145,6 +180,27 @@ class TensorEnv:
         if isinstance(self.like, np.ndarray):
             return positions
         return namespace(self.like).asarray(positions.copy(), device=self.like.device)
+
+
+def _is_floating_array(values: Any) -> bool:
+    """Whether it is an array of float32 or float64, and neither a number nor a masked array."""
+    if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
+        return False
+    return str(values.dtype).rpartition(".")[2] in ("float32", "float64")
+
+
+def _fits(action: Any, like: Array) -> bool:
+    """Whether an action is an array of the kind, precision and device of ``like``; NumPy's floats all go together."""
+    if isinstance(like, np.ndarray):
+        return type(action) is np.ndarray and action.dtype.kind == "f"
+    return is_array_api_obj(action) and action.dtype == like.dtype and action.device == like.device
+
+
+def _kind(values: Array) -> str:
+    if not isinstance(values, np.ndarray):
+        return f"a tensor of {values.dtype} on {values.device}"
+    masked = isinstance(values, np.ma.MaskedArray)
+    return f"a {'masked' if masked else 'NumPy'} array of {'floats' if values.dtype.kind == 'f' else values.dtype}"
 
 
 def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:

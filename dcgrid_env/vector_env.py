@@ -11,10 +11,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.actions import joint_action
-from dcgrid_env.face import Face, as_seed, joint_spaces
+from dcgrid_env.face import Face, joint_spaces
 from dcgrid_env.info import InfoLevel, info_arrays
 from dcgrid_env.plain_spec import PlainSpec
 from dcgrid_env.scenario import Scenario
+from dcgrid_env.seeds import as_seed
 from dcgrid_env.time_limit import with_horizon
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # Each module or package may import those before it, and its own package.
 ORDER = """
-    units arrays files lock cache traces feeder powerflow devices fault scenario_check plain_data scenario presets
+    units seeds arrays files lock cache traces feeder powerflow devices fault scenario_check plain_data scenario presets
     constants dynamics observation reward delay request_delay counter trace_pool episode foresight fingerprint
     tensor_env simulation metrics layout history panels render info actions plain_spec time_limit face env vector_env
     parallel_env baselines agents figure study yardsticks benchmark learning commands timing speed_tensors speed cli

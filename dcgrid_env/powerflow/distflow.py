@@ -20,16 +20,10 @@ from typing import Any
 import numpy as np
 from array_api_compat import is_torch_array
 
-from dcgrid_env.arrays import as_like, namespace
+from dcgrid_env.arrays import namespace
 from dcgrid_env.feeder.feeder import Feeder
-from dcgrid_env.powerflow.solution import (
-    Array,
-    PowerFlowError,
-    Solution,
-    check_loads,
-    raise_not_finite,
-    substation_voltage,
-)
+from dcgrid_env.powerflow.inputs import check_feeder, check_loads, check_stop, substation_voltage, warm_start
+from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
 from dcgrid_env.units import S_BASE_KVA
 
 TOLERANCE_KVA = {8: 1e-4, 4: 1e-2}
@@ -55,15 +49,19 @@ def distflow(
         The feeder. Its own load and capacitors are not added: ``p_kw`` and ``q_kvar`` are all there is.
     p_kw, q_kvar
         Net load at each bus (consumption positive), shape (..., n_bus), in the order of ``feeder.bus_ids``: NumPy
-        arrays (or lists) or torch tensors. float32 is solved in float32, everything else in float64.
+        arrays (or lists) or torch tensors on one device, of real numbers. Two of float32 are solved in float32,
+        everything else in float64.
     v0_pu
-        Substation voltage, p.u., a number or shape (...); the feeder's published one by default.
+        Substation voltage, p.u., a number or an array that broadcasts to shape (...), of the loads' kind or NumPy's;
+        the feeder's published one by default.
     warm
-        A solution (or its ``current_sq_pu``) of similar loads and the same shape to start from.
+        A solution (or its ``current_sq_pu``) of similar loads and the same shape to start from. A start that leads
+        nowhere, NaN for instance, is set aside.
     tolerance_kva
-        Largest power mismatch of a converged solution; 1e-4 kVA in float64, 1e-2 in float32 by default.
+        Largest power mismatch of a converged solution, a positive number; 1e-4 kVA in float64, 1e-2 in float32 by
+        default.
     max_sweeps
-        Sweeps after which a feeder is given up.
+        Sweeps after which a feeder is given up, a whole number of at least 1.
 
     Returns
     -------
@@ -73,22 +71,18 @@ def distflow(
     Raises
     ------
     PowerFlowError
-        For loads of the wrong shape or not finite, a bad v0_pu or warm start.
+        For what is no Feeder; loads, v0_pu or a warm start that are not real numbers (complex, bool, text, masked,
+        sparse or objects) or of the wrong shape; loads that are not finite; a voltage, tolerance or number of sweeps
+        that cannot be.
     """
+    check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
-    if max_sweeps < 1 or not (tolerance_kva is None or tolerance_kva > 0):
-        raise PowerFlowError(f"max_sweeps is {max_sweeps} and tolerance_kva {tolerance_kva}; both must be positive")
-    start = warm.current_sq_pu if isinstance(warm, Solution) else warm
-    if start is not None:
-        start = as_like(start, p_kw)
-    if start is not None and tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
-        raise PowerFlowError(
-            f"warm start has shape {tuple(start.shape)}; for these loads it must be "
-            f"{(*p_kw.shape[:-1], feeder.n_bus - 1)}"
-        )
+    start = warm_start(feeder, p_kw, warm)
+    check_stop(tolerance_kva, max_sweeps)
     if tolerance_kva is None:
         tolerance_kva = TOLERANCE_KVA[p_kw.dtype.itemsize]
-    tolerance = tolerance_kva / S_BASE_KVA
+    # Python's own numbers: the kernels are compiled for these.
+    tolerance, max_sweeps = float(tolerance_kva) / S_BASE_KVA, int(max_sweeps)
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):
         if is_torch_array(p_kw) and p_kw.device.type == "cpu":

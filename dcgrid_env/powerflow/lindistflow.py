@@ -13,7 +13,8 @@ import numpy as np
 from dcgrid_env.arrays import namespace
 from dcgrid_env.feeder.feeder import Feeder
 from dcgrid_env.powerflow.distflow import lanes
-from dcgrid_env.powerflow.solution import Array, Solution, check_loads, raise_not_finite, substation_voltage
+from dcgrid_env.powerflow.inputs import check_feeder, check_loads, substation_voltage
+from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
 
 
 def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Any = None) -> Solution:
@@ -21,6 +22,7 @@ def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Any = None) -
 
     Currents and losses are zero; ``converged`` is False where the load drives a squared voltage to zero.
     """
+    check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):

@@ -131,12 +131,12 @@ def test_copies_have_the_same_episode():
 
 def test_a_reset_begins_anew():
     env = TensorEnv("ieee123", like=np.empty(0), horizon=3)
-    first = env.reset([1, -2])
+    first = env.reset([1, 5])
     for action in actions(env.scenario, 2):
         env.step(action.astype(float))
-    np.testing.assert_array_equal(env.reset(np.array([1, -2])), first)
+    np.testing.assert_array_equal(env.reset(np.array([1, 5])), first)
     assert not env.over
-    assert not np.array_equal(env.reset([2, -2])[0], first[0])
+    assert not np.array_equal(env.reset([2, 5])[0], first[0])
 
 
 # --- derivatives ----------------------------------------------------------------------------------------------------
@@ -202,7 +202,53 @@ def test_no_episodes(seeds, copies):
         TensorEnv("toy6", like=np.empty(0)).reset(seeds, copies)
 
 
-@pytest.mark.parametrize("like", [np.empty(0, int), torch.empty(0, dtype=torch.float16), [0.0]])
+@pytest.mark.parametrize("seeds", [None, 5, "01", [1.5], [True], [-1], [None], [[0, 1]], np.array([0.5])])
+def test_seeds_that_are_no_whole_numbers(seeds):
+    with pytest.raises(ValueError, match=r"seeds? is .*; give .*whole number"):
+        TensorEnv("toy6", like=np.empty(0)).reset(seeds)
+
+
+@pytest.mark.parametrize("copies", [1.5, True, None, "2"])
+def test_copies_that_are_no_whole_number(copies):
+    with pytest.raises(ValueError, match=r"copies is .*; give a whole number of at least 1"):
+        TensorEnv("toy6", like=np.empty(0)).reset([0], copies)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_actions_of_another_kind_or_shape(kind):
+    like = KINDS[kind][0]
+    env = TensorEnv("toy6", like=like)
+    env.reset([0, 1])
+    good = as_kind(np.zeros((2, 4)), like)
+    tensor = torch.zeros((2, 4), dtype=torch.float32 if like.dtype == torch.float64 else torch.float64)
+    for action in (None, 0.0, [[0.0] * 4] * 2, tensor, good > 0, good + 0j, np.ma.masked_array(np.zeros((2, 4)), True)):
+        with pytest.raises(ValueError, match=r"the action is .*; it must be as like is, a (tensor|NumPy array) of"):
+            env.step(action)
+    for action in (good[0], good[:1], good[:, :3]):
+        with pytest.raises(ValueError, match=r"the action has shape \(.*\); it must be \(2, 4\)"):
+            env.step(action)
+    assert env.step_number == 0
+    env.step(torch.nn.Parameter(good) if isinstance(good, torch.Tensor) else good)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_action_that_is_not_finite_is_named_and_the_episode_goes_on(kind):
+    like = KINDS[kind][0]
+    env = TensorEnv("toy6", like=like)
+    env.reset([0, 1])
+    good = np.zeros((2, 4))
+    bad = good.copy()
+    bad[1, 3] = np.nan
+    with pytest.raises(ValueError, match="the action of lane 1 is nan at 3; give finite numbers"):
+        env.step(as_kind(bad, like))
+    first = env.step(as_kind(good, like))
+    env.reset([0, 1])
+    np.testing.assert_array_equal(first.cost_j, env.step(as_kind(good, like)).cost_j)
+
+
+@pytest.mark.parametrize(
+    "like", [np.empty(0, int), torch.empty(0, dtype=torch.float16), [0.0], torch.float32, "float32", np.float64(0.0)]
+)
 def test_arrays_of_another_kind(like):
     with pytest.raises(ValueError, match="give an array of float32 or float64"):
         TensorEnv("toy6", like=like)

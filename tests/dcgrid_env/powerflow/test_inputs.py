@@ -1,10 +1,12 @@
 """Input that no power flow can use: PowerFlowError, naming what is wrong, from both methods and both kinds of array."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
-from dcgrid_env import PowerFlowError, distflow, lindistflow
+from dcgrid_env import Feeder, PowerFlowError, distflow, lindistflow
+from dcgrid_env.powerflow.compiled import distflow_lanes
 
 BOTH = pytest.mark.parametrize("method", [distflow, lindistflow])
 NAN, INF = float("nan"), float("inf")
@@ -118,14 +120,105 @@ def test_a_warm_start_of_another_kind_is_taken(toy6, loads, start):
     np.testing.assert_allclose(np.asarray(warm.v_pu), np.asarray(plain.v_pu), atol=1e-7, rtol=0.0)
 
 
-@pytest.mark.parametrize("options", [
-    {"max_sweeps": 0}, {"max_sweeps": -3}, {"tolerance_kva": 0.0}, {"tolerance_kva": -1.0}, {"tolerance_kva": NAN},
+@pytest.mark.parametrize(("options", "given"), [
+    ({"max_sweeps": 0}, "max_sweeps is 0"), ({"max_sweeps": -3}, "max_sweeps is -3"),
+    ({"max_sweeps": 1.5}, r"max_sweeps is 1\.5"), ({"max_sweeps": 100.0}, r"max_sweeps is 100\.0"),
+    ({"max_sweeps": True}, "max_sweeps is True"), ({"max_sweeps": "3"}, "max_sweeps is '3'"),
+    ({"max_sweeps": None}, "max_sweeps is None"), ({"max_sweeps": NAN}, "max_sweeps is nan"),
+    ({"max_sweeps": 10**30}, "max_sweeps is 10000"),
+    ({"tolerance_kva": 0.0}, r"tolerance_kva is 0\.0"), ({"tolerance_kva": -1.0}, r"tolerance_kva is -1\.0"),
+    ({"tolerance_kva": NAN}, "tolerance_kva is nan"), ({"tolerance_kva": INF}, "tolerance_kva is inf"),
+    ({"tolerance_kva": True}, "tolerance_kva is True"), ({"tolerance_kva": "1"}, "tolerance_kva is '1'"),
+    ({"tolerance_kva": 1j}, "tolerance_kva is 1j"), ({"tolerance_kva": [1.0]}, r"tolerance_kva is \[1\.0\]"),
 ])  # fmt: skip
 @pytest.mark.parametrize("lanes", [1, 20])
-def test_sweeps_and_tolerance_must_be_positive(toy6, kind, options, lanes):
+def test_sweeps_are_counted_and_the_tolerance_is_a_positive_number(toy6, kind, options, given, lanes):
     load = kind(np.ones((lanes, 6)))
-    with pytest.raises(PowerFlowError, match=r"max_sweeps is .* and tolerance_kva .*; both must be positive"):
+    with pytest.raises(PowerFlowError, match=f"{given}.*; give a (whole|positive) number"):
         distflow(toy6, load, load, **options)
+
+
+def test_numbers_of_numpy_end_the_sweeps_as_pythons_do(toy6):
+    load, compiled_for = np.ones(6), len(distflow_lanes.signatures)
+    plain = distflow(toy6, load, load, tolerance_kva=0.5, max_sweeps=7)
+    other = distflow(toy6, load, load, tolerance_kva=np.float32(0.5), max_sweeps=np.int32(7))  # pyright: ignore
+    assert all(getattr(plain, field).tobytes() == getattr(other, field).tobytes() for field in plain._fields)
+    assert len(distflow_lanes.signatures) == max(compiled_for, 1)  # nothing is compiled anew for it
+
+
+# --- what holds no real numbers -------------------------------------------------------------------------------------
+
+ONES = np.ones(6)
+NO_FIGURES = [
+    (ONES + 0j, "complex128"), (torch.ones(6, dtype=torch.complex64), "complex64"), ([1.0 + 0j] * 6, "complex128"),
+    (ONES > 0, "bool"), (torch.ones(6) > 0, "bool"), (ONES.astype(object), "object"), (None, "object"),
+    (["1"] * 6, "<U1"), ("load", "<U4"), (np.zeros(6, "m8[s]"), "timedelta64"), ({}, "object"),
+    ([1.0, [2.0]], "no array"), (np.ma.masked_array(ONES, ONES > 0), "a masked array"),
+    (torch.ones(6).to_sparse(), "a sparse tensor"), (pd.Series(ONES), "a Series"),
+]  # fmt: skip
+
+
+@BOTH
+@pytest.mark.parametrize("field", ["p_kw", "q_kvar"])
+@pytest.mark.parametrize(("values", "why"), NO_FIGURES)
+def test_loads_that_are_no_real_numbers(toy6, method, field, values, why):
+    other = torch.ones(6) if isinstance(values, torch.Tensor) else ONES
+    loads = {"p_kw": other, "q_kvar": other} | {field: values}
+    with pytest.raises(PowerFlowError, match=rf"'toy6': {field} is .*{why}.*(give|fill)"):
+        method(toy6, **loads)
+
+
+@BOTH
+@pytest.mark.parametrize("value", [
+    "1.0", ["1.0"], True, 1.0 + 0j, [None], {}, np.ma.masked_array([1.0], [True]), np.array(1.0, object),
+])  # fmt: skip
+def test_substation_voltages_that_are_no_real_numbers(toy6, method, kind, value):
+    load = kind(np.ones((1, 6)))
+    with pytest.raises(PowerFlowError, match=r"'toy6': v0_pu is .*; (give a positive substation voltage|fill it)"):
+        method(toy6, load, load, value)
+
+
+@pytest.mark.parametrize("value", [
+    "x", ["1"] * 5, {}, np.ones(5) + 0j, np.ones(5) > 0, np.ones(5, object), np.ma.masked_array(np.ones(5), True),
+])  # fmt: skip
+def test_warm_starts_that_are_no_real_numbers(toy6, kind, value):
+    with pytest.raises(PowerFlowError, match=r"'toy6': warm is .*; (give a Solution or its current_sq_pu|fill it)"):
+        distflow(toy6, kind(ONES), kind(ONES), warm=value)
+
+
+@pytest.mark.parametrize("value", [NAN, INF, -1.0])
+def test_a_warm_start_that_leads_nowhere_is_set_aside(toy6, kind, value):
+    found = distflow(toy6, kind(ONES), kind(ONES), warm=np.full(5, value))
+    assert bool(found.converged)
+    np.testing.assert_allclose(np.asarray(found.v_pu), distflow(toy6, ONES, ONES).v_pu, atol=1e-7, rtol=0.0)
+
+
+@pytest.mark.parametrize("name", ["v0_pu", "warm"])
+def test_a_tensor_that_numpy_cannot_read(toy6, name):
+    given = torch.ones(() if name == "v0_pu" else 5, dtype=torch.float64, requires_grad=True)
+    with pytest.raises(PowerFlowError, match=rf"{name} is a Tensor that NumPy cannot read.*give {name}\.detach\(\)"):
+        distflow(toy6, ONES, ONES, **{name: given})
+
+
+@BOTH
+def test_loads_on_two_devices(toy6, method):
+    with pytest.raises(PowerFlowError, match="p_kw is on cpu and q_kvar on meta; give both on the same device"):
+        method(toy6, torch.ones(6), torch.ones(6, device="meta"))
+
+
+@BOTH
+def test_loads_are_solved_in_float32_only_if_both_are(toy6, method, kind):
+    single, double, whole = kind(ONES.astype("f4")), kind(ONES), kind(ONES.astype("i4"))
+    assert "float32" in str(method(toy6, single, single).v_pu.dtype)
+    for loads in ((single, double), (double, single), (single, whole), (whole, single)):
+        assert "float64" in str(method(toy6, *loads).v_pu.dtype)
+
+
+@BOTH
+@pytest.mark.parametrize("feeder", [None, "ieee33", 5, {}, Feeder])
+def test_what_is_no_feeder(method, kind, feeder):
+    with pytest.raises(PowerFlowError, match=r"feeder is .*; give a Feeder, for instance load_feeder\('ieee33'\)"):
+        method(feeder, kind(ONES), kind(ONES))
 
 
 def test_unusable_input_is_a_value_error_too(toy6):

@@ -1,0 +1,155 @@
+"""What a power flow is given: checked, and made arrays of one kind. What cannot be used is refused by name."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from functools import lru_cache
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from array_api_compat import is_array_api_obj
+
+from dcgrid_env.arrays import Array, as_like, namespace
+from dcgrid_env.feeder.feeder import Feeder
+from dcgrid_env.powerflow.solution import PowerFlowError, Solution
+
+_MOST_SWEEPS = 2**31 - 1
+
+_FLOATS = (np.dtype(np.float64), np.dtype(np.float32))
+_WANTED = {
+    "p_kw": "give active power alone, real numbers in kW",
+    "q_kvar": "give reactive power alone, real numbers in kvar",
+    "v0_pu": "give a positive substation voltage in p.u.",
+    "warm": "give a Solution or its current_sq_pu",
+}
+
+
+def check_feeder(feeder: Any) -> None:
+    """PowerFlowError unless it is a Feeder."""
+    if not isinstance(feeder, Feeder):
+        raise PowerFlowError(f"feeder is {reprlib.repr(feeder)}; give a Feeder, for instance load_feeder('ieee33')")
+
+
+def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
+    """Both loads as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_bus)."""
+    if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype and p_kw.dtype in _FLOATS):
+        p_kw, q_kvar = _of_one_kind(_figures(feeder, "p_kw", p_kw), _figures(feeder, "q_kvar", q_kvar))
+    if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_bus:
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
+            f"be (..., {feeder.n_bus}), one figure for each of bus_ids"
+        )
+    return p_kw, q_kvar
+
+
+def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
+    """``v0_pu`` (the feeder's own if None) with the loads' kind and leading shape; PowerFlowError unless positive."""
+    v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
+    if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray) and 0.0 < v0_pu < np.inf:
+        return _filled(p_kw.shape[:-1], v0_pu, p_kw.dtype)
+    xp, v0 = namespace(p_kw), _like("v0_pu", _figures(feeder, "v0_pu", v0_pu), p_kw)
+    if not bool(xp.all((v0 > 0) & (v0 < xp.inf))):
+        raise PowerFlowError(f"feeder {feeder.name!r}: v0_pu is {reprlib.repr(v0_pu)}; {_WANTED['v0_pu']}")
+    try:
+        return xp.broadcast_to(v0, p_kw.shape[:-1])
+    except (ValueError, RuntimeError):
+        shapes = f"{tuple(v0.shape)} for loads of shape {tuple(p_kw.shape)}"
+        raise PowerFlowError(f"v0_pu has shape {shapes}; give a number or the loads' leading shape") from None
+
+
+def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
+    """Squared currents to start from, of the loads' kind; PowerFlowError unless shaped (..., n_bus - 1) as they are.
+
+    That they are finite is not asked: the sweeps begin anew from zero where a start is of no use.
+    """
+    if warm is None:
+        return None
+    start = warm.current_sq_pu if isinstance(warm, Solution) else warm
+    if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
+        start = _like("warm", _figures(feeder, "warm", start), p_kw)
+    if tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
+        raise PowerFlowError(
+            f"warm start has shape {tuple(start.shape)}; for these loads it must be "
+            f"{(*p_kw.shape[:-1], feeder.n_bus - 1)}"
+        )
+    return start
+
+
+def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:
+    """PowerFlowError unless the tolerance, kVA, is positive (or None) and the sweeps can be counted."""
+    whole = type(max_sweeps) is int or (isinstance(max_sweeps, Integral) and not isinstance(max_sweeps, bool))
+    if not whole or not 1 <= max_sweeps <= _MOST_SWEEPS:
+        raise PowerFlowError(f"max_sweeps is {reprlib.repr(max_sweeps)}; give a whole number from 1 to {_MOST_SWEEPS}")
+    if tolerance_kva is None:
+        return
+    if not isinstance(tolerance_kva, Real) or isinstance(tolerance_kva, bool) or not 0.0 < tolerance_kva < math.inf:
+        raise PowerFlowError(
+            f"tolerance_kva is {reprlib.repr(tolerance_kva)}; give a positive number of kVA, or None for the default"
+        )
+
+
+def _figures(feeder: Feeder, name: str, values: Any) -> Array:
+    """An argument as an array of real numbers, NumPy's unless it is another library's; PowerFlowError if it is none."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: {name} is a masked array, and a power flow needs every figure; fill it, for "
+            f"instance {name}.filled(0.0)"
+        )
+    if hasattr(values, "shape") and not is_array_api_obj(values) and not isinstance(values, np.generic):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: {name} is a {type(values).__name__}; give a NumPy array, a list or a torch tensor"
+        )
+    if not is_array_api_obj(values):
+        try:
+            values = np.asarray(values)
+        except (ValueError, TypeError, RuntimeError) as error:
+            raise PowerFlowError(f"feeder {feeder.name!r}: {name} is no array ({error}); {_WANTED[name]}") from None
+    if not _is_dense(values):
+        raise PowerFlowError(f"feeder {feeder.name!r}: {name} is a sparse tensor; give {name}.to_dense()")
+    if not _is_real(values):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: {name} is {reprlib.repr(values.tolist())}, of dtype {values.dtype}; "
+            f"{_WANTED[name]}"
+        )
+    return values
+
+
+def _is_real(values: Array) -> bool:
+    if isinstance(values, np.ndarray | np.generic):
+        return values.dtype.kind in "fiu"
+    return namespace(values).isdtype(values.dtype, ("real floating", "integral"))
+
+
+def _is_dense(values: Array) -> bool:
+    return str(getattr(values, "layout", "torch.strided")) == "torch.strided"
+
+
+def _of_one_kind(p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
+    """Loads in float32 if both are, else in float64; PowerFlowError where one is NumPy's and the other is not."""
+    xp = namespace(p_kw)
+    if namespace(q_kvar) is not xp:
+        kinds = f"p_kw is a {type(p_kw).__name__} and q_kvar a {type(q_kvar).__name__}"
+        raise PowerFlowError(f"{kinds}; give both as the same kind of array")
+    if xp is not np and p_kw.device != q_kvar.device:
+        raise PowerFlowError(f"p_kw is on {p_kw.device} and q_kvar on {q_kvar.device}; give both on the same device")
+    dtype = xp.float32 if p_kw.dtype == q_kvar.dtype == xp.float32 else xp.float64
+    if xp is np:
+        return p_kw.astype(dtype, copy=False), q_kvar.astype(dtype, copy=False)
+    return xp.astype(p_kw, dtype, copy=False), xp.astype(q_kvar, dtype, copy=False)
+
+
+def _like(name: str, values: Array, like: Array) -> Array:
+    try:
+        return as_like(values, like)
+    except (TypeError, RuntimeError):  # a tensor that NumPy cannot read: of another device, or recording a derivative
+        raise PowerFlowError(
+            f"{name} is a {type(values).__name__} that NumPy cannot read, and the loads are NumPy's; give "
+            f"{name}.detach().cpu()"
+        ) from None
+
+
+@lru_cache(maxsize=64)
+def _filled(shape: tuple[int, ...], value: float, dtype: Any) -> Any:
+    return np.full(shape, value, dtype)

@@ -1,0 +1,19 @@
+"""Seeds of episodes as they are given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def whole_seed(seed: Any) -> int:
+    """A seed as an int; ValueError unless it is a whole number of at least 0."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed is {seed!r}; give a whole number of at least 0")
+    return int(seed)
+
+
+def as_seed(seed: Any) -> int | None:
+    """A seed as an int, None as it is; ValueError unless it is a whole number of at least 0."""
+    return None if seed is None else whole_seed(seed)
