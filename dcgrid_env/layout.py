@@ -9,10 +9,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
-from matplotlib.lines import Line2D
-from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
+from matplotlib.transforms import Affine2D
 from numpy.typing import ArrayLike, NDArray
 
 from dcgrid_env.feeder import Feeder
@@ -27,6 +26,7 @@ _WIDTH_TO_HEIGHT = 1.35
 _MARGIN_PT = 28.0
 _FEW_BUSES = 40
 """Feeders up to this size have their bus numbers written on the map."""
+_ARC = np.linspace(0.0, 1.0, 49)
 _HALO_S, _HALO_AREA = 30.0, 3600.0
 """Backlog in s of rated power at which the halo is largest, and its area then, square points."""
 
@@ -157,7 +157,7 @@ class FeederMap:
     @property
     def moving(self) -> list[Artist]:
         """What ``update`` changes, in drawing order; ``place`` also moves the names."""
-        return [self.halos, self.tracks, *self.clocks, self.dots, self.substation, self.triangles, self.rings]
+        return [self.halos, self.tracks, self.clocks, self.dots, self.substation, self.triangles, self.rings]
 
     def _frame_axes(self) -> None:
         """Limits that fill the box at equal scales, with room for what reaches beyond a bus."""
@@ -192,9 +192,11 @@ class FeederMap:
         self.halos.set_facecolor([agent_colour(i) for i in range(n_dc)])
         look = {"marker": "o", "linestyle": "none", "markersize": 2 * self._dc_radius_pt, "markeredgewidth": 3.0}
         (self.tracks,) = ax.plot([], [], **look, markerfacecolor="white", markeredgecolor="#C8C8C8", zorder=3)
-        self.clocks: list[Line2D] = []
-        for i in range(n_dc):
-            self.clocks += ax.plot([], [], **look, markerfacecolor="none", markeredgecolor=agent_colour(i), zorder=3.5)
+        # Arcs of the unit circle, in points around the buses.
+        self.clocks = LineCollection([], linewidths=3.0, colors=[agent_colour(i) for i in range(n_dc)], zorder=3.5)
+        self.clocks.set_transform(Affine2D().scale(self._dc_radius_pt / 72.0) + ax.figure.dpi_scale_trans)
+        self.clocks.set_offset_transform(ax.transData)
+        ax.add_collection(self.clocks, autolim=False)
         self._names = {f"dc_{i}": self._label("", 10, agent_colour(i), "bold") for i in range(n_dc)}
         self._names |= {f"inv_{i}": self._label("", 8, "#555555", "normal") for i in range(n_inv)}
 
@@ -212,8 +214,7 @@ class FeederMap:
         self.halos.set_offsets(at)
         self.halos.set_sizes(np.zeros(len(at)))
         self.tracks.set_data(at[:, 0], at[:, 1])
-        for clock, (x, y) in zip(self.clocks, at, strict=True):
-            clock.set_data([x], [y])
+        self.clocks.set_offsets(at)
         self.triangles.set_offsets(self.xy[self.inv])
         areas = np.full(self.feeder.n_bus, self._bus_area)
         areas[self.inv] = 0.0  # the triangle stands in its place
@@ -254,11 +255,9 @@ class FeederMap:
         outside = self.outside(v)
         self.rings.set_offsets(self.xy[outside])
         self.rings.set_sizes(self._ring_areas[outside])
-        for i, clock in enumerate(self.clocks):
-            share = 1.0 if clock_share is None else float(np.asarray(clock_share)[i])
-            # Clockwise from twelve o'clock. A marker is scaled by its farthest vertex, here always on the unit circle.
-            angle = np.linspace(0.0, 2.0 * np.pi * min(max(share, 0.0), 1.0), 49)
-            clock.set_marker(Path(np.column_stack((np.sin(angle), np.cos(angle)))))
+        share = np.clip(np.ones(len(self.dc)) if clock_share is None else np.asarray(clock_share, np.float64), 0.0, 1.0)
+        angle = 2.0 * np.pi * share[:, None] * _ARC  # clockwise from twelve o'clock
+        self.clocks.set_segments(list(np.stack((np.sin(angle), np.cos(angle)), axis=-1)))
         if backlog_s is not None:
             waiting = np.minimum(np.asarray(backlog_s, dtype=np.float64), _HALO_S)
             self.halos.set_sizes(_HALO_AREA * waiting / _HALO_S)
@@ -284,11 +283,13 @@ class _Room:
         offset = self.ways * (self.radius[i] + self.reach + clear)[:, None]
         centre = self.bus[i] + offset
         others = np.arange(len(self.bus)) != i
+        farthest = np.abs(offset).max(axis=0) + half + 1.0
+        lines = self.lines[np.all(np.abs(self.lines - self.bus[i]) < farthest, axis=1)]
 
         def covered(points: FloatArray, margin: ArrayLike) -> NDArray[np.intp]:
             return np.all(np.abs(points - centre[:, None]) < half + margin, axis=2).sum(axis=1)
 
-        crowd = 0.1 * self.reach + 0.4 * covered(self.lines, 1.0)
+        crowd = 0.1 * self.reach + 0.4 * covered(lines, 1.0)
         crowd += 20.0 * covered(self.bus[others], self.radius[others, None])
         crowd += 40.0 * covered(self.centres, self.halves)
         crowd += 40.0 * np.any((centre - half < self.frame[0]) | (centre + half > self.frame[1]), axis=1)

@@ -108,6 +108,7 @@ def environment_rows(scenario: Scenario, cfg: Speed) -> Iterator[Row]:
     steps = scenario.horizon
     yield Row("parallel_env", rate(_parallel_episode(scenario), steps, cfg.seconds), "steps/s")
     yield Row("gymnasium.make", rate(_single_episode(scenario), steps, cfg.seconds), "steps/s")
+    yield Row("frames, each with its step", rate(_single_episode(scenario, "rgb_array"), steps, cfg.seconds), "frames/s")
     per_s = rate(_batch_episode(scenario, cfg.batch), steps * cfg.batch, cfg.seconds)
     yield Row(f"DcgridVectorEnv, {cfg.batch} lanes", per_s, "environment steps/s")
     yield Row(f"DcgridVectorEnv, {cfg.batch} lanes", per_s * scenario.n_agents, "agent steps/s")
@@ -133,13 +134,13 @@ def _parallel_episode(scenario: Scenario) -> Callable[[], object]:
     return episode
 
 
-def _single_episode(scenario: Scenario) -> Callable[[], object]:
+def _single_episode(scenario: Scenario, render_mode: str | None = None) -> Callable[[], object]:
     import gymnasium
 
     from dcgrid_env import IDS
 
     id_of = {name: registered for registered, name in IDS.items()}
-    env, rng = gymnasium.make(id_of[scenario.name]), np.random.default_rng(0)
+    env, rng = gymnasium.make(id_of[scenario.name], render_mode=render_mode), np.random.default_rng(0)
     drawn = rng.uniform(-1.0, 1.0, (scenario.horizon, *(env.action_space.shape or ()))).astype(np.float32)
     env.reset(seed=0)
 
@@ -148,6 +149,8 @@ def _single_episode(scenario: Scenario) -> Callable[[], object]:
             _, _, terminated, truncated, _ = env.step(action)
             if terminated or truncated:
                 env.reset()
+            if render_mode is not None:
+                env.render()
 
     return episode
 

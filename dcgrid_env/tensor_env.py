@@ -186,14 +186,16 @@ def _is_floating_array(values: Any) -> bool:
     """Whether it is an array of float32 or float64, and neither a number nor a masked array."""
     if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
         return False
-    return str(values.dtype).rpartition(".")[2] in ("float32", "float64")
+    array: Array = values
+    return str(array.dtype).rpartition(".")[2] in ("float32", "float64")
 
 
-def _fits(action: Any, like: Array) -> bool:
+def _fits(action: Array, like: Array) -> bool:
     """Whether an action is an array of the kind, precision and device of ``like``; NumPy's floats all go together."""
     if isinstance(like, np.ndarray):
         return type(action) is np.ndarray and action.dtype.kind == "f"
-    return is_array_api_obj(action) and action.dtype == like.dtype and action.device == like.device
+    same = (getattr(action, "dtype", None), getattr(action, "device", None)) == (like.dtype, like.device)
+    return same and is_array_api_obj(action)
 
 
 def _kind(values: Array) -> str:

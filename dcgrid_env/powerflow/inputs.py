@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import reprlib
 from functools import lru_cache
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -79,12 +78,13 @@ def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
 
 def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:
     """PowerFlowError unless the tolerance, kVA, is positive (or None) and the sweeps can be counted."""
-    whole = type(max_sweeps) is int or (isinstance(max_sweeps, Integral) and not isinstance(max_sweeps, bool))
+    whole = type(max_sweeps) is int or (isinstance(max_sweeps, np.integer))
     if not whole or not 1 <= max_sweeps <= _MOST_SWEEPS:
         raise PowerFlowError(f"max_sweeps is {reprlib.repr(max_sweeps)}; give a whole number from 1 to {_MOST_SWEEPS}")
     if tolerance_kva is None:
         return
-    if not isinstance(tolerance_kva, Real) or isinstance(tolerance_kva, bool) or not 0.0 < tolerance_kva < math.inf:
+    real = isinstance(tolerance_kva, int | float | np.integer | np.floating) and not isinstance(tolerance_kva, bool)
+    if not real or not 0.0 < tolerance_kva < math.inf:
         raise PowerFlowError(
             f"tolerance_kva is {reprlib.repr(tolerance_kva)}; give a positive number of kVA, or None for the default"
         )
@@ -101,19 +101,19 @@ def _figures(feeder: Feeder, name: str, values: Any) -> Array:
         raise PowerFlowError(
             f"feeder {feeder.name!r}: {name} is a {type(values).__name__}; give a NumPy array, a list or a torch tensor"
         )
+    array: Array = values
     if not is_array_api_obj(values):
         try:
-            values = np.asarray(values)
+            array = np.asarray(values)
         except (ValueError, TypeError, RuntimeError) as error:
             raise PowerFlowError(f"feeder {feeder.name!r}: {name} is no array ({error}); {_WANTED[name]}") from None
-    if not _is_dense(values):
+    if not _is_dense(array):
         raise PowerFlowError(f"feeder {feeder.name!r}: {name} is a sparse tensor; give {name}.to_dense()")
-    if not _is_real(values):
+    if not _is_real(array):
         raise PowerFlowError(
-            f"feeder {feeder.name!r}: {name} is {reprlib.repr(values.tolist())}, of dtype {values.dtype}; "
-            f"{_WANTED[name]}"
+            f"feeder {feeder.name!r}: {name} is {reprlib.repr(array.tolist())}, of dtype {array.dtype}; {_WANTED[name]}"
         )
-    return values
+    return array
 
 
 def _is_real(values: Array) -> bool:

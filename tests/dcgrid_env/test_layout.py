@@ -157,7 +157,8 @@ def test_what_the_artists_show(axes):
     np.testing.assert_array_equal(drawn.dots.get_array(), v[1:])
     np.testing.assert_array_equal(drawn.rings.get_offsets(), xy[v < 0.95])
     np.testing.assert_array_equal(drawn.triangles.get_offsets(), xy[[6]])
-    full, quarter = (np.asarray(getattr(clock.get_marker(), "vertices")) for clock in drawn.clocks)  # noqa: B009
+    full, quarter = (np.asarray(path.vertices) for path in drawn.clocks.get_paths())
+    np.testing.assert_array_equal(drawn.clocks.get_offsets(), xy[[17, 32]])
     np.testing.assert_allclose(full[[0, -1]], [[0, 1], [0, 1]], atol=1e-12)
     np.testing.assert_allclose(
         quarter[[0, -1]], [[0, 1], [1, 0]], atol=1e-12

@@ -13,7 +13,9 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
 import dcgrid_env
 from dcgrid_env.render import SIZE_PX, Viewer
@@ -49,7 +51,11 @@ def titles(env):
 
 
 def curve(env, name, agent=0):
-    return env._viewer._parts[1].curves[name][agent].get_xydata()
+    """Times and values as drawn: (step, 2), without the corners of steps."""
+    bundle, n_dc = env._viewer._parts[1].curves[name], env.scenario.n_datacenters
+    lines = bundle.lines[0] if agent < n_dc else bundle.lines[1]
+    path = lines.get_paths()[agent if agent < n_dc else agent - n_dc].vertices
+    return path[::2] if bundle.steps else path
 
 
 def is_image(frame):
@@ -89,6 +95,57 @@ def test_the_kept_background_changes_nothing():
     run(env, 7)
     run(fresh, 7)
     np.testing.assert_array_equal(env.render(), fresh.render())
+
+
+@pytest.mark.parametrize("scenario", ["toy6", "ieee123", "training"])
+def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario):
+    """Axes that grow and names that move, one at a time, against a picture that is drawn for the first time."""
+    env, fresh = make(scenario, horizon=60), make(scenario, horizon=60)
+    slowest = np.full_like(env.action_space.sample(), -1.0)
+    for _ in range(60):
+        env.step(slowest)
+        fresh.step(slowest)
+        env.render()
+    np.testing.assert_array_equal(env.render(), fresh.render())
+    env.reset(seed=1)
+    fresh = make(scenario, horizon=60)
+    fresh.reset(seed=1)
+    np.testing.assert_array_equal(env.render(), fresh.render())
+
+
+def test_a_usual_frame_lays_out_no_text_and_only_what_changed_is_drawn_anew(monkeypatch):
+    env = make("toy6", p_rated_kw=2500.0)
+    env.render()
+    drawn = []
+    for kind in (Text, Axes):
+        plain = kind.draw
+        monkeypatch.setattr(kind, "draw", lambda self, *a, plain=plain, **k: (drawn.append(self), plain(self, *a, **k)))
+    axes = env._viewer._parts[1].axes
+    seen = set()
+    for _ in range(60):
+        env.step(np.full_like(env.action_space.sample(), -1.0))
+        drawn.clear()
+        env.render()
+        seen.add(frozenset(axes.index(a) for a in drawn if isinstance(a, Axes)))
+        assert bool(drawn) == any(isinstance(a, Axes) for a in drawn)
+    assert {frozenset(), frozenset({4})} <= seen
+
+
+@pytest.mark.parametrize(("backlog", "unit"), [(9e2, "kW s"), (0.9e6, "kW s"), (1.1e6, "MW s"), (9e8, "MW s")])
+def test_names_of_axes_keep_clear_of_long_figures(backlog, unit):
+    env = make("toy6", p_rated_kw=250.0)
+    env.render()
+    curves = env._viewer._parts[1]
+    curves._settle(env._viewer._history.buses, 0.95, 1.05, backlog)
+    env._viewer._figure.canvas.draw()
+    assert curves.axes[4].get_ylim()[1] >= 1.05 * backlog
+    assert curves.axes[4].get_ylabel() == f"backlog\n({unit})"
+    for ax in curves.axes:
+        name = ax.yaxis.label.get_window_extent()
+        figures = [text.get_window_extent() for text in ax.get_yticklabels() if text.get_text()]
+        assert figures
+        assert all(name.x1 <= box.x0 for box in figures)
+        assert name.x0 > 0.53 * SIZE_PX[0]  # and off the map
 
 
 def test_curves_are_the_simulation():

@@ -21,5 +21,5 @@ def test_none_is_the_next_episode_where_there_is_one():
 
 @pytest.mark.parametrize("seed", [-1, 1.0, True, "1", float("nan"), [0], np.int64(-1), np.bool_(True)])
 def test_the_rest_is_refused(seed):
-    with pytest.raises(ValueError, match="seed is .*; give a whole number of at least 0"):
+    with pytest.raises(ValueError, match=r"seed is .*; give a whole number of at least 0"):
         as_seed(seed)

@@ -197,7 +197,7 @@ def test_a_warm_start_that_leads_nowhere_is_set_aside(toy6, kind, value):
 def test_a_tensor_that_numpy_cannot_read(toy6, name):
     given = torch.ones(() if name == "v0_pu" else 5, dtype=torch.float64, requires_grad=True)
     with pytest.raises(PowerFlowError, match=rf"{name} is a Tensor that NumPy cannot read.*give {name}\.detach\(\)"):
-        distflow(toy6, ONES, ONES, **{name: given})
+        distflow(toy6, ONES, ONES, **{name: given})  # pyright: ignore[reportArgumentType]
 
 
 @BOTH
