@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.commands.results import meta, versions, write_json
 from dcgrid_env.feeder import Feeder
+from dcgrid_env.install import from_clone
 from dcgrid_env.powerflow import Solution, distflow, lindistflow
 from dcgrid_env.powerflow.threads import n_threads
 from dcgrid_env.presets import make_scenario
@@ -39,7 +40,7 @@ EXACT_KVA = 1e-9  # tolerance of the solves that errors are taken against; the d
 CHANGE = 0.002  # of every load between two solves of which the second starts warm
 SINGLES = 16  # different loads that single solves take turns with
 PACKAGES = ("torch", "pandapower", "power-grid-model", "lightsim2grid", "OpenDSSDirect.py", "dss_python_backend")
-MISSING = "not installed (pip install dcgrid-env[bench])"
+MISSING = f"not installed ({from_clone('bench')})"
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def environment_rows(scenario: Scenario, cfg: Speed) -> Iterator[Row]:
     steps = scenario.horizon
     yield Row("parallel_env", rate(_parallel_episode(scenario), steps, cfg.seconds), "steps/s")
     yield Row("gymnasium.make", rate(_single_episode(scenario), steps, cfg.seconds), "steps/s")
-    yield Row("frames, each with its step", rate(_single_episode(scenario, "rgb_array"), steps, cfg.seconds), "frames/s")
+    yield Row("rgb_array, a step each", rate(_single_episode(scenario, "rgb_array"), steps, cfg.seconds), "frames/s")
     per_s = rate(_batch_episode(scenario, cfg.batch), steps * cfg.batch, cfg.seconds)
     yield Row(f"DcgridVectorEnv, {cfg.batch} lanes", per_s, "environment steps/s")
     yield Row(f"DcgridVectorEnv, {cfg.batch} lanes", per_s * scenario.n_agents, "agent steps/s")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from importlib.util import find_spec
 
+from dcgrid_env.install import from_clone
 from dcgrid_env.scenario import Scenario
 from dcgrid_env.tensor_env import TensorEnv
 from dcgrid_env.timing import Row, rate
@@ -21,7 +22,7 @@ LANES = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
 EPISODES = 256  # different ones in a batch
 WINDOW = 20  # steps in a call, and so those through which a derivative reaches back
 UNIT = "environment steps/s"
-MISSING = "not installed (pip install dcgrid-env[agents])"
+MISSING = f"not installed ({from_clone('agents')})"
 
 
 def tensor_rows(scenario: Scenario, device: str, seconds: float) -> Iterator[Row]:

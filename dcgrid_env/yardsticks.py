@@ -1,7 +1,7 @@
 """The same balanced feeder in other power-flow libraries, to check figures and speed against.
 
 Each function here takes a :class:`~dcgrid_env.Feeder` and the substation voltage and returns a :class:`Yardstick`. The
-libraries come with ``pip install dcgrid-env[bench]`` and are imported in the function that needs them, no sooner.
+libraries come with the extra ``bench`` and are imported in the function that needs them, no sooner.
 
 A branch without impedance (a closed switch) is a bus-bus switch in pandapower, which fuses its two buses, and a link of
 1e6 p.u. or more in power-grid-model. lightsim2grid and OpenDSS get a reactance of ``SWITCH_X_PU`` instead: 3 Mvar

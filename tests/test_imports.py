@@ -11,10 +11,11 @@ ROOT = Path(__file__).parents[1]
 
 # Each module or package may import those before it, and its own package.
 ORDER = """
-    units seeds arrays files lock cache traces feeder powerflow devices fault scenario_check plain_data scenario presets
-    constants dynamics observation reward delay request_delay counter trace_pool episode foresight fingerprint
-    tensor_env simulation metrics layout history lettering panels episode_curves render info actions plain_spec time_limit face env vector_env
-    parallel_env baselines agents figure study yardsticks benchmark learning commands timing speed_tensors speed cli
+    units install seeds arrays files lock cache traces feeder powerflow devices fault scenario_check plain_data scenario
+    presets constants dynamics observation reward delay request_delay counter trace_pool episode foresight fingerprint
+    tensor_env simulation metrics layout history lettering panels episode_curves render info actions plain_spec
+    time_limit face env vector_env parallel_env baselines agents figure study yardsticks benchmark learning commands
+    timing speed_tensors speed cli
 """.split()  # noqa: SIM905 (a list of strings would be longer than the page is wide)
 FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}
 FOLDERS |= {"traces": "dcgrid_env.traces"}

@@ -1,8 +1,12 @@
 """The package list and the folders agree."""
 
+import subprocess
 import tomllib
+from fnmatch import fnmatch
 from importlib.metadata import version
 from pathlib import Path
+
+import pytest
 
 import dcgrid_env
 
@@ -10,14 +14,31 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_every_package_is_listed():
-    tool = PROJECT["tool"]["setuptools"]
-    folders = tool["package-dir"]
-    found = set()
-    for package, folder in folders.items():
-        for init in (ROOT / folder).rglob("__init__.py"):
-            found.add(".".join([package, *init.parent.relative_to(ROOT / folder).parts]))
-    assert set(tool["packages"]) == found
+TOOL = PROJECT["tool"]["setuptools"]
+
+
+def tracked():
+    """Files of the installed packages: (package, name), of those that git knows."""
+    for package, folder in TOOL["package-dir"].items():
+        listed = subprocess.run(["git", "ls-files", "-z", folder], cwd=ROOT, capture_output=True, text=True, check=True)
+        for path in filter(None, listed.stdout.split("\0")):
+            inside = Path(path).relative_to(folder)
+            yield ".".join([package, *inside.parent.parts]), inside.name
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: git does not say which files there are")
+def test_every_folder_is_listed_those_of_data_too():
+    assert set(TOOL["packages"]) == {package for package, _ in tracked()}
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: git does not say which files there are")
+def test_every_file_of_data_is_installed():
+    patterns = TOOL["package-data"]
+    assert set(patterns) <= set(TOOL["packages"])
+    data = [(package, name) for package, name in tracked() if not name.endswith(".py")]
+    left_out = {name for package, name in data if not any(fnmatch(name, p) for p in patterns.get(package, ()))}
+    assert left_out == {"README.md"}  # of traces, which is for readers of the repository
+    assert len(data) > 50
 
 
 def test_versions_agree():

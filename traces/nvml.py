@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from dcgrid_env.install import from_clone
 from dcgrid_env.traces.trace import TraceError
 
 INSTANT = "NVML_FI_DEV_POWER_INSTANT"
@@ -30,9 +31,7 @@ def started() -> Iterator[Any]:
     try:
         nvml = importlib.import_module("pynvml")
     except ImportError as error:
-        raise TraceError(
-            "recording needs the package nvidia-ml-py; install it with `pip install 'dcgrid-env[record]'`"
-        ) from error
+        raise TraceError(f"recording needs the package nvidia-ml-py; install it {from_clone('record')}") from error
     try:
         nvml.nvmlInit()
     except nvml.NVMLError as error:

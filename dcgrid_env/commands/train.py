@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import tyro
 
+from dcgrid_env.install import from_clone
+
 
 class Algorithm(NamedTuple):
     """Where an algorithm stands."""
@@ -34,7 +36,6 @@ ALGORITHMS = {
     "safe": Algorithm("safe", "Safe", "the same with monotone networks of bounded gain"),
 }
 """By the name on the command line; imported when asked for, as they need torch."""
-INSTALL = "pip install 'dcgrid-env[agents]'"
 
 
 @dataclass(frozen=True)
@@ -116,5 +117,4 @@ def imported(algorithm: Algorithm) -> Any:
     except ImportError as error:
         if (error.name or "").startswith("dcgrid_env"):
             raise
-        said = str(error)
-        raise ValueError(said if INSTALL in said else f"training: {said}; install it with: {INSTALL}") from None
+        raise ValueError(f"training: {error}; install it {from_clone('agents')}") from None

@@ -5,7 +5,8 @@ in processes of their own, this one learns.
 
     python docs/examples/rllib_multi_agent.py --iterations 3 --workers 2
 
-On a Ray cluster it is the same script, with ``pip install 'dcgrid-env[frameworks]'`` on every node:
+On a Ray cluster it is the same script, with ``pip install -e '.[frameworks]'`` in a clone of the
+repository on every node:
 
     ray start --head                                        # on one node
     ray start --address HEAD:6379                           # on each other node

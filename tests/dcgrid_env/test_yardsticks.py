@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import Feeder, distflow, load_feeder
+from dcgrid_env.install import from_clone
 from dcgrid_env.yardsticks import YARDSTICKS, Yardstick, missing
 
 LANES = 6
@@ -24,7 +25,7 @@ def yardstick(request: pytest.FixtureRequest, feeder: Feeder) -> Yardstick:
     """Each yardstick, at a substation voltage of 1.04 p.u."""
     lacking = missing(request.param)
     if lacking:
-        pytest.skip(f"{', '.join(lacking)} not installed (pip install dcgrid-env[bench])")
+        pytest.skip(f"{', '.join(lacking)} not installed ({from_clone('bench')})")
     return YARDSTICKS[request.param][0](feeder, 1.04)
 
 
@@ -56,7 +57,7 @@ def test_solves_agree_with_distflow(yardstick, feeder, loads):
 def test_the_substation_voltage_is_the_feeders_own_unless_given(feeder):
     lacking = missing("pandapower, defaults")
     if lacking:
-        pytest.skip(f"{', '.join(lacking)} not installed (pip install dcgrid-env[bench])")
+        pytest.skip(f"{', '.join(lacking)} not installed ({from_clone('bench')})")
     v_pu = YARDSTICKS["pandapower, defaults"][0](feeder, None).solve(np.zeros(feeder.n_bus), np.zeros(feeder.n_bus))
     np.testing.assert_allclose(v_pu, feeder.v0_pu, rtol=0.0, atol=1e-9)
 

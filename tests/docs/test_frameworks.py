@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dcgrid_env.agents import Policy
+from dcgrid_env.install import from_clone
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 LIMIT_S = 420
@@ -17,7 +18,7 @@ LIMIT_S = 420
 
 def needs(*modules):
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
-    why = f"{', '.join(missing)} not installed; pip install 'dcgrid-env[frameworks]' (pip install -e '.[frameworks]')"
+    why = f"{', '.join(missing)} not installed; {from_clone('frameworks')}"
     return pytest.mark.skipif(bool(missing), reason=why)
 
 

@@ -366,7 +366,7 @@ def test_a_machine_without_gpu(record, fake):
 
 def test_without_the_package_the_extra_is_named(record, monkeypatch):
     monkeypatch.setitem(sys.modules, "pynvml", None)
-    with pytest.raises(TraceError, match=r"pip install 'dcgrid-env\[record\]'"):
+    with pytest.raises(TraceError, match=r"pip install -e '\.\[record\]'"):
         record()
 
 

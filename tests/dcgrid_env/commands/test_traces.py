@@ -71,7 +71,7 @@ def test_fetch_names_what_there_is_and_shows_the_licence(capsys, monkeypatch, tm
 
 def test_record_without_a_gpu_says_what_is_missing(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pynvml", None)
-    assert "pip install 'dcgrid-env[record]'" in fails(capsys, "record", str(tmp_path / "gpus.csv"))
+    assert "pip install -e '.[record]'" in fails(capsys, "record", str(tmp_path / "gpus.csv"))
     assert not list(tmp_path.glob("gpus*"))
 
 

@@ -96,7 +96,7 @@ def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
             code, said = stopped(capsys, "train", "ppo")
         assert code == 2
         assert missing in said
-        assert "pip install 'dcgrid-env[agents]'" in said
+        assert "in a clone of the repository: pip install -e '.[agents]'" in said
 
 
 def test_help_lists_the_algorithms_without_torch():
