@@ -5,6 +5,7 @@ import runpy
 import shlex
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -83,13 +84,15 @@ def test_scores_come_out_again(scenario):
     assert row[3:5] == pytest.approx(found, abs=0.00501)
 
 
-def test_python_examples_run(capsys):
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 7
-    for block in blocks:
-        exec(compile(block, "README.md", "exec"), {"__name__": "__main__"})
-    printed = capsys.readouterr().out.split()
-    assert [round(float(x), 4) for x in printed[:2]] == [0.9131, 202.6771]
+def test_overrides_of_the_text_work_on_the_presets_they_are_for():
+    made = re.findall(r"`gymnasium\.make\((id|\"dcgrid/\w+-v0\"), ([^`]*)\)`", README)
+    assert len(made) == 3
+    for name, overrides in made:
+        for preset in dcgrid_env.IDS if name == "id" else [name.strip('"')]:
+            env = eval(f"gymnasium.make({preset!r}, {overrides})", {"gymnasium": gymnasium})
+            env.reset(seed=0)
+    env = gymnasium.make("dcgrid/IEEE33-v0", n_datacenters=3, datacenter_buses=None)
+    assert env.get_wrapper_attr("scenario").n_datacenters == 3
 
 
 def test_every_id_and_scenario_is_named():

@@ -2,6 +2,7 @@
 
 import resource
 import time
+from collections.abc import Sequence
 
 from dcgrid_env.traces.library import library
 from dcgrid_env.traces.serving.services import requests
@@ -23,25 +24,25 @@ def timed(call, *arguments):
     return result, time.perf_counter() - begin
 
 
-def main() -> None:
-    """Print the figures; compiling is not counted."""
+def main(hours: float = 24.0, sources: Sequence[str] = TRACE_SOURCES) -> None:
+    """Print the figures for a day, or so many hours, and for sources of a scenario; compiling is not counted."""
     generate_site(1.0, 0)
     site = Site()
     for service in ("chat", "code"):
-        made, took_s = timed(requests, service, 24.0, 0)
-        print(f"requests({service!r}, hours=24): {len(made):,} requests, {took_s:.2f} s")
+        made, took_s = timed(requests, service, hours, 0)
+        print(f"requests({service!r}, hours={hours:g}): {len(made):,} requests, {took_s:.2f} s")
     before = peak_mib()
-    trace, took_s = timed(generate_site, 86400.0, 0)
+    trace, took_s = timed(generate_site, 3600.0 * hours, 0)
     assert trace.requests is not None
     assert trace.compute_kw is not None
     held = sum(array.nbytes for array in (trace.time_s, trace.power_kw, trace.compute_kw, *trace.requests)) / MIB
     rate = site.rate_per_s(site.tenants[0])
     print(
-        f"24 h of a {site.rated_kw:.0f} kW site that answers {rate:.0f} chat requests a second: {took_s:.1f} s; "
+        f"{hours:g} h of a {site.rated_kw:.0f} kW site that answers {rate:.0f} chat requests a second: {took_s:.1f} s; "
         f"held {held:.0f} MiB at 0.1 s, {trace.resample(1.0).nbytes / MIB:.1f} MiB at 1 s; "
         f"peak memory {peak_mib():.0f} MiB, {before:.0f} of it before"
     )
-    for source in TRACE_SOURCES:
+    for source in sources:
         _, took_s = timed(library, source, "train", 1.0, 3600.0)
         print(f"library({source!r}), 24 rows of an hour, once a process: {took_s:.1f} s")
 

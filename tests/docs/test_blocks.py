@@ -1,0 +1,276 @@
+"""Every command and every block of code in the documents runs.
+
+Commands run in the order of the document, in a folder of its own, as they stand but for what makes them take long:
+``SHORTER`` says which options get which smaller values, so that the options which a document names are read and used.
+A command of a kind that stands in no list fails. Commands within a sentence are read by the command line alone.
+"""
+
+import contextlib
+import importlib.util
+import io
+import itertools
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+
+from dcgrid_env import cli
+from dcgrid_env.agents.policy import FOLDER
+from dcgrid_env.commands import train
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = sorted(
+    path.relative_to(ROOT).as_posix()
+    for pattern in ("*.md", "docs/**/*.md", "traces/*.md")
+    for path in ROOT.glob(pattern)
+    if path.name != "CHANGELOG.md"
+)
+
+TRAINING = {"--updates": "1", "--lanes": "2", "--validation-episodes": "2"}
+STEPS = {"--steps": "240", "--lanes": "2", "--validation-episodes": "2"}
+SHORTER = {
+    "dcgrid run": {"--episodes": "2"},
+    "dcgrid benchmark": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid benchmark --controllers all": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
+    "dcgrid train analytic": TRAINING,
+    "dcgrid train safe": TRAINING,
+    "dcgrid train ppo": STEPS | {"--minibatches": "1"},
+    "dcgrid evaluate": {"--episodes": "2"},
+    "dcgrid ship": {"--episodes": "2", "--out": "results/ship"},
+    "dcgrid tune": {"--episodes": "2", "--laws": "constant-q", "--jobs": "1"},
+    "dcgrid hindsight": {"--episodes": "1", "--jobs": "1"},
+    "dcgrid list": {},
+    "python docs/picture.py": {},
+    "python docs/agents.py": {},
+}
+"""Options that are given these values, by how a command begins."""
+
+ELSEWHERE = {
+    "dcgrid pareto": "tests/dcgrid_env/learning",
+    "dcgrid ablate": "tests/dcgrid_env/learning",
+    "dcgrid generalise": "tests/dcgrid_env/learning",
+    "dcgrid reproduce": "tests/dcgrid_env/commands/test_reproduce.py",
+    "dcgrid traces fetch": "tests/dcgrid_env/commands/test_traces.py",  # there from a server of the test's own
+    "dcgrid traces show": "tests/dcgrid_env/commands/test_traces.py",
+    "dcgrid traces record": "tests/dcgrid_env/commands/test_traces.py",  # there without a GPU
+    "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
+    "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
+    "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
+    "python docs/examples/torchrl_pettingzoo.py": "tests/docs/test_frameworks.py",
+    "python docs/examples/rllib_multi_agent.py": "tests/docs/test_frameworks.py",
+    "python -m dcgrid_env.traces.timing": "tests/traces/test_timing.py",
+    "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.speed": "tests/dcgrid_env/test_speed.py",
+    "python -m venv": ".ci/run",
+    "python -m pip": ".ci/run",
+    "python -m pytest": ".ci/run",
+    "ruff check": ".ci/run",
+    "ruff format": ".ci/run",
+    "pyright": ".ci/run",
+    "bash .ci/run": ".ci/run",
+}
+"""What is run by another test or by the submission's checks, and only read here, by how a command begins."""
+
+WORD = re.compile(r"(?:\.venv/bin/)?(dcgrid|python3?|ruff|pyright|bash)(?= )")
+SAVED_AS = re.compile(r"\b(\w+\.py):(\w+)")
+
+
+class Document:
+    """A document's blocks: those of Python, and its commands."""
+
+    def __init__(self, name):
+        self.name = name
+        text = (ROOT / name).read_text(encoding="utf-8")
+        fences = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        assert {kind for kind, _ in fences} <= {"python", "bash"}, f"{name}: a block that is neither Python nor bash"
+        self.python = [block for kind, block in fences if kind == "python"]
+        prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+        indented = [line[4:] for line in prose.splitlines() if line.startswith("    ") and WORD.match(line[4:])]
+        bash = "".join(block for kind, block in fences if kind == "bash").replace("\\\n", " ").splitlines()
+        self.lines = [line for line in (*bash, *indented) if line.strip() and not line.startswith("#")]
+        spans = [re.sub(r"\s+", " ", span) for span in re.findall(r"`([^`]+)`", prose)]
+        self.inline = [span for span in spans if WORD.match(span) and " " in span]
+
+    def commands(self):
+        """Words of every command, in order, as the shell gives them on."""
+        for line in self.lines:
+            for part in re.split(r" && ", line):
+                yield words(part)
+
+
+def words(command):
+    """A command's words without what comes before the program's name; the shell's own expansions done."""
+    split = subprocess.run(["bash", "-fc", f"printf '%s\\0' {command}"], capture_output=True, text=True, check=True)
+    first, *rest = split.stdout.split("\0")[:-1]
+    return [{"python3": "python"}.get(Path(first).name, Path(first).name), *rest]
+
+
+def listed(known, command):
+    """The longest entry of a list that a command begins with, or None."""
+    begun = [key for key in known if command[: len(key.split())] == key.split() or all_in(key.split(), command)]
+    return max(begun, key=len, default=None)
+
+
+def all_in(key, command):
+    """Whether a command is of the entry's kind and has its options with their values, in any place."""
+    plain = [i for i, word in enumerate(key) if word.startswith("--")]
+    if not plain:
+        return False
+    head, options = key[: plain[0]], key[plain[0] :]
+    pairs = list(itertools.pairwise(command))
+    return command[: len(head)] == head and all(p in pairs for p in zip(options[::2], options[1::2], strict=True))
+
+
+def shortened(command):
+    """A command with the smaller values of ``SHORTER``."""
+    entry = listed(SHORTER, command)
+    assert entry is not None, f"`{shlex.join(command)}` is of a kind that stands in no list of {Path(__file__).name}"
+    made = list(command)
+    for option, value in SHORTER[entry].items():
+        if option in made:
+            made[made.index(option) + 1] = value
+        else:
+            made += [option, value]
+    return made
+
+
+def read(arguments):
+    """Whether dcgrid's command line can read a command; nothing is done."""
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            if arguments[:1] == ["train"] and arguments[1:2] and not arguments[1].startswith("-"):
+                algorithm = train.ALGORITHMS[arguments[1]]
+                tyro.cli(getattr(train.imported(algorithm), algorithm.config), args=arguments[2:])
+            else:
+                tyro.cli(cli.Command, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,))
+    except SystemExit as stopped:
+        return stopped.code in (0, None)
+    return True
+
+
+def check_read(command):
+    """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
+    if command[0] == "dcgrid":
+        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid tune`: what it is about
+        assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
+    elif command[:2] == ["python", "-m"]:
+        assert importlib.util.find_spec(command[2]) is not None, command
+    elif command[0] in ("python", "bash"):
+        assert (ROOT / command[1]).is_file(), command
+
+
+def run(command, monkeypatch):
+    """Run a command in this process."""
+    if command[0] == "dcgrid":
+        cli.main(command[1:])
+    else:
+        named = command[3:] if command[1] == "-m" else command[2:]
+        monkeypatch.setattr(sys, "argv", [command[2] if command[1] == "-m" else command[1], *named])
+        if command[1] == "-m":
+            runpy.run_module(command[2], run_name="__main__", alter_sys=False)
+        else:
+            runpy.run_path(str(ROOT / command[1]), run_name="__main__")
+
+
+def alike(command):
+    """What commands have in common that differ in numbers, scenarios and folders alone: one of them is run."""
+    kept, skip = [], False
+    for word in command:
+        if skip or re.fullmatch(r"[-\d.,e]+", word):
+            skip = False
+            continue
+        skip = word in ("--out", "--scenario", "--name")
+        kept.append(word)
+    return tuple(kept)
+
+
+READ = {name: Document(name) for name in DOCUMENTS}
+
+
+def write_files(folder):
+    """The blocks that commands name as files, and those that examples make."""
+    named = {found for document in READ.values() for found in SAVED_AS.findall(" ".join(document.lines))}
+    for file, member in named:
+        blocks = [b for d in READ.values() for b in d.python if re.search(rf"^(class|def) {member}\b", b, re.MULTILINE)]
+        if blocks:
+            (folder / file).write_text(blocks[0], encoding="utf-8")
+    (folder / "docs" / "images").mkdir(parents=True)
+    (folder / "results").mkdir()
+    for ending in ("safetensors", "json"):  # for the one that an example trains
+        shutil.copy(FOLDER / f"ieee33-weak-analytic.{ending}", folder / "results" / f"cleanrl.{ending}")
+
+
+def test_there_are_documents_with_commands_and_code():
+    assert {"README.md", "CONTRIBUTING.md", "traces/README.md", "docs/examples/README.md"} <= set(READ)
+    assert sum(len(document.python) for document in READ.values()) >= 7
+    assert sum(len(list(document.commands())) for document in READ.values()) >= 30
+
+
+@pytest.mark.parametrize("name", [name for name, document in READ.items() if document.lines or document.inline])
+def test_every_command_can_be_read(name):
+    for command in (*READ[name].commands(), *map(words, READ[name].inline)):
+        check_read(command)
+
+
+@pytest.mark.parametrize("name", [name for name, document in READ.items() if document.lines])
+def test_every_command_is_of_a_kind_that_is_run_here_or_elsewhere(name):
+    for command in READ[name].commands():
+        if (elsewhere := listed(ELSEWHERE, command)) is not None:
+            assert (ROOT / ELSEWHERE[elsewhere]).exists()
+        else:
+            shortened(command)
+
+
+@pytest.mark.parametrize("command", ["dcgrid new --episodes 3", "python docs/new.py", "dcgrid train new"])
+def test_a_command_of_no_known_kind_fails(command):
+    assert listed(ELSEWHERE, words(command)) is None
+    with pytest.raises(AssertionError, match="stands in no list"):
+        shortened(words(command))
+
+
+def test_options_of_a_document_stay_but_for_the_smaller_values():
+    given = "dcgrid train analytic --scenario ieee33-weak --updates 120 --act q"
+    expected = "dcgrid train analytic --scenario ieee33-weak --updates 1 --act q --lanes 2 --validation-episodes 2"
+    assert shortened(words(given)) == expected.split()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # a user's commands print warnings and go on
+@pytest.mark.parametrize("name", [name for name, document in READ.items() if document.lines])
+def test_commands_run(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DCGRID_NUM_THREADS", "1")
+    write_files(tmp_path)
+    done = DONE.setdefault("commands", set())
+    for command in READ[name].commands():
+        if listed(ELSEWHERE, command) is None and alike(command) not in done:
+            there = [word for word in command if not word.startswith("results/train/") or Path(word).exists()]
+            run(shortened(there), monkeypatch)  # of several seeds only the first has been trained here
+            done.add(alike(command))
+    assert "Traceback" not in capsys.readouterr().err
+
+
+DONE: dict[str, set] = {}
+"""Kinds of command that have run in this process: documents repeat each other."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, document in READ.items() if document.python])
+def test_python_runs(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    power_w = np.array([800.0, 950.0, 700.0, 820.0])
+    np.savetxt("recording.csv", np.column_stack((np.arange(4.0), power_w)), delimiter=",")
+    for i, block in enumerate(READ[name].python):
+        exec(compile(block, f"{name}, block {i}", "exec"), {"__name__": "__main__"})
+    if name == "README.md":
+        printed = capsys.readouterr().out.split()
+        assert [round(float(x), 4) for x in printed[:2]] == [0.9131, 202.6771]
