@@ -123,6 +123,16 @@ def test_ranges_longer_than_the_episode_are_drawn_before_they_are_cut():
     assert 0.03 < np.mean(ends <= 50) < 0.055
 
 
+def test_target_beginning_and_length_are_drawn_independently():
+    seeds = np.arange(4000, dtype=np.uint64)
+    scenario = make_scenario("ieee33", faults=(Fault(("inverter",), (0.0, 5.0), (0.0, 5.0)),))
+    target, begin, end = episode.draw(scenario, seeds, 0 * seeds).fault[:, 0].T
+    for one, other in ((target, begin), (target, end - begin), (begin, end - begin)):
+        pairs = np.unique(np.stack((one, other)), axis=1, return_counts=True)[1]
+        assert len(pairs) == 36  # six inverters, six beginnings, six lengths
+        assert np.abs(pairs - 4000 / 36).max() < 5 * np.sqrt(4000 / 36)
+
+
 def test_a_fault_survives_saving_a_masked_reset_and_the_clock_law():
     scenario = make_scenario("fault", horizon=30)
     simulation = Simulation(scenario, 3)

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from operators import Mutant, mutants_of
-from rooms import Room, all_mutants, preloaded, read_equivalents, read_rooms, stale
+from rooms import Equivalent, Room, all_mutants, preloaded, read_equivalents, read_rooms, stale
 from trial import OLD_S, Trial, begin, copy_tree, preload
 
 HERE = Path(__file__).parent
@@ -59,12 +59,13 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
             copies = [Path(folder) / f"copy{i}" for i in range(args.jobs)]
             limits_s = _baseline(root, copies, rooms, args.grace)
-            outcomes = []
-            for room in rooms:
-                equivalent = [m for m in chosen[room.name] if any(entry.is_of(m) for entry in known)]
-                outcomes += [Outcome(room.name, m, "equivalent", "", 0.0) for m in equivalent]
-                rest = [m for m in chosen[room.name] if m not in equivalent]
-                outcomes += _judged(copies, room, rest, limits_s[room.name])
+            outcomes: list[Outcome] = []
+            try:
+                for room in rooms:
+                    for outcome in _outcomes(copies, room, chosen[room.name], known, limits_s[room.name]):
+                        outcomes.append(outcome)  # one by one, so that an interrupt keeps what is done
+            except KeyboardInterrupt:
+                print("mutation run: interrupted; the table is of what was tried until now", file=sys.stderr)
     except ValueError as error:
         print(f"mutation run: {error}", file=sys.stderr)
         return 2
@@ -138,6 +139,19 @@ def _each_end(trials: list[Trial]) -> Iterator[str]:
         finally:
             trial.kill()
         yield ended
+
+
+def _outcomes(
+    copies: list[Path], room: Room, mutants: list[Mutant], known: list[Equivalent], limit_s: float
+) -> Iterator[Outcome]:
+    """What becomes of each mutant; those known to be equivalent are not tried."""
+    rest = []
+    for mutant in mutants:
+        if any(entry.is_of(mutant) for entry in known):
+            yield Outcome(room.name, mutant, "equivalent", "", 0.0)
+        else:
+            rest.append(mutant)
+    yield from _judged(copies, room, rest, limit_s)
 
 
 def _judged(copies: list[Path], room: Room, mutants: list[Mutant], limit_s: float) -> Iterator[Outcome]:
