@@ -25,18 +25,17 @@ def clipped(value: "int | None") -> int:
     return min(value, TOP)
 
 
-def halvings(value: int) -> int:
-    count = 0
+def leading(value: int) -> int:
     while value > 1:
-        value, count = value // 2, count + 1
-    return count
+        value = value // 2
+    return value
 ''',
-    "tests/test_figures.py": """from toy.inner.figures import clipped, halvings
+    "tests/test_figures.py": """from toy.inner.figures import clipped, leading
 
 
 def test_figures():
     assert [clipped(v) for v in (3, 9)] == [3, 4]
-    assert [halvings(v) for v in (1, 8, 9)] == [0, 3, 3]
+    assert [leading(v) for v in (1, 8, 9)] == [1, 1, 1]
 """,
     "pyproject.toml": """[tool.setuptools.package-dir]
 toy = "toy"
@@ -82,6 +81,7 @@ def files(root):
     return {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_planted_survivor_is_found_and_planted_mutants_are_caught(toy, tmp_path):
     before = files(toy)
     done = run(toy, "--out", tmp_path / "outcomes.json", "--least", "95")
@@ -92,7 +92,7 @@ def test_a_planted_survivor_is_found_and_planted_mutants_are_caught(toy, tmp_pat
     survivor = ('raise TypeError(f"no value, {1 + 1}")', "pass")
     assert [change for change, what in became.items() if what == "survived"] == [survivor]
     assert became["while value > 1:", "while value >= 1:"] == "equivalent"
-    endless = [("value, count = value // 2, count + 1", "pass"), ("while value > 1:", "while value <= 1:")]
+    endless = [("value = value // 2", "pass"), ("while value > 1:", "while value <= 1:")]
     assert {change for change, what in became.items() if what == "timed out"} == set(endless)
     assert became["TOP = 4", "TOP = 5"] == "caught"
     assert {o["test"].split(" - ")[0] for o in outcomes if o["what"] == "caught"} == {

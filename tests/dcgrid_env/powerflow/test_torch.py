@@ -44,8 +44,8 @@ def test_agrees_with_the_compiled_kernel(feeder, random_loads, as_torch, as_nump
 def test_the_residual_of_a_first_sweep_by_hand(two_bus, as_torch):
     # Squared current (1.2^2 + 0.5^2) / 1 where there was none, over the larger of 0.04 and 0.07: 118.3 kVA.
     loads = [0.0, 1200.0], [0.0, 500.0]
-    for given in (loads, as_torch(*loads)):
-        solution = distflow(two_bus(0.04, 0.07), *given, 1.0, max_sweeps=1)
+    for p_kw, q_kvar in (loads, as_torch(*loads)):
+        solution = distflow(two_bus(0.04, 0.07), p_kw, q_kvar, 1.0, max_sweeps=1)
         assert not bool(solution.converged)
         assert float(solution.residual_kva) == pytest.approx(118.3, rel=1e-12)
 
