@@ -108,7 +108,12 @@ def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
 
 
 def read_value(field: str, text: str) -> Any:
-    """A value as TOML or JSON has it, or the text itself where it is neither and does not begin like one."""
+    """A value as TOML or JSON has it, or the text itself where it is neither and does not begin like one.
+
+    None, True and False are also taken as Python writes them, which messages do.
+    """
+    if text in ("None", "True", "False"):
+        return {"None": None, "True": True, "False": False}[text]
     try:
         table = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:

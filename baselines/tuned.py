@@ -92,7 +92,7 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
             return laws
     except (ValueError, KeyError, TypeError, AttributeError):
         pass
-    raise ValueError(f"{path} is no file of tuned parameters; delete it, or name another")
+    raise ValueError(f"{path} is no file that dcgrid tune wrote; name another")
 
 
 def identity(scenario: Scenario) -> dict[str, str]:

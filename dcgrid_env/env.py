@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dcgrid_env.simulation import Transition
 
 
-class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):
+class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
 
     ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the

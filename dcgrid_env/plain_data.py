@@ -14,7 +14,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,9 @@ def from_plain(name: str, value: Any, weights: CostWeights) -> Any:
     convert = _CONVERSIONS.get(name)
     if convert is not None:
         value = convert(value)
-    if isinstance(value, list | np.ndarray):
+    if isinstance(value, np.ndarray):
+        value = value.tolist()  # a number where it has no dimension
+    if isinstance(value, list):
         return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
     return value.item() if isinstance(value, np.generic) else value
 
@@ -61,7 +65,10 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, CostWeights):
         return {key: to_plain(weight) for key, weight in value._asdict().items()}
     if isinstance(value, Fault):
-        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        held = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {key: to_plain(v) for key, v in held.items() if v != (math.inf, math.inf)}
+    if isinstance(value, Enum):
+        return value.name.lower()
     if isinstance(value, Feeder):
         return value.name if value.name in FEEDERS and load_feeder(value.name) is value else value
     for law, kind in DVFS_LAWS.items():
@@ -81,7 +88,7 @@ def reads_files(name: str, value: Any) -> bool:
     if name == "feeder":
         return isinstance(value, str | Path) and value not in FEEDERS
     if name == "trace":
-        return isinstance(value, Path | list) or (isinstance(value, str) and value not in TRACE_SOURCES)
+        return isinstance(value, Path | list | tuple) or (isinstance(value, str) and value not in TRACE_SOURCES)
     return name == "inverter_trace" and isinstance(value, str | Path) and value != SUN
 
 
@@ -95,7 +102,7 @@ def _weights(given: Mapping[str, Any], weights: CostWeights) -> CostWeights:
 def _feeder(value: Any) -> Any:
     if not isinstance(value, str | Path) or value in FEEDERS:
         return load_feeder(value) if isinstance(value, str) else value
-    if Path(value).is_dir():
+    if _is_there(value, Path.is_dir):
         return Feeder.from_csv(value)
     raise FeederError(f"unknown feeder {str(value)!r}; there are {', '.join(FEEDERS)}; or give a folder of your own")
 
@@ -114,7 +121,9 @@ def _faults(value: Any) -> Any:
                     wrong = "is no key" if key not in known else "is missing"
                     raise ScenarioError(f"faults[{i}]: {key!r} {wrong}; give {', '.join(known)}, the last if need be")
             try:
-                fault = Fault(**{key: tuple(v) if isinstance(v, list) else v for key, v in fault.items()})
+                # JSON proper has no infinity: no duration, or null, is for good.
+                given = {key: v for key, v in fault.items() if not (key == "duration_s" and v is None)}
+                fault = Fault(**{key: tuple(v) if isinstance(v, list | np.ndarray) else v for key, v in given.items()})
             except (TypeError, ValueError) as error:
                 raise ScenarioError(f"faults[{i}]: {error}") from None
         found.append(fault)
@@ -128,7 +137,7 @@ def _dvfs(value: Any) -> Any:
         law = parameters.pop("law", None)
     elif not isinstance(value, str):
         return value
-    if law not in DVFS_LAWS:
+    if not isinstance(law, str) or law not in DVFS_LAWS:
         names = ", ".join(map(repr, DVFS_LAWS))
         raise ScenarioError(f"dvfs is {value!r}; give {names}, or a mapping with the key 'law' that is one of them")
     known = [field.name for field in dataclasses.fields(DVFS_LAWS[law])]
@@ -141,6 +150,13 @@ def _dvfs(value: Any) -> Any:
         raise ScenarioError(f"dvfs: {error}") from None
 
 
+def _is_there(path: str | Path, kind: Callable[[Path], bool]) -> bool:
+    try:
+        return kind(Path(path))
+    except (OSError, ValueError):  # a name too long, or with a null character
+        return False
+
+
 def _recording(field: str, value: Any) -> Any:
     try:
         return recorded_trace(str(value))
@@ -151,7 +167,7 @@ def _recording(field: str, value: Any) -> Any:
 def _trace(value: Any) -> Any:
     if isinstance(value, PowerTrace):
         return (value,)
-    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or Path(value).is_file())):
+    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))):
         return (_recording("trace", value),)
     if isinstance(value, list | tuple):
         named = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
@@ -160,7 +176,7 @@ def _trace(value: Any) -> Any:
 
 
 def _inverter_trace(value: Any) -> Any:
-    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or Path(value).is_file())):
+    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))):
         return _recording("inverter_trace", value)
     return value
 

@@ -52,7 +52,9 @@ _RANGES: dict[str, tuple[float, float | str]] = {  # a bound may be another fiel
     "r_model_share": (0.0, 10.0),
     "x_model_share": (0.0, 10.0),
 }
-_COUNTS = {"n_datacenters": 0, "horizon": 1, "measurement_delay": 0}
+_COUNTS = {"n_datacenters": (0, 10_000), "horizon": (1, 100_000_000), "measurement_delay": (0, 10_000)}
+LARGEST_RATING = 1e9
+"""Of a device, kW or kVA: a thousand gigawatts."""
 
 
 class ScenarioError(ValueError):
@@ -74,18 +76,20 @@ class CostWeights(NamedTuple):
 
 def check(s: Scenario) -> None:
     """Raise ScenarioError at the first field that cannot be."""
+    if not isinstance(s.name, str) or not s.name.strip():
+        raise ScenarioError(f"scenario {s.name!r}: name is {s.name!r}; give a text that is not empty")
     if not isinstance(s.feeder, Feeder):
         _refuse(s, "feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
     for name, (low, bound) in _RANGES.items():
         value = getattr(s, name)
         high = getattr(s, bound) if isinstance(bound, str) else bound
-        if not _is_number(value) or not low <= value <= high or math.isinf(value):
+        if not _is_number(value) or not low <= value <= min(high, 1e300):
             upper = f"{bound} = {high:g}" if isinstance(bound, str) else f"{high:g}"
             _refuse(s, name, f"give a finite number in [{low:g}, {upper}]")
-    for name, low in _COUNTS.items():
+    for name, (low, high) in _COUNTS.items():
         value = getattr(s, name)
-        if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
-            _refuse(s, name, f"give a whole number of at least {low}")
+        if not isinstance(value, Integral) or isinstance(value, bool) or not low <= int(value) <= high:
+            _refuse(s, name, f"give a whole number of at least {low} and at most {high:,}")
     for name, choices in _CHOICES.items():
         value = getattr(s, name)
         if type(value) is not type(choices[0]) or value not in choices:
@@ -97,7 +101,7 @@ def check(s: Scenario) -> None:
     for name, value in s.weights._asdict().items():
         if not _is_number(value) or not 0 <= value < math.inf:
             raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
-    if not callable(getattr(s.dvfs, "serve", None)):
+    if isinstance(s.dvfs, type) or not callable(getattr(s.dvfs, "serve", None)):
         _refuse(s, "dvfs", "give 'linear', 'phase', or a clock law such as PhaseDvfs()")
     if phases_of(s.dvfs) not in (1, 2):
         _refuse(s, "dvfs", f"give a clock law of 1 or 2 phases, not {phases_of(s.dvfs)!r}")
@@ -121,8 +125,9 @@ def _check_ratings(s: Scenario) -> None:
     for name, n in (("p_rated_kw", s.n_datacenters), ("inverter_s_kva", s.n_inverters)):
         value = getattr(s, name)
         values = value if isinstance(value, tuple) else (value,) * n
-        if len(values) != n or not all(_is_number(v) and 0 < v < math.inf for v in values):
-            _refuse(s, name, f"give one positive number, or one for each of the {n} devices")
+        if len(values) != n or not all(_is_number(v) and 0 < v <= LARGEST_RATING for v in values):
+            remedy = f"give one positive number of at most {LARGEST_RATING:g}, or one for each of the {n} devices"
+            _refuse(s, name, remedy)
 
 
 def _check_placement(s: Scenario) -> None:
@@ -136,6 +141,8 @@ def _check_placement(s: Scenario) -> None:
             )
         fixed += s.datacenter_buses
     for bus in fixed:
+        if isinstance(bus, bool) or not isinstance(bus, int | str):
+            raise ScenarioError(f"scenario {s.name!r}: bus {bus!r} is no number or text; give one of the feeder's")
         try:
             at = s.feeder.index(bus)
         except FeederError as error:

@@ -45,7 +45,7 @@ def with_horizon(overrides: dict[str, Any], name: str, steps: int | None) -> dic
     if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 1:
         raise ScenarioError(f"{name} is {steps!r}; give a whole number of at least 1")
     horizon = overrides.get("horizon", steps)
-    if horizon != steps:
+    if isinstance(horizon, bool) or not isinstance(horizon, Integral) or horizon != steps:
         raise ScenarioError(
             f"{name} is {steps} and horizon is {horizon!r}, but both are the number of steps in an episode; give one"
         )

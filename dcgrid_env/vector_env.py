@@ -25,7 +25,9 @@ AUTORESET_MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 """Gymnasium's modes by the names that ``autoreset_mode`` takes."""
 
 
-class DcgridVectorEnv(PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
+    PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
+):
     """``num_envs`` lanes of a scenario; lane i seeded with seed + i is the single environment's episode of that seed.
 
     Lanes whose episode has ended begin their next one as ``autoreset_mode`` has it, in each mode as gymnasium's own
@@ -73,7 +75,7 @@ class DcgridVectorEnv(PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np
         max_episode_steps: int | None = None,
         **overrides: Any,
     ):
-        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; give a whole number of at least 1")
         self.autoreset_mode = as_autoreset_mode(autoreset_mode)
         self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
@@ -104,6 +106,8 @@ class DcgridVectorEnv(PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np
         if mask is not None:
             if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_:
                 raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
+            if not np.any(mask):
+                raise ValueError("reset_mask is False for every lane; leave the reset out")
             if not self._simulation.begun:
                 raise ValueError("the first reset must be of all lanes; leave reset_mask out")
         super().reset(seed=first)
@@ -112,11 +116,12 @@ class DcgridVectorEnv(PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every lane by one step of joint actions (num_envs, n_action); ended lanes as the mode has it."""
-        action, over = joint_action(self.scenario, actions, self.num_envs), self._simulation.now.over
+        over = self._simulation.now.over
         if not over.any():
-            transition = self._step(action)
+            transition = self._step(joint_action(self.scenario, actions, self.num_envs))
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            transition = self._simulation.step_or_begin(action)
+            heeded = np.where(over[:, None], 0.0, actions) if np.ndim(actions) == 2 else actions
+            transition = self._simulation.step_or_begin(joint_action(self.scenario, heeded, self.num_envs))
             self._arrived()
         else:
             raise RuntimeError(

@@ -64,7 +64,7 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
     ``what`` says who holds it. ValueError where the folder cannot be made, HeldError where another command holds it.
     """
     check_folder(folder)
-    with new_folder(folder), held(folder, what, "give an --out in another folder, or wait until it has ended"):
+    with new_folder(folder), held(folder, what, "wait until it has ended, or work in another folder"):
         yield
 
 

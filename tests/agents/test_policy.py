@@ -280,10 +280,10 @@ def test_writing_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     path = shared().save(tmp_path / "policy")
     before = path.read_bytes()
 
-    def full(self, content):
-        raise OSError(28, "No space left on device", str(self))
+    def full(self, target):
+        raise OSError(28, "No space left on device", str(target))
 
-    monkeypatch.setattr(type(path), "write_bytes", full)
+    monkeypatch.setattr(type(path), "replace", full)
     with pytest.raises(OSError, match="No space left"):
         shared(activation="relu").save(path)
     assert path.read_bytes() == before

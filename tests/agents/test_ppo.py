@@ -162,5 +162,5 @@ def test_it_learns(tmp_path):
 @pytest.mark.parametrize("field", ["epochs", "minibatches", "clip", "max_grad_norm"])
 def test_a_setting_that_must_be_above_0_is_named(tmp_path, field):
     with pytest.raises(ValueError, match=rf"{field} is 0; give more than 0"):
-        ppo.main(tiny(tmp_path, **{field: 0}))
+        ppo.main(tiny(tmp_path, "run", **{field: 0}))
     assert not (tmp_path / "run").exists()

@@ -21,6 +21,7 @@ from dcgrid_env import (
     load_feeder,
     make_scenario,
 )
+from dcgrid_env.feeder import FeederError
 from dcgrid_env.plain_data import to_plain
 from dcgrid_env.traces import PowerTrace, generate_inference
 
@@ -164,7 +165,7 @@ def test_recordings_and_feeders_by_path(tmp_path):
     rows = zip(trace.time_s.tolist(), (1e3 * trace.power_kw).tolist(), strict=True)
     path.write_text("time_s,site_w\n" + "".join(f"{t},{w}\n" for t, w in rows))
     wanted = PowerTrace.from_csv(path)
-    for given in (str(path), path, [str(path)]):
+    for given in (str(path), path, [str(path)], (str(path),)):
         scenario = make_scenario("ieee33-weak", trace=given)
         assert isinstance(scenario.trace, tuple)
         np.testing.assert_array_equal(scenario.trace[0].power_kw, wanted.power_kw)
@@ -182,10 +183,11 @@ def test_recordings_and_feeders_by_path(tmp_path):
 def test_a_file_that_has_changed_is_read_again(tmp_path):
     path = tmp_path / "site.csv"
     scenarios = []
-    for watts in (100, 200):
+    for watts in (100, 200, 300):
         path.write_text("time_s,site_w\n" + "".join(f"{t},{watts + t % 2}\n" for t in range(900)))
-        scenarios.append(make_scenario("ieee33-weak", trace=str(path)))
-    assert [s.trace[0].power_kw[0] for s in scenarios] == [0.1, 0.2]
+        given = str(path) if watts == 100 else (str(path),)
+        scenarios.append(make_scenario("ieee33-weak", trace=given))
+    assert [s.trace[0].power_kw[0] for s in scenarios] == [0.1, 0.2, 0.3]
 
 
 @pytest.mark.parametrize(
@@ -211,3 +213,34 @@ def test_an_hour_that_there_is_not():
     for hour in (24, -1, "noon", True, float("nan")):
         with pytest.raises(ScenarioError, match=r"start_hour is .*; give an hour from 0 to less than 24, 'random', or"):
             make_scenario("ieee33", start_hour=hour)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"name": None}, "name is None; give a text that is not empty"),
+        ({"name": ""}, "name is ''; give a text"),
+        ({"horizon": 10**12}, "horizon is 1000000000000; give a whole number of at least 1 and at most 100,000,000"),
+        ({"measurement_delay": 10**20}, "measurement_delay is .*; give a whole number of at least 0 and at most"),
+        ({"p_rated_kw": 10**400}, "p_rated_kw is 1000.*; give one positive number of at most"),
+        ({"f_max_mhz": 10**400}, "f_max_mhz is 1000.*; give a finite number"),
+        ({"inverter_buses": [[1]]}, r"bus \[1\] is no number or text"),
+        ({"inverter_buses": [7.0, 14]}, r"bus 7\.0 is no number or text"),
+        ({"dvfs": {"law": ["x"]}}, "dvfs is .*; give 'linear'"),
+        ({"dvfs": PhaseDvfs}, "dvfs is .*; give 'linear'"),
+        ({"trace": "x" * 5000}, "trace is .*; choose one of inference"),
+        ({"feeder": "x" * 5000}, "unknown feeder"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_nonsense_is_one_clear_error(override, message):
+    with pytest.raises((ScenarioError, FeederError), match=message):
+        make_scenario("ieee33-weak", **override)
+
+
+def test_arrays_without_dimension_and_durations_of_null_are_taken():
+    assert make_scenario("ieee33-weak", horizon=np.array(3)).horizon == 3
+    fault = Fault(("dc_0",), (0, 1))
+    given = {"among": ["dc_0"], "begin_s": np.array([0, 1]), "duration_s": None}
+    assert make_scenario("ieee33-weak", faults=[given]).faults == (fault,)
+    assert to_plain(fault) == {"among": ["dc_0"], "begin_s": [0, 1]}

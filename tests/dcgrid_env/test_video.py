@@ -11,7 +11,7 @@ from dcgrid_env.install import from_clone
 @pytest.mark.skipif(importlib.util.find_spec("moviepy") is None, reason=f"moviepy not installed; {from_clone('video')}")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of moviepy's own
 def test_gymnasium_records_an_episode(tmp_path):
-    from moviepy import VideoFileClip
+    from moviepy import VideoFileClip  # pyright: ignore[reportMissingImports]
 
     env = gymnasium.make("dcgrid/Toy6-v0", render_mode="rgb_array", horizon=2)
     env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)

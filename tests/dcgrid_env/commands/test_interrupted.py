@@ -137,7 +137,7 @@ def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, 
     said = capsys.readouterr().err
     assert stopped.value.code == 2
     assert f"another dcgrid test (process {os.getpid()} on " in said
-    assert said.endswith("writes there; give an --out in another folder, or wait until it has ended\n")
+    assert said.endswith("writes there; wait until it has ended, or work in another folder\n")
     assert len(said.splitlines()) == 1
     assert not list(folder.iterdir())
     main([*words])  # free again
