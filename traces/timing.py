@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from dcgrid_env.traces.library import library
 from dcgrid_env.traces.serving.services import requests
@@ -24,7 +24,7 @@ def timed(call, *arguments):
     return result, time.perf_counter() - begin
 
 
-def main(hours: float = 24.0, sources: Sequence[str] = tuple(TRACE_SOURCES)) -> None:
+def main(hours: float = 24.0, sources: Iterable[str] = TRACE_SOURCES) -> None:
     """Print the figures for a day, or so many hours, and for sources of a scenario; compiling is not counted."""
     generate_site(1.0, 0)
     site = Site()

@@ -136,7 +136,7 @@ def test_names_of_axes_keep_clear_of_long_figures(backlog, unit):
     env = make("toy6", p_rated_kw=250.0)
     env.render()
     curves = env._viewer._parts[1]
-    curves._settle(env._viewer._history.buses, 0.95, 1.05, backlog)
+    curves._settle(env._viewer._histories[0].buses, 0.95, 1.05, backlog)
     env._viewer._figure.canvas.draw()
     assert curves.axes[4].get_ylim()[1] >= 1.05 * backlog
     assert curves.axes[4].get_ylabel() == f"backlog\n({unit})"
