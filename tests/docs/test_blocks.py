@@ -72,6 +72,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
     "python -m dcgrid_env.speed": "tests/dcgrid_env/test_speed.py",
+    "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",
     "python -m pip": ".ci/run",
     "python -m pytest": ".ci/run",
