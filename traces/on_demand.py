@@ -1,6 +1,6 @@
 """Long rows of a generated source, made one by one when an episode first needs them.
 
-A row of a day takes up to seconds to generate, and an environment that runs one episode needs few of them.
+A row of a day takes up to some ten seconds to generate, and an environment that runs one episode needs few of them.
 """
 
 from __future__ import annotations
