@@ -132,8 +132,8 @@ def _interrupted(*_, **__):
     [
         (lambda path: path.mkdir(), "a folder; give a file"),
         (lambda path: path.write_text("{"), "is no file that dcgrid tune wrote; name another"),
-        (lambda path: path.write_text('{"laws": []}'), "is no file of tuned parameters"),
-        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file of tuned parameters"),
+        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid tune wrote"),
+        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid tune wrote"),
         (lambda path: path.parent.write_text(""), "no folder"),
     ],
 )
