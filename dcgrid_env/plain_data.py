@@ -164,10 +164,17 @@ def _recording(field: str, value: Any) -> Any:
         raise ScenarioError(f"{field} is {str(value)!r}: {error}") from None
 
 
+def _names_recording(value: Any) -> bool:
+    """Whether a value names a recording, or a file that is there."""
+    return isinstance(value, Path) or (
+        isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))
+    )
+
+
 def _trace(value: Any) -> Any:
     if isinstance(value, PowerTrace):
         return (value,)
-    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))):
+    if _names_recording(value):
         return (_recording("trace", value),)
     if isinstance(value, list | tuple):
         named = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
@@ -176,9 +183,7 @@ def _trace(value: Any) -> Any:
 
 
 def _inverter_trace(value: Any) -> Any:
-    if isinstance(value, Path) or (isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))):
-        return _recording("inverter_trace", value)
-    return value
+    return _recording("inverter_trace", value) if _names_recording(value) else value
 
 
 _CONVERSIONS: dict[str, Callable[[Any], Any]] = {

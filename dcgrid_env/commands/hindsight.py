@@ -93,26 +93,16 @@ def solve_missing(
     HeldError
         Where another command solves episodes into this folder.
     """
-    for spec in specs.values():
-        kept_episodes(folder, spec.make(split))  # ValueError before a folder is made
-    with alone_in(folder, "dcgrid hindsight"):
-        return _solve(specs, split, seeds, folder, jobs, console)
-
-
-def _solve(
-    specs: Mapping[str, ScenarioSpec],
-    split: str,
-    seeds: Mapping[str, Iterable[int]],
-    folder: Path,
-    jobs: int,
-    console: Console,
-) -> dict[str, dict[int, dict[str, Any]]]:
     from dcgrid_env.baselines.published import hindsight_file
     from dcgrid_env.benchmark.pool import Died, each
 
-    kept = {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
-    due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
-    with progress_bar(console) as progress:
+    def kept_now() -> dict[str, dict[int, dict[str, Any]]]:
+        return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
+
+    kept_now()  # ValueError before a folder is made
+    with alone_in(folder, "dcgrid hindsight"), progress_bar(console) as progress:
+        kept = kept_now()
+        due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
         bar = progress.add_task("episodes", total=len(due))
         for (spec, seed), found in each(partial(solve, split), due, jobs):
             name = spec.make(split).name
