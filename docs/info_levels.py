@@ -6,7 +6,8 @@ Levels take turns, an episode each, so that a busy machine slows all of them ali
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,17 +19,19 @@ LANES = 64
 ROUNDS = 100
 
 
+def played(env: Any, actions: Iterable[Any]) -> None:
+    """An episode under given actions."""
+    env.reset()
+    for action in actions:
+        env.step(action)
+
+
 def single(info: str) -> Callable[[], None]:
     """An episode of ``gymnasium.make``."""
     env = gymnasium.make("dcgrid/IEEE123-v0", info=info)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (120, *(env.action_space.shape or ()))).astype(np.float32)
 
-    def episode() -> None:
-        env.reset()
-        for action in actions:
-            env.step(action)
-
-    return episode
+    return lambda: played(env, actions)
 
 
 def many(info: str) -> Callable[[], None]:
@@ -37,12 +40,7 @@ def many(info: str) -> Callable[[], None]:
     shapes = {agent: env.action_space(agent).shape for agent in env.possible_agents}
     actions = [{a: rng.uniform(-1.0, 1.0, s).astype(np.float32) for a, s in shapes.items()} for _ in range(120)]
 
-    def episode() -> None:
-        env.reset()
-        for action in actions:
-            env.step(action)
-
-    return episode
+    return lambda: played(env, actions)
 
 
 def batch(info: str) -> Callable[[], None]:

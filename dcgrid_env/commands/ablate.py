@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from dcgrid_env.commands.named import scenario_names, split_names
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import check_folder, plain_console
-from dcgrid_env.commands.terminal import say, working
+from dcgrid_env.commands.settings import check_folder
+from dcgrid_env.commands.terminal import plain_console, say, working
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Policy

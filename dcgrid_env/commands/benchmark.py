@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.commands.named import scenario_specs, split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import Overrides, Scenarios, alone_in, plain_console, processes, tuned_from
+from dcgrid_env.commands.settings import Overrides, Scenarios, alone_in, processes, tuned_from
+from dcgrid_env.commands.terminal import plain_console
 
 if TYPE_CHECKING:
     from rich.console import Console

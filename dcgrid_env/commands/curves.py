@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from dcgrid_env.commands.settings import check_folder, plain_console
-from dcgrid_env.commands.terminal import say
+from dcgrid_env.commands.settings import check_folder
+from dcgrid_env.commands.terminal import plain_console, say
 
 if TYPE_CHECKING:
     from dcgrid_env.learning.curves import Line

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import tyro
 
 from dcgrid_env.commands.hindsight import kept_episodes, solve_missing
-from dcgrid_env.commands.settings import Overrides, plain_console, processes, tuned_from
+from dcgrid_env.commands.settings import Overrides, processes, tuned_from
+from dcgrid_env.commands.terminal import plain_console
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from dcgrid_env.commands.named import scenario_names
 from dcgrid_env.commands.results import meta
-from dcgrid_env.commands.settings import check_folder, plain_console
-from dcgrid_env.commands.terminal import say, working
+from dcgrid_env.commands.settings import check_folder
+from dcgrid_env.commands.terminal import plain_console, say, working
 
 
 @dataclass(frozen=True)

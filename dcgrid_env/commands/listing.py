@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from dcgrid_env.commands.settings import plain_console
+from dcgrid_env.commands.terminal import plain_console
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Card

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import check_folder, plain_console
-from dcgrid_env.commands.terminal import say
+from dcgrid_env.commands.settings import check_folder
+from dcgrid_env.commands.terminal import plain_console, say
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from dcgrid_env.commands.named import split_names
 from dcgrid_env.commands.progress import progress_bar
 from dcgrid_env.commands.results import meta, write_json
-from dcgrid_env.commands.settings import Overrides, plain_console, tuned_from
+from dcgrid_env.commands.settings import Overrides, tuned_from
+from dcgrid_env.commands.terminal import plain_console
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series

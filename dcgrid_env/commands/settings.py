@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,24 +14,12 @@ from dcgrid_env.lock import held
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rich.console import Console
-
     from dcgrid_env import Scenario
 
 Overrides = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE ...")]
 """Fields of the scenario that are to be otherwise."""
 Scenarios = Annotated[str, tyro.conf.arg(aliases=("--scenario",))]
 """Scenarios separated by commas; who has one alone may leave out the s."""
-
-
-def plain_console() -> Console:
-    """A console on what is standard output now, wherever that of a training goes.
-
-    It shows text as it is: what users name may hold brackets, or ``:key:``.
-    """
-    from rich.console import Console
-
-    return Console(file=sys.stdout, markup=False, emoji=False, highlight=False)
 
 
 def processes(jobs: int | None) -> int:

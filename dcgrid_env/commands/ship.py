@@ -7,8 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from dcgrid_env.commands.settings import plain_console
-from dcgrid_env.commands.terminal import say, working
+from dcgrid_env.commands.terminal import plain_console, say, working
 
 
 @dataclass(frozen=True)

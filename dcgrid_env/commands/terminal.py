@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
+
+
+def plain_console() -> Console:
+    """A console on what is standard output now, wherever that of a training goes.
+
+    It shows text as it is: what users name may hold brackets, or ``:key:``.
+    """
+    from rich.console import Console
+
+    return Console(file=sys.stdout, markup=False, emoji=False, highlight=False)
 
 
 def say(console: Console, text: str) -> None:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dcgrid_env.commands.settings import plain_console
-from dcgrid_env.commands.terminal import say, working
+from dcgrid_env.commands.terminal import plain_console, say, working
 
 if TYPE_CHECKING:
     from dcgrid_env.traces import PowerTrace
