@@ -1,0 +1,38 @@
+"""What has been published comes out again, to the bit: hashes, costs, observations and rewards of every preset."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dcgrid_env import PRESETS
+from dcgrid_env.agents.policy import SHIPPED
+
+
+def _load():
+    path = Path(__file__).with_name("published.py")
+    spec = importlib.util.spec_from_file_location("golden_published", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+published = _load()
+GOLDEN = json.loads(published.GOLDEN.read_text(encoding="utf-8"))
+
+
+def test_every_preset_and_shipped_policy_is_held():
+    assert list(GOLDEN) == list(PRESETS)
+    assert {name for held in GOLDEN.values() for name in held["J"]} == {"droop-tuned", *SHIPPED}
+    assert all(len(held["random_actions"]["rewards"]) == published.STEPS for held in GOLDEN.values())
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_published_figures_come_out_again(preset):
+    held, found = GOLDEN[preset], json.loads(json.dumps(published.of_preset(preset)))
+    apart = np.abs(np.subtract(found["random_actions"]["rewards"], held["random_actions"]["rewards"])).max()
+    assert apart == 0.0, f"rewards under random actions differ by up to {apart:.3g}"
+    assert found == held
