@@ -14,7 +14,8 @@ from dcgrid_env.agents.policy import SHIPPED
 def _load():
     path = Path(__file__).with_name("published.py")
     spec = importlib.util.spec_from_file_location("golden_published", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
