@@ -4,7 +4,7 @@ import gymnasium as _gymnasium
 import pettingzoo as _pettingzoo
 
 from dcgrid_env.actions import ActionError
-from dcgrid_env.devices import LinearDvfs, PhaseDvfs
+from dcgrid_env.devices import LinearDvfs, PrefillDecodeDvfs
 from dcgrid_env.env import DcgridEnv
 from dcgrid_env.fault import Fault
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
@@ -36,8 +36,8 @@ __all__ = [
     "FeederError",
     "Forecast",
     "LinearDvfs",
-    "PhaseDvfs",
     "PowerFlowError",
+    "PrefillDecodeDvfs",
     "Recorder",
     "Scenario",
     "ScenarioError",

@@ -26,7 +26,7 @@ class Exogenous(NamedTuple):
     """Where each agent is connected, flat positions lane * n_bus + bus, int, (lane, n_agent, n_node). An agent sees the
     mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
     compute_share: Array | None = None
-    """Compute-bound share of the work that arrives, (lane, n_dc); None under a clock law of one phase."""
+    """Compute-bound share of the work that arrives, (lane, n_dc); None under a clock law of one work class."""
     available: Array | None = None
     """1 for an agent that is connected to the grid and 0 for one that is not, (lane, n_agent); None where all are."""
 
@@ -58,11 +58,11 @@ class State(NamedTuple):
     """Reactive injection as dispatched, kvar, (lane, n_agent)."""
     q_limit_kvar: Array
     """Largest reactive magnitude at this active power, kvar, (lane, n_agent)."""
-    phase_backlog_kws: Array
-    """Backlog, work arrived and work served by phase, compute-bound first, (lane, n_dc, 2), each first come first
-    served; under a clock law of one phase what stands in the fields without phase."""
-    phase_arrived_kw: Array
-    phase_served_kw: Array
+    class_backlog_kws: Array
+    """Backlog, work arrived and work served by work class, compute-bound first, (lane, n_dc, 2), each first come first
+    served; under a clock law of one work class what stands in the fields without class."""
+    class_arrived_kw: Array
+    class_served_kw: Array
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solution]:
@@ -71,11 +71,11 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
     v = 0.0 * exogenous.p_load_kw + scenario.v0_pu
     agents = 0.0 * xp.concat((exogenous.p_ref_kw, exogenous.p_inverter_kw), axis=-1)
     none = 0.0 * exogenous.p_ref_kw
-    phases = xp.stack((none, none), axis=-1) if scenario.phases == 2 else none
+    by_class = xp.stack((none, none), axis=-1) if scenario.work_classes == 2 else none
     top = none + scenario.f_max_mhz
     before = State(
-        v, v, agents, agents, 0.0 * v[..., 1:], none, top, top, none, none, agents, agents, agents, phases, phases,
-        phases,
+        v, v, agents, agents, 0.0 * v[..., 1:], none, top, top, none, none, agents, agents, agents, by_class, by_class,
+        by_class,
     )  # fmt: skip
     state, solution = _step(scenario, before, top, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
@@ -118,7 +118,7 @@ def _step(
     xp = namespace(f_mhz)
     known = constants(scenario, f_mhz)
     dc = datacenter.step(
-        known.datacenter, scenario.dvfs, state.phase_backlog_kws, exogenous.p_ref_kw, f_mhz, scenario.dt_s,
+        known.datacenter, scenario.dvfs, state.class_backlog_kws, exogenous.p_ref_kw, f_mhz, scenario.dt_s,
         exogenous.compute_share, boost=scenario.boost_share > 1.0,
     )  # fmt: skip
     p_agent = xp.concat((dc.p_kw, -exogenous.p_inverter_kw), axis=-1)
@@ -151,9 +151,9 @@ def _step(
         p_kw=p_agent,
         q_kvar=q_agent,
         q_limit_kvar=q_limit,
-        phase_backlog_kws=dc.phase_backlog_kws,
-        phase_arrived_kw=dc.phase_arrived_kw,
-        phase_served_kw=dc.phase_served_kw,
+        class_backlog_kws=dc.class_backlog_kws,
+        class_arrived_kw=dc.class_arrived_kw,
+        class_served_kw=dc.class_served_kw,
     ), solution
 
 

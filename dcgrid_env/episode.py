@@ -176,8 +176,8 @@ def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarr
 
 
 def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
-    """Compute-bound share of that power above idle, (lane, n_dc); None under a clock law of one phase."""
-    if scenario.phases == 1:
+    """Compute-bound share of that power above idle, (lane, n_dc); None under a clock law of one work class."""
+    if scenario.work_classes == 1:
         return None
     known = trace_pool(scenario).compute_share
     if known is None:

@@ -8,7 +8,7 @@
 | outside_buses_pct | share of buses ever beyond it |
 | voltage_min_pu, voltage_max_pu | over the same |
 | voltage_step_mean_pu | mean of abs(V_t - V_{t-1}), over one step of dt |
-| delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served in each phase, weighted by work |
+| delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served in each class, weighted by work |
 | arrived_kws, unserved_kws | work that arrived, and that was still queued at the end |
 | loss_mean_kw, loss_energy_kwh | loss of the feeder |
 | q_effort_pct | mean abs(q) as a share of the apparent-power rating |
@@ -56,8 +56,8 @@ class Series:
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
         self.arrived_kw = np.array([s.arrived_kw[lane] for s in states[1:]])
         self.served_kw = np.array([s.served_kw[lane] for s in states[1:]])
-        self.phase_arrived_kw = np.array([s.phase_arrived_kw[lane] for s in states[1:]])
-        self.phase_served_kw = np.array([s.phase_served_kw[lane] for s in states[1:]])
+        self.class_arrived_kw = np.array([s.class_arrived_kw[lane] for s in states[1:]])
+        self.class_served_kw = np.array([s.class_served_kw[lane] for s in states[1:]])
         self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
         self.cost_j = np.array([t.cost_j[lane] for t in steps])
@@ -70,7 +70,7 @@ class Series:
         v = self.v_pu[1:, 1:]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
-        arrived, served = (w.reshape(len(w), -1) for w in (self.phase_arrived_kw, self.phase_served_kw))
+        arrived, served = (w.reshape(len(w), -1) for w in (self.class_arrived_kw, self.class_served_kw))
         delays = fcfs_delays(arrived, served, s.dt_s)
         requests = self._request_delays()
         ratings = np.concatenate((s.datacenter.s_rated_kva, s.inverter.s_rated_kva))
@@ -108,7 +108,7 @@ class Series:
         if not (pool.requests and s.n_datacenters):
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
-        arrived, served = (w.reshape(*w.shape[:2], -1) for w in (self.phase_arrived_kw, self.phase_served_kw))
+        arrived, served = (w.reshape(*w.shape[:2], -1) for w in (self.class_arrived_kw, self.class_served_kw))
         speed = speed_share(s.dvfs, s.datacenter, self.f_mhz)
         begin_s = (offset + 1) * s.dt_s
         return request_delays(

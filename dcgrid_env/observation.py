@@ -17,7 +17,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
 
-* Under a clock law that tells two phases of work apart.
+* Under a clock law that tells two work classes of work apart.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from dcgrid_env.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 DATACENTER = (*COMMON, "p_ref_next", "backlog")
-TWO_PHASES = (*DATACENTER, "p_ref_next_compute", "backlog_compute")
+TWO_CLASSES = (*DATACENTER, "p_ref_next_compute", "backlog_compute")
 N_NEIGHBOURS = 3
 
 
@@ -64,7 +64,7 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 
 def _site_fields(scenario: Scenario) -> tuple[str, ...]:
     """Names of a data centre's own fields."""
-    return TWO_PHASES if scenario.phases == 2 else DATACENTER
+    return TWO_CLASSES if scenario.work_classes == 2 else DATACENTER
 
 
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -140,7 +140,7 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
         "p_ref_next": rated * scenario.preview,
         "backlog": rated,
     }
-    if scenario.phases == 2:
+    if scenario.work_classes == 2:
         blocks |= {"p_ref_next_compute": blocks["p_ref_next"], "backlog_compute": rated}
     starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
     site = _site_fields(scenario)
@@ -199,7 +199,7 @@ def observe(
         Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
         (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
     compute_share_next
-        Compute-bound share of the work that arrives over the coming interval, (lane, n_dc); None with one phase.
+        Compute-bound share of the work that arrives over the coming interval, (lane, n_dc); None with one work class.
     """
     xp = namespace(state.v_pu)
     layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
@@ -219,7 +219,7 @@ def observe(
     ]
     if compute_share_next is not None:
         coming = positive_part(p_ref_next_kw - constants(scenario, p_ref_next_kw).datacenter.p_idle_kw)
-        raw += (coming * compute_share_next, state.phase_backlog_kws[..., 0])
+        raw += (coming * compute_share_next, state.class_backlog_kws[..., 0])
     if scenario.observe == "neighbours":
         known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
         trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)

@@ -77,7 +77,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
-        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + 2 * s.phases * s.n_datacenters + 1
+        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + 2 * s.work_classes * s.n_datacenters + 1
         self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
         self._rng, _ = seeding.np_random()
 
@@ -127,8 +127,8 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
 
         In turn: (V - 1) / band of every bus but the substation; draw and reactive injection of every agent as shares of
         its rating and limit; p_ref over the coming interval and backlog of every data centre, as shares of its rating
-        and in seconds at it; under a clock law of two phases the compute-bound parts of both; the share of the episode
-        that has passed.
+        and in seconds at it; under a clock law of two work classes the compute-bound parts of both; the share of the
+        episode that has passed.
         """
         from dcgrid_env import episode  # brings the compiler with it, so not on import
 
@@ -138,7 +138,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         share = episode.compute_share(s, now.episode, now.step + 1)
         if share is not None:
             coming = np.maximum(now.p_ref_next_kw - s.datacenter.p_idle_kw, 0.0) * share
-            compute = (coming[0] / rated, now.state.phase_backlog_kws[0, :, 0] / rated)
+            compute = (coming[0] / rated, now.state.class_backlog_kws[0, :, 0] / rated)
         parts = (
             (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
             now.state.p_kw[0] / known.p_scale_kw,

@@ -5,7 +5,7 @@
 | feeder | a shipped feeder's name, or the path of a folder | Feeder |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
-| dvfs | "linear", "phase", or ``{"law": "phase", "decode_clock_share": 0.03, ..}`` | a clock law |
+| dvfs | "linear", "prefill-decode", or ``{"law": "prefill-decode", "decode_clock_share": 0.03, ..}`` | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
 | inverter_trace | "pv", a list of shares, or a recording's name or file | PowerTrace |
 | other sequences | a list | a tuple |
@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices import LinearDvfs, PhaseDvfs
+from dcgrid_env.devices import LinearDvfs, PrefillDecodeDvfs
 from dcgrid_env.fault import Fault
 from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
 from dcgrid_env.scenario_check import CostWeights, ScenarioError
 from dcgrid_env.traces import RECORDINGS, SUN, TRACE_SOURCES, PowerTrace, TraceError
 from dcgrid_env.traces.named import recorded_trace
 
-DVFS_LAWS = {"linear": LinearDvfs, "phase": PhaseDvfs}
+DVFS_LAWS = {"linear": LinearDvfs, "prefill-decode": PrefillDecodeDvfs}
 """Clock laws by the name that stands for them."""
 
 

@@ -1,7 +1,7 @@
 """Delays of single requests, from the fluid queue that stands for their work and from the clock they are served at.
 
 A request's times are known at the top clock: arrival, first token and last token, and how long it is being read. A
-phase's work that would have been done at time tau is done when the cumulative served work S reaches the cumulative
+class's work that would have been done at time tau is done when the cumulative served work S reaches the cumulative
 arrived work A, both linear within a step, first come first served; and what is being served takes longer at a lower
 clock, by the law's speed_c and speed_m as shares of those at the top clock:
 
@@ -12,7 +12,7 @@ clock, by the law's speed_c and speed_m as shares of those at the top clock:
     time to first token = first token + D_c(arrival + first token) + B_c
     end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token)) + B_c + B_m
 
-D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one phase they are the same.
+D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one class they are the same.
 What is never served counts as done at the end of the episode, and an instant beyond the end has the delay and the clock
 of the end: such delays are cut short, and ``requests_unfinished_pct`` says how many requests had work queued then.
 """
@@ -70,9 +70,9 @@ def serve_requests(
     begin_s
         Where on the trace's time axis the first step begins, s.
     arrived_kw, served_kw
-        Work that arrived and was served in each step, (n_step, n_phase), compute-bound first.
+        Work that arrived and was served in each step, (n_step, n_class), compute-bound first.
     speed_share
-        Speed of each phase at the clock of each step, share of that at the top clock, (n_step, n_phase).
+        Speed of each work class at the clock of each step, share of that at the top clock, (n_step, n_class).
     dt_s
         Length of a step, s.
     """

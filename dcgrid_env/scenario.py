@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dcgrid_env.cache import fields_alone
-from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs, phases_of
+from dcgrid_env.devices import DataCenterParams, Dvfs, InverterParams, LinearDvfs, work_classes_of
 from dcgrid_env.fault import KINDS, Fault
 from dcgrid_env.feeder import BusId, Feeder
 from dcgrid_env.plain_data import from_plain
@@ -62,7 +62,7 @@ class Scenario:
     q_max_share: float
     """Reactive limit as a share of the rated power."""
     dvfs: Dvfs = field(default_factory=LinearDvfs)
-    """Clock law: LinearDvfs() or PhaseDvfs(), or one's own."""
+    """Clock law: LinearDvfs() or PrefillDecodeDvfs(), or one's own."""
     boost_share: float = 1.0
     """Highest short draw of a site as a share of its rating; up to 1.3 has been seen."""
 
@@ -91,7 +91,7 @@ class Scenario:
     site_correlation: float = 0.0
     """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
     compute_share: float = 1.0
-    """Compute-bound share of the work where the trace does not tell (recordings), for a clock law of two phases."""
+    """Compute-bound share of the work where the trace does not tell (recordings), for a law of two work classes."""
     load_sigma: float = 0.05
     """Standard deviation of the other loads' noise as a share of the load."""
     load_rho: float = 0.9
@@ -188,9 +188,9 @@ class Scenario:
         return (*(f"dc_{i}" for i in range(self.n_datacenters)), *(f"inv_{i}" for i in range(self.n_inverters)))
 
     @cached_property
-    def phases(self) -> int:
-        """Number of kinds of work that the clock law tells apart."""
-        return phases_of(self.dvfs)
+    def work_classes(self) -> int:
+        """Number of work classes that the clock law tells apart."""
+        return work_classes_of(self.dvfs)
 
     @property
     def n_agents(self) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, get_args
 
 import numpy as np
 
-from dcgrid_env.devices import phases_of
+from dcgrid_env.devices import work_classes_of
 from dcgrid_env.fault import KINDS, Fault
 from dcgrid_env.feeder import Feeder, FeederError
 from dcgrid_env.traces import ALL_SPLITS, SUN, TRACE_SOURCES, PowerTrace
@@ -102,9 +102,11 @@ def check(s: Scenario) -> None:
         if not _is_number(value) or not 0 <= value < math.inf:
             raise ScenarioError(f"scenario {s.name!r}: weights.{name} is {value!r}; give a finite number >= 0")
     if isinstance(s.dvfs, type) or not callable(getattr(s.dvfs, "serve", None)):
-        _refuse(s, "dvfs", "give 'linear', 'phase', or a clock law such as PhaseDvfs()")
-    if phases_of(s.dvfs) not in (1, 2):
-        _refuse(s, "dvfs", f"give a clock law of 1 or 2 phases, not {phases_of(s.dvfs)!r}")
+        _refuse(s, "dvfs", "give 'linear', 'prefill-decode', or a clock law such as PrefillDecodeDvfs()")
+    if hasattr(s.dvfs, "phases") and not hasattr(s.dvfs, "work_classes"):  # its older name
+        _refuse(s, "dvfs", "the law says 'phases'; name that attribute 'work_classes'")
+    if work_classes_of(s.dvfs) not in (1, 2):
+        _refuse(s, "dvfs", f"give a clock law of 1 or 2 work classes, not {work_classes_of(s.dvfs)!r}")
     _check_ratings(s)
     _check_placement(s)
     _check_traces(s)

@@ -211,7 +211,7 @@ def opendss(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
     for command in _dss_commands(feeder, _substation(feeder, v0_pu)):
         dss.Text.Command(command)
     names = list(dss.Circuit.AllNodeNames())
-    first_phase = np.array([names.index(f"b{i}.1") for i in range(feeder.n_bus)])
+    first_class = np.array([names.index(f"b{i}.1") for i in range(feeder.n_bus)])
     loads = dss.Loads
 
     def solve(p_kw: FloatArray, q_kvar: FloatArray) -> FloatArray:
@@ -223,7 +223,7 @@ def opendss(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
         dss.Solution.Solve()
         if not dss.Solution.Converged():
             raise RuntimeError(f"OpenDSS found no power flow on feeder {feeder.name!r}")
-        return np.asarray(dss.Circuit.AllBusMagPu())[first_phase]
+        return np.asarray(dss.Circuit.AllBusMagPu())[first_class]
 
     return Yardstick("OpenDSS by OpenDSSDirect.py", solve)
 

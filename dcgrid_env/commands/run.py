@@ -36,9 +36,9 @@ class Run:
     """Which episodes the seeds mean: train, validation, test, or ood (another GPU or service)."""
     trace: str | None = None
     """Load of the data centres instead of the scenario's: a generator, or recordings and files separated by commas."""
-    dvfs: Literal["linear", "phase"] | None = None
-    """How the clock acts, the scenario's own way unless given: on all work alike, or by phase (prefill and training
-    follow it, decode hardly does)."""
+    dvfs: Literal["linear", "prefill-decode"] | None = None
+    """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
+    training follow it, decode hardly does)."""
     tuned: Path | None = None
     """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
@@ -89,14 +89,14 @@ def main(cfg: Run) -> None:
 
 
 def _scenario(cfg: Run) -> Scenario:
-    from dcgrid_env import LinearDvfs, PhaseDvfs
+    from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.named import recorded_trace
 
     chosen: dict[str, Any] = {}
     if cfg.dvfs is not None:
-        chosen["dvfs"] = PhaseDvfs() if cfg.dvfs == "phase" else LinearDvfs()
+        chosen["dvfs"] = PrefillDecodeDvfs() if cfg.dvfs == "prefill-decode" else LinearDvfs()
     if cfg.trace in TRACE_SOURCES:
         chosen["trace"] = cfg.trace
     elif cfg.trace is not None:

@@ -1,7 +1,15 @@
 """Devices: parameters, and a pure step each."""
 
-from dcgrid_env.devices.dvfs import Dvfs, LinearDvfs, phases_of, speed_share
+from dcgrid_env.devices.dvfs import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.params import DataCenterParams, InverterParams
-from dcgrid_env.devices.phase_dvfs import PhaseDvfs
+from dcgrid_env.devices.prefill_decode import PrefillDecodeDvfs
 
-__all__ = ["DataCenterParams", "Dvfs", "InverterParams", "LinearDvfs", "PhaseDvfs", "phases_of", "speed_share"]
+__all__ = [
+    "DataCenterParams",
+    "Dvfs",
+    "InverterParams",
+    "LinearDvfs",
+    "PrefillDecodeDvfs",
+    "speed_share",
+    "work_classes_of",
+]

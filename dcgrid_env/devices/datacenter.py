@@ -5,8 +5,8 @@
     p       = min(p_ref, p_idle) + power(f, ...)    drawn from the grid
     backlog' = backlog + (a - d) dt                 kW s of nominal work
 
-After arXiv 2507.06416, section II, with work that cannot be served before it arrives. A law of two phases has a, d and
-backlog for each, with a in the proportion in which the work arrives. Where p_ref may exceed the rating for a moment
+After arXiv 2507.06416, section II, with work that cannot be served before it arrives. A law of two classes has a, d
+and backlog for each, with a in the proportion in which the work arrives. Where p_ref may exceed the rating for a moment
 (boost), the law is given max(p_rated - p_idle, a) for the site's dynamic power: what arrives above the rating is served
 at once at the top clock, while a backlog is worked off at the rating only. The converter's reactive side is in
 ``converter``.
@@ -30,16 +30,16 @@ class DataCenterStep(NamedTuple):
     served_kw: Array
     p_kw: Array
     """Draw from the grid, kW."""
-    phase_backlog_kws: Array
-    """The first three by phase, (..., n_dc, 2); with one phase, the very same arrays as above."""
-    phase_arrived_kw: Array
-    phase_served_kw: Array
+    class_backlog_kws: Array
+    """The first three by work class, (..., n_dc, 2); with one work class, the very same arrays as above."""
+    class_arrived_kw: Array
+    class_served_kw: Array
 
 
 def step(
     params: DataCenterParams,
     dvfs: Dvfs,
-    phase_backlog_kws: Array,
+    class_backlog_kws: Array,
     p_ref_kw: Array,
     f_mhz: Array,
     dt_s: float,
@@ -53,8 +53,8 @@ def step(
     ----------
     params, dvfs
         Ratings and clock law.
-    phase_backlog_kws
-        Work queued at the beginning, kW s, (..., n_dc), or (..., n_dc, 2) under a law of two phases.
+    class_backlog_kws
+        Work queued at the beginning, kW s, (..., n_dc), or (..., n_dc, 2) under a law of two work classes.
     p_ref_kw
         Draw at the top clock with nothing queued, kW, (..., n_dc).
     f_mhz
@@ -62,22 +62,22 @@ def step(
     dt_s
         Length of the interval, s.
     compute_share
-        Compute-bound share of the arriving work, (..., n_dc), for a law of two phases; None for one of one.
+        Compute-bound share of the arriving work, (..., n_dc), for a law of two work classes; None for one of one.
     boost
         Whether ``p_ref_kw`` may exceed the rating.
     """
     xp = namespace(p_ref_kw)
-    arrived = phase_arrived = positive_part(p_ref_kw - params.p_idle_kw)
+    arrived = class_arrived = positive_part(p_ref_kw - params.p_idle_kw)
     if boost:
         params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
     if compute_share is not None:
         compute = arrived * compute_share
-        phase_arrived = xp.concat((compute[..., None], (arrived - compute)[..., None]), axis=-1)
-    phase_served, dynamic = dvfs.serve(params, f_mhz, phase_arrived + phase_backlog_kws / dt_s)
+        class_arrived = xp.concat((compute[..., None], (arrived - compute)[..., None]), axis=-1)
+    class_served, dynamic = dvfs.serve(params, f_mhz, class_arrived + class_backlog_kws / dt_s)
     # The positive part takes off no more than the rounding of a queue that has just run empty.
-    phase_backlog = positive_part(phase_backlog_kws + (phase_arrived - phase_served) * dt_s)
-    served, backlog = phase_served, phase_backlog
+    class_backlog = positive_part(class_backlog_kws + (class_arrived - class_served) * dt_s)
+    served, backlog = class_served, class_backlog
     if compute_share is not None:
-        served, backlog = sum_last(phase_served), sum_last(phase_backlog)
+        served, backlog = sum_last(class_served), sum_last(class_backlog)
     p = xp.minimum(p_ref_kw, params.p_idle_kw) + dynamic
-    return DataCenterStep(backlog, arrived, served, p, phase_backlog, phase_arrived, phase_served)
+    return DataCenterStep(backlog, arrived, served, p, class_backlog, class_arrived, class_served)

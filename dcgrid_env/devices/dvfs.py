@@ -1,7 +1,7 @@
 """How a GPU clock turns queued work into speed and power (dynamic voltage and frequency scaling).
 
-A law may tell apart two kinds of work, its phases: compute-bound (prefill, training) and memory-bound (decode). It says
-so with an attribute ``phases = 2``; without one it has a single phase.
+A law may tell apart two classes of work: compute-bound (prefill, training) and memory-bound (decode). It says
+so with an attribute ``work_classes = 2``; without one it has a single work class.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Dvfs(Protocol):
             Clock, MHz, shape (..., n_dc).
         work_kw
             Work at hand (arriving and queued), as the dynamic power that would serve all of it within the interval at
-            the top clock, kW: (..., n_dc), or with two phases (..., n_dc, 2), compute-bound first.
+            the top clock, kW: (..., n_dc), or with two work classes (..., n_dc, 2), compute-bound first.
 
         Returns
         -------
@@ -39,21 +39,21 @@ class Dvfs(Protocol):
         ...
 
 
-def phases_of(dvfs: Any) -> int:
-    """Number of kinds of work that a clock law tells apart."""
-    return getattr(dvfs, "phases", 1)
+def work_classes_of(dvfs: Any) -> int:
+    """Number of work classes that a clock law tells apart."""
+    return getattr(dvfs, "work_classes", 1)
 
 
 def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.ndarray:
-    """Speed of each phase at a clock as a share of that at the top clock, (..., n_dc, n_phase), for ``f_mhz``
+    """Speed of each work class at a clock as a share of that at the top clock, (..., n_dc, n_class), for ``f_mhz``
     (..., n_dc): how much of more work than can be done is done."""
     found = []
-    for phase in range(phases_of(dvfs)):
-        plenty = np.zeros((*f_mhz.shape, phases_of(dvfs)))
-        plenty[..., phase] = 1e3 * params.p_dynamic_kw
-        work = plenty if phases_of(dvfs) > 1 else plenty[..., 0]
+    for work_class in range(work_classes_of(dvfs)):
+        plenty = np.zeros((*f_mhz.shape, work_classes_of(dvfs)))
+        plenty[..., work_class] = 1e3 * params.p_dynamic_kw
+        work = plenty if work_classes_of(dvfs) > 1 else plenty[..., 0]
         done, top = (dvfs.serve(params, f, work)[0] for f in (f_mhz, params.f_max_mhz + 0.0 * f_mhz))
-        found.append(done[..., phase] / top[..., phase] if phases_of(dvfs) > 1 else done / top)
+        found.append(done[..., work_class] / top[..., work_class] if work_classes_of(dvfs) > 1 else done / top)
     return np.stack(found, axis=-1)
 
 
@@ -61,7 +61,7 @@ def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.n
 class LinearDvfs:
     """Speed and dynamic power both proportional to the clock (arXiv 2507.06416, eq. 4)."""
 
-    phases: ClassVar[int] = 1
+    work_classes: ClassVar[int] = 1
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """See :class:`Dvfs`: what is served is what is drawn."""

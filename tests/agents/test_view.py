@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PhaseDvfs, TensorEnv, field_names, make_scenario
+from dcgrid_env import PrefillDecodeDvfs, TensorEnv, field_names, make_scenario
 from dcgrid_env.agents.view import KINDS, OUTPUTS, Gains, View, cut
 from dcgrid_env.baselines import Droop
 from dcgrid_env.observation import joint_bounds
@@ -66,9 +66,9 @@ def test_the_nameplate_by_hand():
         make_scenario("toy6", observe="feeder"),
         make_scenario("toy6", n_datacenters=0, datacenter_buses=()),
         make_scenario("toy6", inverter_buses=(), inverter_s_kva=()),
-        make_scenario("toy6", dvfs=PhaseDvfs()),
+        make_scenario("toy6", dvfs=PrefillDecodeDvfs()),
     ],
-    ids=["local", "neighbours", "feeder", "no data centre", "no inverter", "phases"],
+    ids=["local", "neighbours", "feeder", "no data centre", "no inverter", "work_classes"],
 )
 def test_widths_are_those_of_what_is_seen_and_done(scenario, kind, nameplate):
     view = View(scenario, kind, nameplate=nameplate, outputs="change")
@@ -84,9 +84,9 @@ def test_fields_of_the_coming_step_are_hidden_without_preview():
     hidden = SEEN.copy()
     hidden[:, 7] = 0.0
     np.testing.assert_array_equal(view.inputs(SEEN)["datacenter"][:, 0], hidden[:, :9])
-    phases = make_scenario("toy6", dvfs=PhaseDvfs())
-    (seen,) = View(phases, "joint", preview=False).inputs(np.ones((1, 25), np.float32)).values()
-    names = [name for own in field_names(phases).values() for name in own]
+    two_classes = make_scenario("toy6", dvfs=PrefillDecodeDvfs())
+    (seen,) = View(two_classes, "joint", preview=False).inputs(np.ones((1, 25), np.float32)).values()
+    names = [name for own in field_names(two_classes).values() for name in own]
     assert [name for name, value in zip(names, seen[0], strict=True) if value == 0.0] == [
         "p_ref_next", "p_ref_next_compute",
     ]  # fmt: skip

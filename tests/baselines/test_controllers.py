@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, PhaseDvfs, make_scenario, parallel_env
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs, make_scenario, parallel_env
 from dcgrid_env.baselines import (
     CONTROLLERS,
     Controller,
@@ -91,7 +91,7 @@ def test_inverters_only_leaves_the_data_centres_alone():
     assert q == pytest.approx([0.0, 20.0, 20.0])
 
 
-@pytest.mark.parametrize("law", [{}, {"dvfs": PhaseDvfs(), "boost_share": 1.3}], ids=["linear", "phases"])
+@pytest.mark.parametrize("law", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"])
 @pytest.mark.parametrize("name", [name for name, (_, make) in CONTROLLERS.items() if not isinstance(make(), Placed)])
 def test_one_object_drives_every_interface(name, law):
     """Joined, per agent and batched observations lead to the same course of the same episode."""

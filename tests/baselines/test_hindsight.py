@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dcgrid_env import CostWeights, Fault, PhaseDvfs, distflow, forecast, make_scenario
+from dcgrid_env import CostWeights, Fault, PrefillDecodeDvfs, distflow, forecast, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.hindsight import hindsight, replay
 from dcgrid_env.traces import PowerTrace
@@ -172,7 +172,7 @@ def test_at_the_lowest_clock_a_site_still_serves():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"dvfs": PhaseDvfs()}, "linear clock law only, not PhaseDvfs"),
+        ({"dvfs": PrefillDecodeDvfs()}, "linear clock law only, not PrefillDecodeDvfs"),
         ({"voltage_cost": "l2"}, "l1 voltage cost only, not 'l2'"),
         ({"weights": CostWeights(loss=1.0)}, "does not price loss"),
         ({"p_rated_kw": 20_000.0}, "no solution at step 20"),

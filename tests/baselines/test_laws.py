@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, CostWeights, PhaseDvfs, make_scenario
+from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario
 from dcgrid_env.baselines import (
     CONTROLLERS,
     ConstantQ,
@@ -198,7 +198,9 @@ def test_bad_parameters(make, arguments, message):
         make(**arguments)
 
 
-@pytest.mark.parametrize("law", [{}, {"dvfs": PhaseDvfs()}, {"dt_s": 0.1}], ids=["linear", "phases", "fast"])
+@pytest.mark.parametrize(
+    "law", [{}, {"dvfs": PrefillDecodeDvfs()}, {"dt_s": 0.1}], ids=["linear", "work_classes", "fast"]
+)
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_controller_runs_under_every_preset(preset, law):
     scenario = make_scenario(preset, horizon=5, **law)
@@ -206,7 +208,7 @@ def test_every_controller_runs_under_every_preset(preset, law):
         if name == "droop-one-step" and not scenario.preview:
             continue  # it refuses what it cannot do, see test_controllers
         controller = make_controller(name)
-        if isinstance(controller, Placed) and scenario.phases == 2:
+        if isinstance(controller, Placed) and scenario.work_classes == 2:
             continue  # the models know the linear clock law alone, see test_model
         metrics = rollout(scenario, controller, [0, 1]).metrics()
         assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics), name

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import CostWeights, DcgridEnv, PhaseDvfs, distflow, forecast, lindistflow, make_scenario
+from dcgrid_env import CostWeights, DcgridEnv, PrefillDecodeDvfs, distflow, forecast, lindistflow, make_scenario
 from dcgrid_env.baselines.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model import ModelController, slopes
 from dcgrid_env.baselines.mpc import Mpc
@@ -139,7 +139,7 @@ def test_p_ref_is_reconstructed_from_draw_and_queue():
     ("changed", "message"),
     [
         ({"observe": "local"}, "observe is 'local'; make the scenario with observe='feeder'"),
-        ({"dvfs": PhaseDvfs()}, "dvfs is PhaseDvfs, .* LinearDvfs()"),
+        ({"dvfs": PrefillDecodeDvfs()}, "dvfs is PrefillDecodeDvfs, .* LinearDvfs()"),
         ({"voltage_cost": "l2"}, "voltage_cost is 'l2'"),
         ({"weights": CostWeights(loss=2.0)}, r"weights.loss is 2, .* set it to 0"),
     ],

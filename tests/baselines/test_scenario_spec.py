@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from dcgrid_env import CostWeights, Fault, PhaseDvfs, make_scenario, scenario_hash
+from dcgrid_env import CostWeights, Fault, PrefillDecodeDvfs, make_scenario, scenario_hash
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec, options_of, read_overrides, read_value, spec_of
 
 OWN = """
@@ -55,7 +55,7 @@ def here(tmp_path, monkeypatch):
         ("-1e-3", -1e-3),
         ("true", True),
         ("null", None),
-        ("phase", "phase"),
+        ("prefill-decode", "prefill-decode"),
         ('"two words"', "two words"),
         ("two words", "two words"),
         ("ieee33-weak", "ieee33-weak"),
@@ -104,10 +104,12 @@ def test_a_preset_with_overrides(here):
 
 
 def test_tables_become_weights_and_faults(here):
-    given = ("weights={backlog=1}", '[{among=["inverter"], begin_s=[1, 2]}]', "dvfs=phase")
+    given = ("weights={backlog=1}", '[{among=["inverter"], begin_s=[1, 2]}]', "dvfs=prefill-decode")
     found = ScenarioSpec("ieee33", (given[0], f"faults={given[1]}", given[2])).make("test")
     fault = Fault(("inverter",), begin_s=(1, 2))
-    expected = make_scenario("ieee33", weights=CostWeights(backlog=1), faults=(fault,), dvfs=PhaseDvfs(), split="test")
+    expected = make_scenario(
+        "ieee33", weights=CostWeights(backlog=1), faults=(fault,), dvfs=PrefillDecodeDvfs(), split="test"
+    )
     assert scenario_hash(found) == scenario_hash(expected)
 
 

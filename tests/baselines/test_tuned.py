@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from dcgrid_env import PRESETS, CostWeights, PhaseDvfs, load_feeder, make_scenario, scenario_hash
+from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, load_feeder, make_scenario, scenario_hash
 from dcgrid_env.baselines import Droop, make_controller
 from dcgrid_env.baselines.tuned import GRID, OWN, grid_difference, grid_hash, identity, tuned_parameters
 
@@ -38,7 +38,7 @@ def write(path, law, name, gain, scenario=None, law_is_of=None):
         ("f_max_mhz", {"f_max_mhz": 1500.0}),
         ("s_rated_share", {"s_rated_share": 1.1}),
         ("q_max_share", {"q_max_share": 0.3}),
-        ("dvfs", {"dvfs": PhaseDvfs()}),
+        ("dvfs", {"dvfs": PrefillDecodeDvfs()}),
         ("boost_share", {"boost_share": 1.3}),
         ("inverter_buses", {"inverter_buses": (7, 14, 20, 29)}),
         ("inverter_s_kva", {"inverter_s_kva": 101.0}),

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dcgrid_env import (
-    PhaseDvfs,
+    PrefillDecodeDvfs,
     Scenario,
     Solution,
     distflow,
@@ -24,7 +24,7 @@ from dcgrid_env.dynamics import Exogenous, State
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 """Presets of every form that a scenario takes."""
 
-LAWS: dict[str, dict[str, Any]] = {"linear": {}, "phases": {"dvfs": PhaseDvfs(), "boost_share": 1.3}}
+LAWS: dict[str, dict[str, Any]] = {"linear": {}, "work_classes": {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}}
 
 
 class Outside(NamedTuple):
@@ -35,7 +35,7 @@ class Outside(NamedTuple):
 
 
 def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, seed: int = 0) -> Outside:
-    """``full``: every site is asked for 60 % of its rating or more, so that the clocks matter, of either phase."""
+    """``full``: every site is asked for 60 % of its rating or more, so that the clocks matter, of either work class."""
     drawn = episode.draw(scenario, np.arange(lanes, dtype=np.uint64) + np.uint64(seed), np.zeros(lanes, np.uint64))
     rng, noise, found = np.random.default_rng(seed), np.zeros((lanes, scenario.feeder.n_bus)), []
     for k in range(steps + 1):
@@ -110,7 +110,7 @@ def test_numpy_and_torch_agree_within_the_default_tolerance(name):
         same = state_t._replace(current_sq_pu=torch.tensor(state.current_sq_pu))
         assert_alike(same, state, 1e-8)  # what the solver promises of its voltages
         np.testing.assert_allclose(state_t.current_sq_pu.numpy(), state.current_sq_pu, rtol=1e-6, atol=1e-9)
-        for field in ("phase_backlog_kws", "f_mhz", "arrived_kw", "served_kw", "p_kw", "q_kvar", "q_limit_kvar"):
+        for field in ("class_backlog_kws", "f_mhz", "arrived_kw", "served_kw", "p_kw", "q_kvar", "q_limit_kvar"):
             np.testing.assert_allclose(getattr(state_t, field).numpy(), getattr(state, field), rtol=1e-12, atol=1e-9)
 
 
@@ -131,8 +131,8 @@ def team_cost(scenario: Scenario, given: list[Exogenous], actions: Any, start: S
     ("name", "cost", "law"),
     [
         *((name, cost, "linear") for name in ("toy6", "ieee33-weak") for cost in ("l1", "l2", "bump")),
-        ("toy6", "l1", "phases"),
-        ("ieee33-weak", "l2", "phases"),
+        ("toy6", "l1", "work_classes"),
+        ("ieee33-weak", "l2", "work_classes"),
     ],
 )
 @pytest.mark.usefixtures("exact")
@@ -377,7 +377,7 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, la
     assert np.all(state.f_last_mhz == scenario.f_max_mhz)
     assert np.all(state.q_kvar == 0.0)
     np.testing.assert_allclose(state.backlog_kws, 0.0, atol=1e-9)
-    assert state.phase_backlog_kws.shape == ((3, n_dc, 2) if law == "phases" else (3, n_dc))
+    assert state.class_backlog_kws.shape == ((3, n_dc, 2) if law == "work_classes" else (3, n_dc))
     np.testing.assert_allclose(state.p_kw[:, :n_dc], given.p_ref_kw)
     np.testing.assert_array_equal(state.v_last_pu, state.v_pu)
     np.testing.assert_array_equal(state.v_agent_last_pu, state.v_agent_pu)
@@ -403,22 +403,22 @@ def test_no_datacenter_or_no_inverter_at_all(n_dc, law):
             np.testing.assert_allclose(b.numpy(), a, rtol=1e-9, atol=1e-9)
 
 
-# --- phases and boost ----------------------------------------------------------------------------
+# --- work classes and boost ----------------------------------------------------------------------------
 
 
-def test_one_phase_has_the_same_arrays_by_phase_and_in_total():
+def test_one_work_class_has_the_same_arrays_by_work_class_and_in_total():
     scenario = make_scenario("ieee33-weak")
     given = outside(scenario, 2, 1, full=True).steps
     state = run(scenario, given, random_actions(scenario, 2, 1))[1][0]
-    assert state.phase_backlog_kws is state.backlog_kws
-    assert state.phase_arrived_kw is state.arrived_kw
-    assert state.phase_served_kw is state.served_kw
+    assert state.class_backlog_kws is state.backlog_kws
+    assert state.class_arrived_kw is state.arrived_kw
+    assert state.class_served_kw is state.served_kw
     assert given[1].compute_share is None
 
 
 def test_composition_decides_speed_and_draw():
-    # One site all compute-bound, one all memory-bound, one half and half, all full at half the clock: see PhaseDvfs.
-    scenario = make_scenario("ieee33-weak", f_min_mhz=705.0, dvfs=PhaseDvfs(0.1, 0.2, 0.4))
+    # One site all compute-bound, one all memory-bound, one half and half, all full at half the clock: see the law.
+    scenario = make_scenario("ieee33-weak", f_min_mhz=705.0, dvfs=PrefillDecodeDvfs(0.1, 0.2, 0.4))
     given = outside(scenario, 1, 1).steps
     state, _ = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.full((1, 3), 230.0)))
     full = given[1]._replace(p_ref_kw=np.full((1, 3), 1000.0), compute_share=np.array([[1.0, 0.0, 0.5]]))
@@ -426,16 +426,16 @@ def test_composition_decides_speed_and_draw():
     state, _ = dynamics.step(scenario, state, low, full)
     # Speeds 1/2 and 1/1.1; tau 2, 1.1 and 1.55; busy power 0.4/2 + 0.6/8 = 0.275 and 0.2 + 0.8/8 = 0.3.
     served = np.array([[[1 / 2, 0.0], [0.0, 1 / 1.1], [0.5 / 1.55, 0.5 / 1.55]]])
-    np.testing.assert_allclose(state.phase_served_kw, 770.0 * served)
+    np.testing.assert_allclose(state.class_served_kw, 770.0 * served)
     np.testing.assert_allclose(state.served_kw, 770.0 * served.sum(-1))
-    np.testing.assert_allclose(state.phase_arrived_kw, [[[770.0, 0.0], [0.0, 770.0], [385.0, 385.0]]])
-    np.testing.assert_allclose(state.phase_backlog_kws, state.phase_arrived_kw - state.phase_served_kw)
-    np.testing.assert_allclose(state.backlog_kws, state.phase_backlog_kws.sum(-1))
+    np.testing.assert_allclose(state.class_arrived_kw, [[[770.0, 0.0], [0.0, 770.0], [385.0, 385.0]]])
+    np.testing.assert_allclose(state.class_backlog_kws, state.class_arrived_kw - state.class_served_kw)
+    np.testing.assert_allclose(state.backlog_kws, state.class_backlog_kws.sum(-1))
     busy = [0.275, 0.3, (0.5 * 2 * 0.275 + 0.5 * 1.1 * 0.3) / 1.55]
     np.testing.assert_allclose(state.p_kw[:, :3], [230.0 + 770.0 * np.array(busy)])
 
 
-@pytest.mark.parametrize("law", ["linear", "phases"])
+@pytest.mark.parametrize("law", ["linear", "work_classes"])
 def test_a_short_draw_above_the_rating_is_served_at_once_and_leaves_no_reactive_power(law):
     scenario = make_scenario("ieee33-weak", **(LAWS[law] | {"boost_share": 1.3}))
     given = outside(scenario, 1, 1).steps

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3_env
 
 import dcgrid_env
-from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, PhaseDvfs, ScenarioError
+from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs, ScenarioError
 from dcgrid_env.traces import PowerTrace, TraceError
 
 
@@ -96,7 +96,9 @@ def test_info_keys_are_constant():
         assert list(info) == keys
 
 
-@pytest.mark.parametrize("extra", [{}, {"dvfs": PhaseDvfs(), "boost_share": 1.3}], ids=["linear", "phases"])
+@pytest.mark.parametrize(
+    "extra", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"]
+)
 def test_save_and_restore_round_trip_exactly(extra):
     env = DcgridEnv("ieee123", **extra)
     env.reset(seed=3)
@@ -256,7 +258,7 @@ def test_what_a_user_writes_into_stays_outside():
         ({"trace": "foo"}, "trace is 'foo'; choose one of inference"),
         ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
         ({"weights": {"volts": 1}}, "there is no weight 'volts'; there are voltage, violation"),
-        ({"dvfs": None}, "dvfs is None; give 'linear', 'phase', or a clock law"),
+        ({"dvfs": None}, "dvfs is None; give 'linear', 'prefill-decode', or a clock law"),
         ({"capacitors": "no"}, "capacitors is 'no'; choose one of True, False"),
         ({"n_datacenters": 2}, "n_datacenters is 2, but .*datacenter_buses=None to have them drawn"),
         ({"p_rated_kw": "much"}, "p_rated_kw is 'much'; give one positive number"),

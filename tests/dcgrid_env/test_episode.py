@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, PhaseDvfs, Scenario, ScenarioError, episode, make_scenario
+from dcgrid_env import PRESETS, PrefillDecodeDvfs, Scenario, ScenarioError, episode, make_scenario
 from dcgrid_env.simulation import Simulation
 from dcgrid_env.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
@@ -327,7 +327,7 @@ def test_correlation_needs_no_other_site(n):
 
 
 def test_composition_is_the_rows_own():
-    scenario = make_scenario("ieee33-weak", dvfs=PhaseDvfs(), trace="mixed", horizon=30)
+    scenario = make_scenario("ieee33-weak", dvfs=PrefillDecodeDvfs(), trace="mixed", horizon=30)
     pool, drawn = trace_pool(scenario), draw(scenario, [1, 2])
     assert pool.compute_share is not None
     row, offset = np.divmod(drawn.start, pool.p_share.shape[1])
@@ -341,12 +341,12 @@ def test_composition_is_the_rows_own():
 
 def test_recordings_have_the_scenarios_composition():
     trace = recording(np.linspace(0.3, 1.0, 100))
-    scenario = make_scenario("toy6", dvfs=PhaseDvfs(), trace=trace, horizon=5, compute_share=0.25)
+    scenario = make_scenario("toy6", dvfs=PrefillDecodeDvfs(), trace=trace, horizon=5, compute_share=0.25)
     simulation = Simulation(scenario, 2)
     simulation.reset([0, 1])
     for _ in range(5):
         state = simulation.step(actions(scenario, 2)).state
-        np.testing.assert_allclose(state.phase_arrived_kw, state.arrived_kw[..., None] * [0.25, 0.75])
+        np.testing.assert_allclose(state.class_arrived_kw, state.arrived_kw[..., None] * [0.25, 0.75])
 
 
 def test_boost_reaches_the_traces():

@@ -5,14 +5,14 @@ import sys
 
 import pytest
 
-from dcgrid_env import CostWeights, Fault, PhaseDvfs, episode_hash, make_scenario, scenario_hash
+from dcgrid_env import CostWeights, Fault, PrefillDecodeDvfs, episode_hash, make_scenario, scenario_hash
 from dcgrid_env.traces import PowerTrace
 
 CHANGES = {
     "horizon": 119,
     "split": "validation",
     "weights": CostWeights(backlog=0.31),
-    "dvfs": PhaseDvfs(),
+    "dvfs": PrefillDecodeDvfs(),
     "faults": (Fault(("inverter",), (1.0, 2.0)),),
     "trace": (PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own"),),
     "feeder": "ieee123",
@@ -36,7 +36,7 @@ def test_every_change_shows():
 
 def test_a_law_of_ones_own_shows_by_its_figures():
     class Law:
-        phases = 1
+        work_classes = 1
 
         def __init__(self, slope):
             self.slope = slope
@@ -51,7 +51,7 @@ def test_a_law_of_ones_own_shows_by_its_figures():
 def test_a_law_whose_figures_cannot_be_read_is_named():
     class Slotted:
         __slots__ = ("slope",)
-        phases = 1
+        work_classes = 1
 
         def serve(self, params, f_mhz, work_kw):
             return work_kw, work_kw

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PhaseDvfs, Recorder, Scenario, episode, make_scenario, metrics
+from dcgrid_env import PrefillDecodeDvfs, Recorder, Scenario, episode, make_scenario, metrics
 from dcgrid_env.metrics import Series
 from dcgrid_env.request_delay import RequestDelays
 from dcgrid_env.reward import Costs
@@ -53,14 +53,14 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[lane], ratings, strict=True)]
     clocks = [f / scenario.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
     loss = [float(t.loss_kw[lane]) for t in steps]
-    # Work, parcel by parcel, each phase of a site in its own queue.
+    # Work, parcel by parcel, each work class of a site in its own queue.
     waits: list[tuple[float, float]] = []
     unserved = 0.0
-    for own in range(scenario.n_datacenters * scenario.phases):
+    for own in range(scenario.n_datacenters * scenario.work_classes):
         queue: list[list[float]] = []
         for k, t in enumerate(steps):
-            queue.append([k, float(t.state.phase_arrived_kw[lane].flat[own]) * scenario.dt_s])
-            budget = float(t.state.phase_served_kw[lane].flat[own]) * scenario.dt_s
+            queue.append([k, float(t.state.class_arrived_kw[lane].flat[own]) * scenario.dt_s])
+            budget = float(t.state.class_served_kw[lane].flat[own]) * scenario.dt_s
             while queue and budget > 1e-9:
                 taken = min(budget, queue[0][1])
                 waits.append(((k - queue[0][0]) * scenario.dt_s, taken))
@@ -107,7 +107,7 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     }
 
 
-@pytest.mark.parametrize("extra", [{}, {"dvfs": PhaseDvfs(), "trace": "mixed"}], ids=["linear", "phases"])
+@pytest.mark.parametrize("extra", [{}, {"dvfs": PrefillDecodeDvfs(), "trace": "mixed"}], ids=["linear", "work_classes"])
 @pytest.mark.parametrize("dt_s", [1.0, 0.5])
 @pytest.mark.parametrize("name", FORMS)
 def test_metrics_of_a_short_episode(name, dt_s, extra):
@@ -165,7 +165,7 @@ def test_series_has_the_reset_as_its_first_row():
             np.testing.assert_array_equal(series.v_pu[k], t.state.v_pu[lane])
             np.testing.assert_array_equal(series.backlog_kws[k], t.state.backlog_kws[lane])
         for k, t in enumerate(course[1:]):
-            for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw", "phase_arrived_kw", "phase_served_kw"):
+            for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw", "class_arrived_kw", "class_served_kw"):
                 np.testing.assert_array_equal(getattr(series, field)[k], getattr(t.state, field)[lane])
             assert series.loss_kw[k] == t.loss_kw[lane]
             assert series.cost_j[k] == t.cost_j[lane]
@@ -219,7 +219,7 @@ def in_episode(pool: TraceRows, start: np.ndarray, steps: int) -> RequestTimes:
     return RequestTimes(*np.concatenate(found, axis=1))
 
 
-@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PhaseDvfs()}], ids=["linear", "phases"])
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
 def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.ones((3, 10)))
@@ -235,7 +235,7 @@ def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
         assert found["delay_mean_s"] == 0.0
 
 
-@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PhaseDvfs()}], ids=["linear", "phases"])
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
 def test_requests_of_a_throttled_site_wait(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.tile([-0.5, 0.0] * 3 + [0.0] * 4, (3, 1)))

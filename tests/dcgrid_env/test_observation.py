@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import CostWeights, Feeder, PhaseDvfs, Scenario, episode, field_names, make_scenario, observation
+from dcgrid_env import (
+    CostWeights,
+    Feeder,
+    PrefillDecodeDvfs,
+    Scenario,
+    episode,
+    field_names,
+    make_scenario,
+    observation,
+)
 from dcgrid_env.dynamics import State
 from dcgrid_env.observation import Placement
 from dcgrid_env.simulation import Simulation, Transition
@@ -17,8 +26,11 @@ FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 SITE = (*COMMON, "p_ref_next", "backlog")
-LAWS: dict[str, dict[str, Any]] = {"linear": {}, "phases": {"dvfs": PhaseDvfs(), "boost_share": 1.3, "trace": "mixed"}}
-TWO_PHASES = (*SITE, "p_ref_next_compute", "backlog_compute")
+LAWS: dict[str, dict[str, Any]] = {
+    "linear": {},
+    "work_classes": {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"},
+}
+TWO_CLASSES = (*SITE, "p_ref_next_compute", "backlog_compute")
 
 
 def named(scenario: Scenario, joint: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
@@ -63,20 +75,20 @@ def test_fields_and_their_order():
     assert len(field_names(make_scenario("ieee123", observe="feeder"))["inv_0"]) == 7 + 122
 
 
-def test_two_phases_add_their_fields_after_the_backlog():
-    names = field_names(make_scenario("ieee33-weak", dvfs=PhaseDvfs(), observe="neighbours"))
-    assert names["dc_1"][:11] == TWO_PHASES
+def test_two_classes_add_their_fields_after_the_backlog():
+    names = field_names(make_scenario("ieee33-weak", dvfs=PrefillDecodeDvfs(), observe="neighbours"))
+    assert names["dc_1"][:11] == TWO_CLASSES
     assert names["dc_1"][11] == "neighbour0_v_deviation"
     assert names["inv_0"][:8] == (*COMMON, "neighbour0_v_deviation")
 
 
 def test_a_boost_widens_what_it_may_exceed():
-    plain, wide = (make_scenario("toy6", horizon=30, dvfs=PhaseDvfs(), boost_share=b) for b in (1.0, 1.3))
+    plain, wide = (make_scenario("toy6", horizon=30, dvfs=PrefillDecodeDvfs(), boost_share=b) for b in (1.0, 1.3))
     (low, high), (low_wide, high_wide) = (observation.bounds(s)["dc_0"] for s in (plain, wide))
     np.testing.assert_array_equal(low, low_wide)
-    grown = {name for name, a, b in zip(TWO_PHASES, high, high_wide, strict=True) if b != a}
+    grown = {name for name, a, b in zip(TWO_CLASSES, high, high_wide, strict=True) if b != a}
     assert grown == {"p", "p_ref_next", "backlog", "p_ref_next_compute", "backlog_compute"}
-    assert dict(zip(TWO_PHASES, high_wide.tolist(), strict=True))["backlog"] == pytest.approx(39.0)
+    assert dict(zip(TWO_CLASSES, high_wide.tolist(), strict=True))["backlog"] == pytest.approx(39.0)
 
 
 def test_bounds_of_the_fields():
@@ -144,9 +156,9 @@ def hand_made(lanes: int = 1) -> dict[str, Any]:
         "v_agent_last_pu": [1.01, 0.98, 1.04],
         "current_sq_pu": [0.0] * 5,
         "backlog_kws": [5000.0],
-        "phase_backlog_kws": [5000.0],
-        "phase_arrived_kw": [0.0],
-        "phase_served_kw": [0.0],
+        "class_backlog_kws": [5000.0],
+        "class_arrived_kw": [0.0],
+        "class_served_kw": [0.0],
         "f_mhz": [1410.0],
         "f_last_mhz": [1410.0],
         "arrived_kw": [0.0],
@@ -222,9 +234,9 @@ def test_no_preview_hides_the_power_to_come():
 @pytest.mark.parametrize("preview", [True, False])
 def test_compute_bound_parts_of_what_comes_and_waits(preview):
     # 2000 kW less 575 idle, 0.4 of it compute-bound; 1500 of the 5000 kW s.
-    scenario = make_scenario("toy6", dvfs=PhaseDvfs(), preview=preview)
+    scenario = make_scenario("toy6", dvfs=PrefillDecodeDvfs(), preview=preview)
     inputs = hand_made()
-    inputs["state"] = inputs["state"]._replace(phase_backlog_kws=np.array([[[1500.0, 3500.0]]]))
+    inputs["state"] = inputs["state"]._replace(class_backlog_kws=np.array([[[1500.0, 3500.0]]]))
     share = np.array([[0.4]])
     joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), compute_share_next=share, **inputs)
     found = {k: float(v[0]) for k, v in named(scenario, joint)["dc_0"].items()}

@@ -10,7 +10,7 @@ import pytest
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test
 
 import dcgrid_env
-from dcgrid_env import ActionError, DcgridEnv, PhaseDvfs, field_names, parallel_env
+from dcgrid_env import ActionError, DcgridEnv, PrefillDecodeDvfs, field_names, parallel_env
 
 
 @pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
@@ -97,8 +97,8 @@ def test_global_state_shows_every_bus():
     assert state[-1] == 0.0
 
 
-def test_global_state_shows_both_phases():
-    env = parallel_env("ieee33-weak", dvfs=PhaseDvfs(), trace="mixed")
+def test_global_state_shows_both_work_classes():
+    env = parallel_env("ieee33-weak", dvfs=PrefillDecodeDvfs(), trace="mixed")
     observations, _ = env.reset(seed=0)
     for _ in range(8):
         observations, *_ = env.step({a: -np.ones_like(env.action_space(a).sample()) for a in env.agents})

@@ -15,7 +15,7 @@ from dcgrid_env import (
     Fault,
     Feeder,
     LinearDvfs,
-    PhaseDvfs,
+    PrefillDecodeDvfs,
     Scenario,
     ScenarioError,
     load_feeder,
@@ -39,7 +39,7 @@ PLAIN = {
     "f_max_mhz": 1400.0,
     "s_rated_share": 1.2,
     "q_max_share": 0.2,
-    "dvfs": {"law": "phase", "decode_clock_share": 0.03},
+    "dvfs": {"law": "prefill-decode", "decode_clock_share": 0.03},
     "boost_share": 1.1,
     "inverter_buses": [4, 5],
     "inverter_s_kva": [10.0, 20.0, 30.0, 40.0],
@@ -106,7 +106,7 @@ def test_objects_go_through_the_spec_of_an_environment_too():
     objects = {
         "weights": CostWeights(backlog=1),
         "faults": (fault,),
-        "dvfs": PhaseDvfs(),
+        "dvfs": PrefillDecodeDvfs(),
         "feeder": load_feeder("ieee33"),
     }
     env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", max_episode_steps=30, p_rated_kw=np.float64(900.0), **objects)
@@ -115,7 +115,7 @@ def test_objects_go_through_the_spec_of_an_environment_too():
     assert again.unwrapped.scenario.faults == (fault,)
     assert again.unwrapped.scenario.horizon == 30
     batch: Any = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, **objects)
-    assert batch.spec.kwargs["dvfs"]["law"] == "phase"
+    assert batch.spec.kwargs["dvfs"]["law"] == "prefill-decode"
     assert batch.spec.kwargs["weights"]["backlog"] == 1
     for made in (env, again, batch):
         made.close()
@@ -133,16 +133,16 @@ def test_weights_that_a_mapping_leaves_out_keep_their_value():
 
 
 def test_clock_laws_by_name():
-    assert make_scenario("ieee33", dvfs="phase").dvfs == PhaseDvfs()
+    assert make_scenario("ieee33", dvfs="prefill-decode").dvfs == PrefillDecodeDvfs()
     assert make_scenario("ieee33", dvfs="linear").dvfs == LinearDvfs()
     assert make_scenario("ieee33", dvfs={"law": "linear"}).dvfs == LinearDvfs()
     assert to_plain(LinearDvfs()) == "linear"
-    with pytest.raises(ScenarioError, match=r"dvfs is \{'law': 'fast'\}; give 'linear', 'phase'"):
+    with pytest.raises(ScenarioError, match=r"dvfs is \{'law': 'fast'\}; give 'linear', 'prefill-decode'"):
         make_scenario("ieee33", dvfs={"law": "fast"})
-    with pytest.raises(ScenarioError, match="'phase' has no parameter 'share'; there are decode_clock_share"):
-        make_scenario("ieee33", dvfs={"law": "phase", "share": 1})
+    with pytest.raises(ScenarioError, match="'prefill-decode' has no parameter 'share'; there are decode_clock_share"):
+        make_scenario("ieee33", dvfs={"law": "prefill-decode", "share": 1})
     with pytest.raises(ScenarioError, match="decode_clock_share is 2; give a share"):
-        make_scenario("ieee33", dvfs={"law": "phase", "decode_clock_share": 2})
+        make_scenario("ieee33", dvfs={"law": "prefill-decode", "decode_clock_share": 2})
 
 
 def test_faults_as_mappings():
@@ -227,7 +227,7 @@ def test_an_hour_that_there_is_not():
         ({"inverter_buses": [[1]]}, r"bus \[1\] is no number or text"),
         ({"inverter_buses": [7.0, 14]}, r"bus 7\.0 is no number or text"),
         ({"dvfs": {"law": ["x"]}}, "dvfs is .*; give 'linear'"),
-        ({"dvfs": PhaseDvfs}, "dvfs is .*; give 'linear'"),
+        ({"dvfs": PrefillDecodeDvfs}, "dvfs is .*; give 'linear'"),
         ({"trace": "x" * 5000}, "trace is .*; choose one of inference"),
         ({"feeder": "x" * 5000}, "unknown feeder"),
     ],

@@ -63,7 +63,7 @@ def test_work_never_served_counts_with_the_end():
     assert found.e2e_s.tolist() == pytest.approx([0.5, 2.5, 10.0])
 
 
-def test_each_phase_has_a_queue_of_its_own():
+def test_each_work_class_has_a_queue_of_its_own():
     # Prefill waits: 10 at 5 a second; decode is served as it comes, and then the other way round.
     waits, flows = (column(10, 0, 0), column(5, 5, 0)), (column(4, 4, 4), column(4, 4, 4))
     rows = requests((0.0, 0.5, 1.5))

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import CostWeights, Feeder, LinearDvfs, PhaseDvfs, Scenario, ScenarioError, load_feeder, make_scenario
+from dcgrid_env import (
+    CostWeights,
+    Feeder,
+    LinearDvfs,
+    PrefillDecodeDvfs,
+    Scenario,
+    ScenarioError,
+    load_feeder,
+    make_scenario,
+)
 from dcgrid_env.feeder import FeederError
 from dcgrid_env.simulation import Simulation
 
@@ -43,7 +52,7 @@ def test_defaults_are_the_designs():
     assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0)
     assert s.weights._fields == ("voltage", "violation", "backlog", "effort", "leftover", "clock", "step", "loss")
     assert isinstance(s.dvfs, LinearDvfs)
-    assert s.phases == 1
+    assert s.work_classes == 1
     assert (s.boost_share, s.site_correlation, s.compute_share, s.recording_split) == (1.0, 0.0, 1.0, "time")
     assert s.datacenter_buses is None
     assert s.inverter_trace is None
@@ -251,35 +260,51 @@ def test_ratings_that_cannot_be_are_refused(field, value):
         scenario_of_ones_own(inverter_buses=(3, 1), **{field: value})
 
 
-class _ThreePhases(LinearDvfs):
-    phases = 3
+class _ThreeClasses(LinearDvfs):
+    work_classes = 3
 
     def __repr__(self) -> str:
         return "three"
 
 
+class _OldLaw:
+    """A law written when work classes were called phases."""
+
+    phases = 2
+
+    def serve(self, params, f_mhz, work_kw):
+        return work_kw, work_kw.sum(-1)
+
+    def __repr__(self) -> str:
+        return "old"
+
+
 class _NobodysLaw:
-    """A law of one's own that says nothing of phases."""
+    """A law of one's own that says nothing of work classes."""
 
     def serve(self, params, f_mhz, work_kw):
         return work_kw, work_kw
 
 
-def test_a_clock_law_has_one_phase_or_two():
-    assert scenario_of_ones_own(dvfs=_NobodysLaw()).phases == 1
-    assert scenario_of_ones_own(dvfs=PhaseDvfs()).phases == 2
-    with pytest.raises(ScenarioError, match=r"'mine': dvfs is three; give a clock law of 1 or 2 phases, not 3"):
-        scenario_of_ones_own(dvfs=_ThreePhases())
-    with pytest.raises(ScenarioError, match=r"dvfs is 'fast'; give 'linear', 'phase', or a mapping with the key 'law'"):
+def test_a_clock_law_has_one_work_class_or_two():
+    assert scenario_of_ones_own(dvfs=_NobodysLaw()).work_classes == 1
+    assert scenario_of_ones_own(dvfs=PrefillDecodeDvfs()).work_classes == 2
+    with pytest.raises(ScenarioError, match=r"'mine': dvfs is old; the law says 'phases'; name that.*'work_classes'"):
+        scenario_of_ones_own(dvfs=_OldLaw())
+    with pytest.raises(ScenarioError, match=r"'mine': dvfs is three; give a clock law of 1 or 2 work classes, not 3"):
+        scenario_of_ones_own(dvfs=_ThreeClasses())
+    with pytest.raises(
+        ScenarioError, match=r"dvfs is 'fast'; give 'linear', 'prefill-decode', or a mapping with the key 'law'"
+    ):
         scenario_of_ones_own(dvfs="fast")
 
 
 def test_clock_laws_are_told_apart():
-    s = scenario_of_ones_own(dvfs=PhaseDvfs())
-    assert s.difference(scenario_of_ones_own(dvfs=PhaseDvfs())) is None
-    assert s.difference(scenario_of_ones_own(dvfs=PhaseDvfs(decode_clock_share=0.1))) == "dvfs"
+    s = scenario_of_ones_own(dvfs=PrefillDecodeDvfs())
+    assert s.difference(scenario_of_ones_own(dvfs=PrefillDecodeDvfs())) is None
+    assert s.difference(scenario_of_ones_own(dvfs=PrefillDecodeDvfs(decode_clock_share=0.1))) == "dvfs"
     assert s.difference(scenario_of_ones_own()) == "dvfs"
-    assert pickle.loads(pickle.dumps(s)).dvfs == PhaseDvfs()
+    assert pickle.loads(pickle.dumps(s)).dvfs == PrefillDecodeDvfs()
 
 
 def test_a_feeder_must_be_one():

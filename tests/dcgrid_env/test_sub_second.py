@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import LinearDvfs, PhaseDvfs, make_scenario
+from dcgrid_env import LinearDvfs, PrefillDecodeDvfs, make_scenario
 from dcgrid_env.baselines import Droop, NoControl, rollout
 from dcgrid_env.traces import TRACE_SOURCES
 
@@ -12,7 +12,7 @@ FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 
 
 @pytest.mark.parametrize("preset", FORMS)
-@pytest.mark.parametrize("law", [LinearDvfs, PhaseDvfs])
+@pytest.mark.parametrize("law", [LinearDvfs, PrefillDecodeDvfs])
 def test_every_preset_runs(preset, law):
     scenario = make_scenario(preset, dt_s=0.1, horizon=150, dvfs=law(), boost_share=1.3)
     for controller in (NoControl(), Droop(5.0)):
@@ -24,7 +24,7 @@ def test_every_preset_runs(preset, law):
 @pytest.mark.parametrize("source", [source for source in TRACE_SOURCES if source not in ("chat", "site")])
 def test_a_step_of_a_second_draws_the_mean_of_ten(source):
     # The window begins with the row, where step k covers the times from k dt to (k + 1) dt.
-    same = {"trace": source, "trace_window": "start", "dvfs": PhaseDvfs()}
+    same = {"trace": source, "trace_window": "start", "dvfs": PrefillDecodeDvfs()}
     coarse, fine = (
         rollout(make_scenario("ieee33-weak", dt_s=dt_s, horizon=horizon, **same), NoControl(), [4]).lane(0)
         for dt_s, horizon in ((1.0, 60), (0.1, 609))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import DcgridVectorEnv, PhaseDvfs, TensorEnv, make_scenario
+from dcgrid_env import DcgridVectorEnv, PrefillDecodeDvfs, TensorEnv, make_scenario
 from dcgrid_env.observation import joint_bounds
 from dcgrid_env.powerflow.distflow import TOLERANCE_KVA
 from dcgrid_env.traces import PowerTrace
@@ -19,7 +19,7 @@ KINDS = {
     "float64": (torch.empty(0, dtype=torch.float64), 2e-7, 1e-12),
     "float32": (torch.empty(0), 2e-4, 2e-3),
 }
-PHASES = {"dvfs": PhaseDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
+CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
 FORMS = {
     "toy6": ("toy6", {"horizon": 25}),
     "placed at random": ("ieee123", {"horizon": 20}),
@@ -27,7 +27,7 @@ FORMS = {
     "faults": ("fault", {}),
     "pv": ("mixed", {"horizon": 20}),
     "steps of 0.1 s": ("training", {"horizon": 20}),
-    "two phases": ("ieee33-weak", PHASES | {"horizon": 20}),
+    "two work classes": ("ieee33-weak", CLASSES | {"horizon": 20}),
     "neighbours": ("ieee123", {"observe": "neighbours", "horizon": 8}),
     "feeder, noise and delay": ("robust", {"observe": "feeder", "horizon": 8}),
     "feeder": ("toy6", {"observe": "feeder", "horizon": 8}),
@@ -148,7 +148,7 @@ def j_of(scenario, given, seeds):
     return torch.stack([env.step(action).cost_j for action in given]).sum(0).mean() / scenario.horizon
 
 
-@pytest.mark.parametrize("form", ["toy6", "noise and delay", "faults", "pv", "two phases"])
+@pytest.mark.parametrize("form", ["toy6", "noise and delay", "faults", "pv", "two work classes"])
 def test_the_derivative_of_j_fits_finite_differences(form, monkeypatch):
     monkeypatch.setitem(TOLERANCE_KVA, 8, 1e-9)  # far below the differences
     scenario, seeds, rng = scenario_of(form).replace(horizon=12), [2, 3], np.random.default_rng(1)

@@ -9,13 +9,13 @@ from gymnasium.wrappers import vector
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, PhaseDvfs
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs
 from dcgrid_env.traces import PowerTrace
 
-PHASES = {"dvfs": PhaseDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
+CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
 
 
-@pytest.mark.parametrize("extra", [{}, PHASES], ids=["linear", "phases"])
+@pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])
 @pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
 def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
     lanes, horizon = 70, 6  # more lanes than two threads' share, and three episodes each
@@ -231,7 +231,7 @@ def test_gymnasiums_statistics_and_rewards_of_whole_episodes():
     assert ends == 3
 
 
-@pytest.mark.parametrize("extra", [{}, PHASES], ids=["linear", "phases"])
+@pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])
 def test_reset_mask_and_seed_lists(extra):
     env = DcgridVectorEnv(4, "ieee123", **extra)
     first, _ = env.reset(seed=[7, 8, 9, 10])

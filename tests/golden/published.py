@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ SPLITS = ("train", "validation", "test")
 def of_preset(preset: str) -> dict[str, Any]:
     """All figures of a preset: hashes, costs of controllers, and what random actions lead to."""
     test = make_scenario(preset, split="test")
-    shipped = Path(dcgrid_env.baselines.__file__).parent / "data" / "hindsight" / f"{preset}.json"
+    shipped = files("dcgrid_env.baselines.data") / "hindsight" / f"{preset}.json"
     controllers: dict[str, Controller] = {"droop-tuned": make_controller("droop-tuned", test)}
     controllers |= {policy: Policy.load(policy) for policy in SHIPPED if policy in names_of(preset)}
     return {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import PhaseDvfs, make_scenario
+from dcgrid_env import PrefillDecodeDvfs, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.traces import IDLE_SHARE, SPLITS, PowerTrace, Provenance, from_recordings, replica, requests, serve
 from dcgrid_env.traces.boost import boosted_trace
@@ -59,7 +59,7 @@ def test_a_recording_may_begin_at_any_time():
 
 
 def test_the_environment_tells_their_delays():
-    scenario = make_scenario("ieee33-weak", trace=(SERVED,), dvfs=PhaseDvfs(), split="test")
+    scenario = make_scenario("ieee33-weak", trace=(SERVED,), dvfs=PrefillDecodeDvfs(), split="test")
     metrics = rollout(scenario, NoControl(), range(2)).metrics()[0]
     assert metrics["requests_sampled"] > 100
     assert metrics["delay_mean_s"] < 1e-9

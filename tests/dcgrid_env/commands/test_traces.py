@@ -84,7 +84,7 @@ def test_run_takes_any_load_and_keeps_its_origin(tmp_path, capsys):
     assert [origin["name"] for origin in meta["trace"]] == ["site.csv"]
     assert len(meta["trace"][0]["sha256"]) == 64
     capsys.readouterr()
-    main(["run", "--trace", "deepseek-v3", "--dvfs", "phase", "--split", "ood", *arguments])
+    main(["run", "--trace", "deepseek-v3", "--dvfs", "prefill-decode", "--split", "ood", *arguments])
     results = json.loads((tmp_path / "results.json").read_text())
     origin = results["meta"]["trace"]
     assert [row["seed"] for row in origin] == [3_000_000 + i for i in range(24)]

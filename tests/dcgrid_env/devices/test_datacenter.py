@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcgrid_env.devices import DataCenterParams, LinearDvfs, PhaseDvfs, datacenter
+from dcgrid_env.devices import DataCenterParams, LinearDvfs, PrefillDecodeDvfs, datacenter
 
 # 1000 kW of which 230 idle: 770 kW of dynamic power at 1410 MHz, 385 at 705.
 
@@ -137,10 +137,10 @@ def test_laws_of_any_sequence(dt_s, drawn):
 @pytest.mark.parametrize("dt_s", [0.1, 1.0, 5.0])
 @settings(max_examples=60, deadline=None)
 @given(drawn=st.lists(st.tuples(shares, shares, shares), min_size=1, max_size=80))
-def test_laws_of_any_sequence_of_two_phases(dt_s, drawn):
+def test_laws_of_any_sequence_of_two_classes(dt_s, drawn):
     # Up to 1.3 of the rating, in any composition.
     p_ref_kw, f_mhz, share = np.array(drawn).T * [[1300.0], [1200.0], [1.0]] + [[0.0], [210.0], [0.0]]
-    law, site, backlog = PhaseDvfs(), params(1000.0), np.zeros((1, 2))
+    law, site, backlog = PrefillDecodeDvfs(), params(1000.0), np.zeros((1, 2))
     sites, queue = DataCenterParams(*map(torch.tensor, site)), torch.zeros((1, 2), dtype=torch.float64)
     came, left, before = np.zeros(2), np.zeros(2), 0.0
     for p_ref, f, compute in zip(p_ref_kw, f_mhz, share, strict=True):
@@ -150,15 +150,15 @@ def test_laws_of_any_sequence_of_two_phases(dt_s, drawn):
         tensors = datacenter.step(sites, law, queue, asked, clock, dt_s, mix, boost=True)
         for a, b in zip(done, tensors, strict=True):
             np.testing.assert_allclose(b.numpy(), a, rtol=1e-12, atol=1e-9)
-        backlog, queue = done.phase_backlog_kws, tensors.phase_backlog_kws
-        came, left = came + done.phase_arrived_kw[0] * dt_s, left + done.phase_served_kw[0] * dt_s
+        backlog, queue = done.class_backlog_kws, tensors.class_backlog_kws
+        came, left = came + done.class_arrived_kw[0] * dt_s, left + done.class_served_kw[0] * dt_s
         scale, arrived = max(1.0, came.sum()), max(p_ref - 230.0, 0.0)
         np.testing.assert_allclose(came, left + backlog[0], rtol=1e-9, atol=1e-9, err_msg="work is conserved")
         assert np.all(left <= came + 1e-9 * scale), "nothing is served before it arrives"
         assert np.all(backlog >= 0.0)
-        assert done.phase_arrived_kw[0] == pytest.approx([arrived * compute, arrived * (1.0 - compute)], abs=1e-9)
+        assert done.class_arrived_kw[0] == pytest.approx([arrived * compute, arrived * (1.0 - compute)], abs=1e-9)
         for field in ("backlog_kws", "arrived_kw", "served_kw"):
-            np.testing.assert_allclose(getattr(done, field), getattr(done, f"phase_{field}").sum(-1), atol=1e-9)
+            np.testing.assert_allclose(getattr(done, field), getattr(done, f"class_{field}").sum(-1), atol=1e-9)
         # Neither faster nor hungrier than at the top clock, which serves what arrives.
         top = max(770.0, arrived)
         assert done.served_kw[0] <= top + 1e-9
@@ -172,18 +172,18 @@ def test_each_lane_of_a_batch_is_stepped_as_it_would_be_alone():
     rng, site = np.random.default_rng(3), params(1000.0, 400.0, 50.0)
     backlog, power = rng.uniform(0.0, 900.0, (5, 3, 2)), rng.uniform(0.2, 1.0, (5, 3)) * site.p_rated_kw
     clock, share = rng.uniform(210.0, 1410.0, (5, 3)), rng.uniform(0.0, 1.0, (5, 3))
-    batch = datacenter.step(site, PhaseDvfs(), backlog, power, clock, 0.5, share)
-    assert batch.phase_served_kw.shape == batch.phase_backlog_kws.shape == (5, 3, 2)
+    batch = datacenter.step(site, PrefillDecodeDvfs(), backlog, power, clock, 0.5, share)
+    assert batch.class_served_kw.shape == batch.class_backlog_kws.shape == (5, 3, 2)
     for lane in range(5):
-        alone = datacenter.step(site, PhaseDvfs(), backlog[lane], power[lane], clock[lane], 0.5, share[lane])
+        alone = datacenter.step(site, PrefillDecodeDvfs(), backlog[lane], power[lane], clock[lane], 0.5, share[lane])
         for found, wanted in zip(batch, alone, strict=True):
             np.testing.assert_array_equal(found[lane], wanted)
 
 
-@pytest.mark.parametrize("law", [LinearDvfs(), PhaseDvfs()])
+@pytest.mark.parametrize("law", [LinearDvfs(), PrefillDecodeDvfs()])
 def test_a_boost_is_for_what_arrives_and_not_for_the_backlog(law):
-    share = np.array([0.5]) if law.phases == 2 else None
-    queued = np.array([[500.0, 500.0]]) if law.phases == 2 else np.array([1000.0])
+    share = np.array([0.5]) if law.work_classes == 2 else None
+    queued = np.array([[500.0, 500.0]]) if law.work_classes == 2 else np.array([1000.0])
 
     def served(p_ref: float, f: float = 1410.0) -> float:
         done = datacenter.step(params(1000.0), law, queued, np.array([p_ref]), np.array([f]), 1.0, share, boost=True)
@@ -195,15 +195,15 @@ def test_a_boost_is_for_what_arrives_and_not_for_the_backlog(law):
     assert served(1300.0) == pytest.approx(1070.0)  # and the queue does not grow
 
 
-def test_derivatives_of_two_phases_are_finite_everywhere():
+def test_derivatives_of_two_classes_are_finite_everywhere():
     sites = DataCenterParams(*map(torch.tensor, params(1000.0)))
     for p_ref, f, share, queued in ((0.0, 210.0, 0.0, 0.0), (230.0, 1410.0, 1.0, 0.0), (1000.0, 1410.0, 0.5, 0.0),
                                     (1300.0, 700.0, 0.3, 900.0)):  # fmt: skip
         variables = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in
                      ([[queued, queued]], [p_ref], [f], [share])]  # fmt: skip
         backlog, power, clock, compute = variables
-        done = datacenter.step(sites, PhaseDvfs(), backlog, power, clock, 1.0, compute, boost=True)
-        (done.p_kw.sum() + done.backlog_kws.sum() + done.phase_served_kw.sum()).backward()
+        done = datacenter.step(sites, PrefillDecodeDvfs(), backlog, power, clock, 1.0, compute, boost=True)
+        (done.p_kw.sum() + done.backlog_kws.sum() + done.class_served_kw.sum()).backward()
         assert all(v.grad is not None and bool(torch.isfinite(v.grad).all()) for v in variables)
 
 

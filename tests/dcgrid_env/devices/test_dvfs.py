@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import LinearDvfs, PhaseDvfs
+from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
 from dcgrid_env.devices import DataCenterParams, speed_share
 
 SITE = DataCenterParams(
@@ -61,8 +61,8 @@ def test_speed_under_the_linear_law_is_the_clocks_share():
     np.testing.assert_allclose(speed_share(LinearDvfs(), SITE, F_MHZ), CLOCK[..., None], rtol=1e-12)
 
 
-def test_speed_under_the_phase_law_is_each_phases_own():
-    found = speed_share(PhaseDvfs(decode_clock_share=0.05), SITE, F_MHZ)
+def test_speed_under_the_phase_law_is_each_work_classs_own():
+    found = speed_share(PrefillDecodeDvfs(decode_clock_share=0.05), SITE, F_MHZ)
     slow = 1.0 / (1.0 + 0.05 * (1.0 / CLOCK - 1.0))
     np.testing.assert_allclose(found, np.stack((CLOCK, slow), axis=-1), rtol=1e-12)
 

@@ -1,16 +1,16 @@
-"""The law of two phases: its figures against those that its parameters come from, and steps worked by hand."""
+"""The law of two work classes: its figures against those that its parameters come from, and steps worked by hand."""
 
 import numpy as np
 import pytest
 
-from dcgrid_env import LinearDvfs, PhaseDvfs
-from dcgrid_env.devices import DataCenterParams, phases_of
+from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
+from dcgrid_env.devices import DataCenterParams, work_classes_of
 
 SITE = DataCenterParams(*(np.array([v]) for v in (1000.0, 200.0, 800.0, 210.0, 1400.0, 1100.0, 330.0)))
 PLENTY = 1e9
 
 
-def busy(law: PhaseDvfs, f_mhz: float, compute: float, memory: float) -> tuple[float, float]:
+def busy(law: PrefillDecodeDvfs, f_mhz: float, compute: float, memory: float) -> tuple[float, float]:
     """Share of the work at the top clock that is done, and of the power, with more work than can be."""
     served, power = law.serve(SITE, np.array([f_mhz]), PLENTY * np.array([[compute, memory]]))
     return float(served.sum()) / 800.0, float(power[0]) / 800.0
@@ -18,14 +18,14 @@ def busy(law: PhaseDvfs, f_mhz: float, compute: float, memory: float) -> tuple[f
 
 def test_compute_follows_the_clock():
     # Of 1400 MHz, 100 are 7.1 % of the throughput.
-    assert busy(PhaseDvfs(), 1300.0, 1.0, 0.0)[0] == pytest.approx(1300.0 / 1400.0)
-    assert busy(PhaseDvfs(), 210.0, 1.0, 0.0)[0] == pytest.approx(0.15)
+    assert busy(PrefillDecodeDvfs(), 1300.0, 1.0, 0.0)[0] == pytest.approx(1300.0 / 1400.0)
+    assert busy(PrefillDecodeDvfs(), 210.0, 1.0, 0.0)[0] == pytest.approx(0.15)
 
 
 def test_decode_hardly_follows_it():
-    assert 1.0 / busy(PhaseDvfs(), 1120.0, 0.0, 1.0)[0] == pytest.approx(1.005)
-    assert 1.0 / busy(PhaseDvfs(), 350.0, 0.0, 1.0)[0] == pytest.approx(1.06)
-    assert 1.0 / busy(PhaseDvfs(), 210.0, 0.0, 1.0)[0] == pytest.approx(1.0 + 0.02 / 0.15 - 0.02)
+    assert 1.0 / busy(PrefillDecodeDvfs(), 1120.0, 0.0, 1.0)[0] == pytest.approx(1.005)
+    assert 1.0 / busy(PrefillDecodeDvfs(), 350.0, 0.0, 1.0)[0] == pytest.approx(1.06)
+    assert 1.0 / busy(PrefillDecodeDvfs(), 210.0, 0.0, 1.0)[0] == pytest.approx(1.0 + 0.02 / 0.15 - 0.02)
 
 
 def test_a_token_takes_up_to_42_percent_less_energy():
@@ -33,7 +33,7 @@ def test_a_token_takes_up_to_42_percent_less_energy():
     clocks = np.linspace(210.0, 1410.0, 241) / 1410.0 * 1400.0
     energy = []
     for f in clocks:
-        speed, power = busy(PhaseDvfs(), f, 0.0, 1.0)
+        speed, power = busy(PrefillDecodeDvfs(), f, 0.0, 1.0)
         energy.append((0.2 + 0.45 * power) / speed)
     saved = 1.0 - np.array(energy) / 0.65
     assert saved.max() == pytest.approx(0.42, abs=0.002)
@@ -42,18 +42,18 @@ def test_a_token_takes_up_to_42_percent_less_energy():
 
 def test_power_is_convex_in_the_clock_and_falls_faster_than_compute():
     clocks = np.linspace(210.0, 1400.0, 60)
-    for phase in ((1.0, 0.0), (0.0, 1.0), (0.3, 0.7)):
-        power = np.array([busy(PhaseDvfs(), f, *phase)[1] for f in clocks])
+    for work_class in ((1.0, 0.0), (0.0, 1.0), (0.3, 0.7)):
+        power = np.array([busy(PrefillDecodeDvfs(), f, *work_class)[1] for f in clocks])
         assert np.all(np.diff(power) > 0)
-        if phase != (0.3, 0.7):  # the phases' shares of time move with the clock
+        if work_class != (0.3, 0.7):  # the classes' shares of time move with the clock
             assert np.all(np.diff(power, 2) > 0)
-    at_half = busy(PhaseDvfs(), 700.0, 1.0, 0.0)
+    at_half = busy(PrefillDecodeDvfs(), 700.0, 1.0, 0.0)
     assert at_half == pytest.approx((0.5, 0.4 / 2 + 0.6 / 8))
 
 
-def test_phases_share_the_time_in_proportion_to_the_work():
+def test_work_classes_share_the_time_in_proportion_to_the_work():
     # Half the clock: compute at 1/2, decode at 1/1.02. 400 and 600 kW take 2 x 0.5 + 1.02 x 0.75 = 1.765 intervals.
-    law = PhaseDvfs()
+    law = PrefillDecodeDvfs()
     served, power = law.serve(SITE, np.array([700.0]), np.array([[400.0, 600.0]]))
     np.testing.assert_allclose(served, [[400.0 / 1.765, 600.0 / 1.765]])
     mu = 0.34 + 0.66 / 8
@@ -67,7 +67,7 @@ def test_phases_share_the_time_in_proportion_to_the_work():
 def test_top_clock_draws_what_it_serves_whatever_the_composition():
     rng = np.random.default_rng(0)
     work = rng.uniform(0.0, 1.0, (500, 1, 2)) * 800.0
-    served, power = PhaseDvfs().serve(SITE, np.full((500, 1), 1400.0), work)
+    served, power = PrefillDecodeDvfs().serve(SITE, np.full((500, 1), 1400.0), work)
     fits = work.sum(-1) <= 800.0
     assert 100 < fits.sum() < 400
     np.testing.assert_array_equal(served[fits], work[fits])
@@ -77,7 +77,7 @@ def test_top_clock_draws_what_it_serves_whatever_the_composition():
 
 
 def test_no_work_draws_nothing():
-    served, power = PhaseDvfs().serve(SITE, np.array([210.0]), np.zeros((1, 2)))
+    served, power = PrefillDecodeDvfs().serve(SITE, np.array([210.0]), np.zeros((1, 2)))
     assert served.tolist() == [[0.0, 0.0]]
     assert power.tolist() == [0.0]
 
@@ -85,22 +85,22 @@ def test_no_work_draws_nothing():
 def test_the_linear_law_is_that_of_compute_without_a_cube():
     f, work = np.array([[210.0], [700.0], [1400.0]]), np.array([[300.0], [900.0], [900.0]])
     linear = LinearDvfs().serve(SITE, f, work)
-    phases = PhaseDvfs(compute_linear_share=1.0).serve(SITE, f, np.stack((work, 0.0 * work), axis=-1))
-    np.testing.assert_allclose(phases[0].sum(-1), linear[0])
-    np.testing.assert_allclose(phases[1], linear[1])
+    two_classes = PrefillDecodeDvfs(compute_linear_share=1.0).serve(SITE, f, np.stack((work, 0.0 * work), axis=-1))
+    np.testing.assert_allclose(two_classes[0].sum(-1), linear[0])
+    np.testing.assert_allclose(two_classes[1], linear[1])
 
 
 @pytest.mark.parametrize("field", ["decode_clock_share", "decode_memory_share", "compute_linear_share"])
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan"), "0.5", None])
 def test_a_parameter_that_is_no_share_is_refused(field, value):
-    with pytest.raises(ValueError, match=rf"PhaseDvfs: {field} is {value!r}; give a share from 0 to 1"):
-        PhaseDvfs(**{field: value})
+    with pytest.raises(ValueError, match=rf"PrefillDecodeDvfs: {field} is {value!r}; give a share from 0 to 1"):
+        PrefillDecodeDvfs(**{field: value})
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, 0, 1])
 def test_a_share_may_be_all_or_nothing(value):
-    assert PhaseDvfs(value, value, value).compute_linear_share == value
+    assert PrefillDecodeDvfs(value, value, value).compute_linear_share == value
 
 
-def test_phases_of_a_law():
-    assert (phases_of(LinearDvfs()), phases_of(PhaseDvfs()), phases_of(object())) == (1, 2, 1)
+def test_work_classes_of_a_law():
+    assert (work_classes_of(LinearDvfs()), work_classes_of(PrefillDecodeDvfs()), work_classes_of(object())) == (1, 2, 1)

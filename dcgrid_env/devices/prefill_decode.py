@@ -1,4 +1,4 @@
-"""The phase law: prefill and training follow the clock, decode hardly does, and power falls faster than speed.
+"""A law of two work classes: prefill and training follow the clock, decode hardly does; power falls faster than speed.
 
 With x = f / f_max, work is done at these shares of its speed at the top clock, and while busy the site draws these
 shares of the dynamic power that it draws there:
@@ -6,11 +6,11 @@ shares of the dynamic power that it draws there:
     speed_c = x                               power_c = a x + (1 - a) x^3         compute-bound: prefill, training
     speed_m = 1 / (1 + kappa (1 / x - 1))     power_m = mu + (1 - mu) x^3         memory-bound: decode
 
-Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The phases share the site's
+Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The classes share the site's
 time in proportion to the work at hand; tau is the time that all of it would take, as a share of the interval:
 
     tau   = w_c / (P speed_c) + w_m / (P speed_m)
-    d     = w / max(tau, 1)                                             served, of both phases
+    d     = w / max(tau, 1)                                             served, of both work classes
     power = d_c power_c / speed_c + d_m power_m / speed_m
 
 so at the top clock power is the work served, whatever its composition. Where the figures come from:
@@ -33,8 +33,8 @@ from dcgrid_env.devices.params import DataCenterParams
 
 
 @dataclass(frozen=True)
-class PhaseDvfs:
-    """Speed and power by phase, see the module; ValueError for a parameter outside 0 .. 1."""
+class PrefillDecodeDvfs:
+    """Speed and power by work class, see the module; ValueError for a parameter outside 0 .. 1."""
 
     decode_clock_share: float = 0.02
     """Part of decode's time at the top clock that grows as the clock falls, kappa."""
@@ -43,13 +43,13 @@ class PhaseDvfs:
     compute_linear_share: float = 0.4
     """Part of the compute-bound dynamic power that is linear in the clock, the rest its cube, a."""
 
-    phases: ClassVar[int] = 2
+    work_classes: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if not (isinstance(value, int | float) and 0.0 <= value <= 1.0):
-                raise ValueError(f"PhaseDvfs: {field.name} is {value!r}; give a share from 0 to 1")
+                raise ValueError(f"PrefillDecodeDvfs: {field.name} is {value!r}; give a share from 0 to 1")
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """See :class:`Dvfs`: ``work_kw`` and what is served of it are (..., n_dc, 2), compute-bound first."""
@@ -58,7 +58,7 @@ class PhaseDvfs:
         slow = 1.0 / x
         square = x * x
         cube = square * x
-        # Time and energy of a unit of work, of which both phases have 1 at the top clock, to the bit.
+        # Time and energy of a unit of work, of which both work classes have 1 at the top clock, to the bit.
         time_m = 1.0 + self.decode_clock_share * (slow - 1.0)
         energy_c = square + self.compute_linear_share * (1.0 - square)
         energy_m = (cube + self.decode_memory_share * (1.0 - cube)) * time_m
