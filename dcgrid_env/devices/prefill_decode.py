@@ -6,7 +6,7 @@ shares of the dynamic power that it draws there:
     speed_c = x                               power_c = a x + (1 - a) x^3         compute-bound: prefill, training
     speed_m = 1 / (1 + kappa (1 / x - 1))     power_m = mu + (1 - mu) x^3         memory-bound: decode
 
-Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The classes share the site's
+Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The classes share its
 time in proportion to the work at hand; tau is the time that all of it would take, as a share of the interval:
 
     tau   = w_c / (P speed_c) + w_m / (P speed_m)
