@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dcgrid_env import PRESETS, Scenario, make_scenario
-from dcgrid_env.agents.policy import SHIPPED, SUFFIX, Policy
+from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
 from dcgrid_env.baselines import CONTROLLERS, TUNED, Controller, make_controller
-from dcgrid_env.baselines.own_code import Named, OwnCodeError, described, load, parse, place
 from dcgrid_env.baselines.scenario_spec import options_of
-from dcgrid_env.baselines.tuned import grid_difference
+from dcgrid_env.baselines.tuning.tuned import grid_difference
+from dcgrid_env.baselines.user_code import Named, OwnCodeError, described, load, parse, place
 
 FORMS = (
     "give package.module:Class or path/to/file.py:Class for one of your own, with its arguments in parentheses if it "

@@ -1,17 +1,17 @@
 """Controllers made by hand, through the public interface alone."""
 
 from dcgrid_env.baselines.controller import Controller, Local, LocalController, Placed
-from dcgrid_env.baselines.deadband import DeadbandDroop
-from dcgrid_env.baselines.droop import Droop
-from dcgrid_env.baselines.feedback import FeedbackOptimisation
-from dcgrid_env.baselines.mpc import Mpc
-from dcgrid_env.baselines.named import CONTROLLERS, TUNED, make_controller
-from dcgrid_env.baselines.none import NoControl
-from dcgrid_env.baselines.published import Published, published
+from dcgrid_env.baselines.hindsight_costs import Published, published
+from dcgrid_env.baselines.laws.deadband import DeadbandDroop
+from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
+from dcgrid_env.baselines.laws.switching import SwitchingReference
+from dcgrid_env.baselines.laws.volt_var import VoltVar
+from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
+from dcgrid_env.baselines.model_based.mpc import Mpc
+from dcgrid_env.baselines.registry import CONTROLLERS, TUNED, make_controller
 from dcgrid_env.baselines.rollout import rollout
-from dcgrid_env.baselines.static import ConstantQ, PlacementRule
-from dcgrid_env.baselines.switching import SwitchingReference
-from dcgrid_env.baselines.volt_var import VoltVar
 
 __all__ = [
     "CONTROLLERS",

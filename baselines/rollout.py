@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env import ActionError, DcgridVectorEnv, Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Placed
-from dcgrid_env.baselines.own_code import OwnCodeError, described, one_line, place
+from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
 
 
 class ControllerError(OwnCodeError):

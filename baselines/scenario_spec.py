@@ -21,7 +21,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from dcgrid_env import PRESETS, Scenario, ScenarioError, make_scenario
-from dcgrid_env.baselines.own_code import OwnCodeError, described, load, parse, place
+from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own"
 _specs: WeakKeyDictionary[Scenario, ScenarioSpec] = WeakKeyDictionary()

@@ -3,22 +3,21 @@
 import gymnasium as _gymnasium
 import pettingzoo as _pettingzoo
 
-from dcgrid_env.actions import ActionError
 from dcgrid_env.devices import LinearDvfs, PrefillDecodeDvfs
-from dcgrid_env.env import DcgridEnv
-from dcgrid_env.fault import Fault
-from dcgrid_env.feeder import FEEDERS, Feeder, FeederError, load_feeder
-from dcgrid_env.fingerprint import episode_hash, scenario_hash
-from dcgrid_env.foresight import Forecast, forecast
-from dcgrid_env.metrics import Recorder, Series
-from dcgrid_env.observation import field_names
+from dcgrid_env.devices.faults import Fault
+from dcgrid_env.engine.actions import ActionError
+from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
+from dcgrid_env.engine.metrics import Recorder, Series
+from dcgrid_env.engine.observation import field_names
+from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
+from dcgrid_env.envs.single import DcgridEnv
+from dcgrid_env.envs.tensor import TensorEnv, TensorStep
+from dcgrid_env.envs.vector import DcgridVectorEnv
+from dcgrid_env.grid import FEEDERS, Feeder, FeederError, load_feeder
 from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
-from dcgrid_env.presets import PRESETS, make_scenario
-from dcgrid_env.scenario import CostWeights, Scenario, ScenarioError
-from dcgrid_env.tensor_env import TensorEnv, TensorStep
-from dcgrid_env.vector_env import DcgridVectorEnv
-
-from dcgrid_env.parallel_env import DcgridParallelEnv, env, parallel_env  # isort: skip  (last: its names are modules too)
+from dcgrid_env.scenario.fingerprint import scenario_hash
+from dcgrid_env.scenario.presets import PRESETS, make_scenario
+from dcgrid_env.scenario.scenario import CostWeights, Scenario, ScenarioError
 
 __version__ = "0.1.0"
 
@@ -80,8 +79,8 @@ def _register() -> None:
         if name not in _gymnasium.registry:
             _gymnasium.register(
                 name,
-                entry_point="dcgrid_env.env:DcgridEnv",
-                vector_entry_point="dcgrid_env.vector_env:DcgridVectorEnv",
+                entry_point="dcgrid_env.envs.single:DcgridEnv",
+                vector_entry_point="dcgrid_env.envs.vector:DcgridVectorEnv",
                 # The environment checks its own actions, with better messages; the generic checker costs a third of
                 # the step. gymnasium.utils.env_checker.check_env passes and is among the tests.
                 disable_env_checker=True,

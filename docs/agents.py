@@ -2,7 +2,7 @@
 
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card
-from dcgrid_env.agents.policy import FOLDER
+from dcgrid_env.agents.policy.policy import FOLDER
 
 ALGORITHMS = ("analytic", "ppo", "safe")
 

@@ -1,51 +1,49 @@
-"""Imports run one way, and importing the package is light."""
+"""Rooms stand in one order and import runs one way through it; importing the package is light."""
 
 import ast
 import subprocess
 import sys
+from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 
-# Each module or package may import those before it, and its own package.
-ORDER = """
-    units install seeds arrays files lock cache traces feeder powerflow devices fault scenario_check plain_data scenario
-    presets constants dynamics observation reward delay request_delay counter trace_pool episode foresight fingerprint
-    tensor_env simulation metrics layout history lettering panels episode_curves render info actions plain_spec
-    time_limit face env vector_env parallel_env baselines agents figure study yardsticks benchmark learning commands
-    timing speed_tensors speed cli
-""".split()  # noqa: SIM905 (a list of strings would be longer than the page is wide)
+ROOMS = ("core", "traces", "grid", "powerflow", "devices", "scenario", "engine", "rendering", "envs")
+"""Each room may import those before it, and itself; then comes what the package gives under its own name."""
+ABOVE = ("", "baselines", "agents", "speed", "cli")
+"""These use public names: of the package, of its rooms, and all of core and of traces."""
+ORDER = (*ROOMS, *ABOVE)
 FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}
 FOLDERS |= {"traces": "dcgrid_env.traces"}
-
-
-FOR_ALL = ("files", "lock")
-"""No part of the environment: writing files and locking folders, for whoever writes."""
-ON_TENSORS = ("dcgrid_env.powerflow.implicit",)
+FOR_ALL = ("core", "traces", "baselines")
+ON_TENSORS = ("dcgrid_env.powerflow.balanced.implicit",)
 """Imported by who is given torch tensors, and so has torch already."""
+YET_TO_MEND = {
+    "dcgrid_env.baselines.benchmark.jobs", "dcgrid_env.baselines.benchmark.store",
+    "dcgrid_env.baselines.benchmark.benchmark_figures", "dcgrid_env.baselines.reproduction.feeder_figures",
+    "dcgrid_env.rendering.feeder_map", "dcgrid_env.speed.rates", "dcgrid_env.baselines.model_based.hindsight",
+    "dcgrid_env.agents.algorithms.analytic", "dcgrid_env.agents.training.sb3",
+    "dcgrid_env.scenario.plain", "dcgrid_env.scenario.field_checks", "dcgrid_env.traces.trace",
+}  # fmt: skip
+"""Modules that break a rule of this file since before it was written; each leaves this list as it is mended."""
 
 
-def modules():
+def found_modules():
     for folder, package in FOLDERS.items():
         for path in sorted((ROOT / folder).rglob("*.py")):
             dotted = ".".join([package, *path.relative_to(ROOT / folder).with_suffix("").parts])
             yield dotted.removesuffix(".__init__"), path
 
 
+MODULES = dict(found_modules())
+
+
 def imported(path):
-    """Dotted names that a file imports, except those for the type checker alone."""
-    tree = ast.parse(path.read_text())
-    guarded = {
-        id(node)
-        for block in ast.walk(tree)
-        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
-        for node in ast.walk(block)
-    }
-    for node in ast.walk(tree):
-        if id(node) in guarded:
-            continue
+    """Dotted names that a file imports, those for the type checker too: they tie rooms as others do."""
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -53,49 +51,82 @@ def imported(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def part_of(dotted):
-    return dotted.partition(".")[2].partition(".")[0]
+def room_of(dotted):
+    room = dotted.partition(".")[2].partition(".")[0]
+    return room if room in ORDER else ""
 
 
-def test_every_module_has_its_place_in_the_order():
-    assert {part_of(name) for name, _ in modules()} - {""} == set(ORDER)
+def module_of(dotted):
+    """The module that a dotted name is or stands in."""
+    while dotted not in MODULES:
+        dotted = dotted.rpartition(".")[0]
+    return dotted
 
 
-@pytest.mark.parametrize(("name", "path"), list(modules()), ids=[name for name, _ in modules()])
-def test_no_upward_import(name, path):
-    if name == "dcgrid_env":
-        return  # gathers the public names
-    own = ORDER.index(part_of(name))
-    for target in imported(path):
-        if not target.startswith("dcgrid_env"):
-            continue
-        part = part_of(target)
-        if part not in ORDER:
-            # A public name of the package itself: for what stands above the environments.
-            assert own >= ORDER.index("baselines"), f"{name} imports {target} from the package itself"
-            continue
-        assert ORDER.index(part) <= own, f"{name} imports {target}, which stands above it"
+def own_imports(path):
+    return [target for target in imported(path) if target.split(".")[0] == "dcgrid_env"]
 
 
-@pytest.mark.parametrize(("name", "path"), list(modules()), ids=[name for name, _ in modules()])
-def test_torch_and_sb3_are_imported_in_agents_only(name, path):
-    heavy = {target.split(".")[0] for target in imported(path)} & {"torch", "stable_baselines3"}
-    assert not heavy or part_of(name) in ("agents", "speed", "speed_tensors") or name in ON_TENSORS
+def test_every_folder_is_a_room_of_the_plan():
+    assert {room_of(name) for name in MODULES} == set(ORDER)
+    flat = {path.name for path in (ROOT / "dcgrid_env").glob("*.py")}
+    assert flat == {"__init__.py"}
 
 
-@pytest.mark.parametrize(("name", "path"), [m for m in modules() if part_of(m[0]) in ("baselines", "agents")])
-def test_controllers_use_public_names_only(name, path):
+@pytest.mark.parametrize("name", MODULES)
+def test_no_upward_import(name):
+    own = ORDER.index(room_of(name))
+    for target in own_imports(MODULES[name]) if name not in YET_TO_MEND else ():
+        assert ORDER.index(room_of(target)) <= own, f"{name} imports {target}, which stands above it"
+
+
+def test_no_circle():
+    """At no level: the files and folders of each folder import each other one way."""
+    levels = defaultdict(lambda: defaultdict(set))
+    for name, path in MODULES.items():
+        if path.name == "__init__.py" or name in YET_TO_MEND:
+            continue  # hands names on
+        for target in map(module_of, own_imports(path)):
+            here, there = name.split("."), target.split(".")
+            if MODULES[target].name == "__init__.py":
+                there.append("__init__")
+            shared = next(i for i, (a, b) in enumerate(zip(here, there, strict=False)) if a != b)
+            levels[".".join(here[:shared])][here[shared]].add(there[shared])
+    for folder, graph in levels.items():
+        try:
+            list(TopologicalSorter(graph).static_order())
+        except CycleError as error:
+            pytest.fail(f"{folder}: {' <- '.join(error.args[1])}")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_torch_and_sb3_are_imported_in_agents_only(name):
+    heavy = {target.split(".")[0] for target in imported(MODULES[name])} & {"torch", "stable_baselines3"}
+    assert not heavy or room_of(name) in ("agents", "speed") or name in ON_TENSORS
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if room_of(name) in ("baselines", "agents")])
+def test_controllers_use_public_names_only(name):
     import dcgrid_env
 
-    for target in imported(path):
-        if target.startswith("dcgrid_env") and part_of(target) not in ("baselines", "agents", *FOR_ALL):
-            public = target.removeprefix("dcgrid_env.")
-            assert public in dcgrid_env.__all__, f"{name} imports {target}, which is not public"
+    for target in own_imports(MODULES[name]) if name not in YET_TO_MEND else ():
+        if room_of(target) in (*FOR_ALL, room_of(name)):
+            continue
+        owner, _, public = target.rpartition(".")
+        gives = sys.modules[owner].__all__ if owner in sys.modules else ()
+        assert owner == "dcgrid_env" or room_of(owner) == owner.removeprefix("dcgrid_env."), f"{name} imports {target}"
+        assert public in gives, f"{name} imports {target}, which is not public"
+    assert dcgrid_env.__all__
 
 
-@pytest.mark.parametrize("name", ["dcgrid_env", "dcgrid_env.agents", "dcgrid_env.cli"])
+@pytest.mark.parametrize("name", ["dcgrid_env", "dcgrid_env.agents", "dcgrid_env.cli.main"])
 def test_import_is_light(name):
     heavy = ("torch", "stable_baselines3", "matplotlib", "pandas", "numba")
     code = f"import sys, {name}; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", [name for name, path in MODULES.items()])
+def test_no_file_is_longer_than_300_lines(name):
+    assert len(MODULES[name].read_text().splitlines()) <= 300 or name in YET_TO_MEND

@@ -49,11 +49,3 @@ def test_the_type_checker_follows_the_mapping():
     for name in ("baselines", "agents", "traces"):
         link = ROOT / "tests" / "typings" / "dcgrid_env" / name
         assert link.resolve() == ROOT / name
-
-
-def test_names_that_are_modules_too_stay_functions():
-    import dcgrid_env.env
-    import dcgrid_env.parallel_env
-
-    assert callable(dcgrid_env.env)
-    assert callable(dcgrid_env.parallel_env)

@@ -14,7 +14,7 @@ from dcgrid_env import make_scenario
 from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.score import score
-from dcgrid_env.cli import main
+from dcgrid_env.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

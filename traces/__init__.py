@@ -5,7 +5,6 @@ power as a share of the site's rating, of which an episode takes a window.
 """
 
 from dcgrid_env.traces.day_course import load_share, sun_share
-from dcgrid_env.traces.grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
@@ -26,6 +25,7 @@ from dcgrid_env.traces.serving.services import SERVICES, Service, TokenLaw, requ
 from dcgrid_env.traces.serving.site import Site, Tenant, generate_site, generate_sites
 from dcgrid_env.traces.sources import TRACE_SOURCES, TraceSource
 from dcgrid_env.traces.step import generate_step
+from dcgrid_env.traces.time_grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes, TraceError
 from dcgrid_env.traces.training.jobs import generate_training
 from dcgrid_env.traces.training.params import TrainingParams

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE
+from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE
 from dcgrid_env.traces.trace import FloatArray, PowerTrace
 
 RESERVE_S = 1.0

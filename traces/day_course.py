@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dcgrid_env.traces.grid import rounded
+from dcgrid_env.traces.time_grid import rounded
 from dcgrid_env.traces.trace import FloatArray
 
 LOAD_PERCENT = (

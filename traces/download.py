@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from dcgrid_env.files import new_folder
-from dcgrid_env.lock import alone
+from dcgrid_env.core.files import new_folder
+from dcgrid_env.core.lock import alone
 from dcgrid_env.traces.trace import TraceError
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env.traces.grid import GRID_S
+from dcgrid_env.traces.time_grid import GRID_S
 from dcgrid_env.traces.trace import PowerTrace
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")

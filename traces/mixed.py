@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from dcgrid_env.traces.grid import as_trace, stream
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.time_grid import as_trace, stream
 from dcgrid_env.traces.trace import PowerTrace
 from dcgrid_env.traces.training.jobs import TrainingParams, generate_training
 

@@ -14,9 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, check_range, grid_steps, rounded, stream
 from dcgrid_env.traces.library import row_seed
 from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.time_grid import GRID_S, check_range, grid_steps, rounded, stream
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, steps_in
 
 SUN = "pv"

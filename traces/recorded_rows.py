@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.boost import boosted_trace
-from dcgrid_env.traces.grid import IDLE_SHARE
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
+from dcgrid_env.traces.time_grid import IDLE_SHARE
 from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
 
 # Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.

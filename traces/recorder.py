@@ -21,7 +21,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from dcgrid_env.files import whole
+from dcgrid_env.core.files import whole
 from dcgrid_env.traces.logs.csv_file import RECORDED
 from dcgrid_env.traces.nvml import GpuReader, open_gpus, started
 from dcgrid_env.traces.trace import TraceError, require_positive, steps_in

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from dcgrid_env.traces.grid import IDLE_SHARE, rounded, stream
 from dcgrid_env.traces.provenance import generated
+from dcgrid_env.traces.time_grid import IDLE_SHARE, rounded, stream
 from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dcgrid_env.arrays import Array, namespace, positive_sqrt
+from dcgrid_env.core.arrays import Array, namespace, positive_sqrt
 
 
 def dispatch(s_rated_kva: Array, q_max_kvar: Array, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from array_api_compat import is_array_api_obj
 
-from dcgrid_env.arrays import Array, as_like, namespace
-from dcgrid_env.feeder.feeder import Feeder
+from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 
 _MOST_SWEEPS = 2**31 - 1

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.arrays import Array, namespace
-from dcgrid_env.feeder.feeder import Feeder
+from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.grid.feeder import Feeder
 
 V_SQ_FLOOR = 1e-4
 """A squared voltage this low is no operating point: the iteration is on its way to collapse."""

@@ -9,7 +9,7 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Network, Policy, find, find_controller
-from dcgrid_env.agents import policy as policy_module
+from dcgrid_env.agents.policy import policy as policy_module
 from dcgrid_env.baselines import Droop, rollout
 
 MODULE = """

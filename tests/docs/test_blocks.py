@@ -21,9 +21,8 @@ import numpy as np
 import pytest
 import tyro
 
-from dcgrid_env import cli
-from dcgrid_env.agents.policy import FOLDER
-from dcgrid_env.commands import train
+from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.cli import main, train
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
@@ -55,13 +54,13 @@ SHORTER = {
 """Options that are given these values, by how a command begins."""
 
 ELSEWHERE = {
-    "dcgrid pareto": "tests/dcgrid_env/learning",
-    "dcgrid ablate": "tests/dcgrid_env/learning",
-    "dcgrid generalise": "tests/dcgrid_env/learning",
-    "dcgrid reproduce": "tests/dcgrid_env/commands/test_reproduce.py",
-    "dcgrid traces fetch": "tests/dcgrid_env/commands/test_traces.py",  # there from a server of the test's own
-    "dcgrid traces show": "tests/dcgrid_env/commands/test_traces.py",
-    "dcgrid traces record": "tests/dcgrid_env/commands/test_traces.py",  # there without a GPU
+    "dcgrid pareto": "tests/agents/studies",
+    "dcgrid ablate": "tests/agents/studies",
+    "dcgrid generalise": "tests/agents/studies",
+    "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
+    "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
+    "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
+    "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
@@ -71,7 +70,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
-    "python -m dcgrid_env.speed": "tests/dcgrid_env/test_speed.py",
+    "python -m dcgrid_env.speed": "tests/dcgrid_env/speed/test_rates.py",
     "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",
     "python -m pip": ".ci/run",
@@ -154,7 +153,7 @@ def read(arguments):
                 algorithm = train.ALGORITHMS[arguments[1]]
                 tyro.cli(getattr(train.imported(algorithm), algorithm.config), args=arguments[2:])
             else:
-                tyro.cli(cli.Command, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,))
+                tyro.cli(main.Command, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,))
     except SystemExit as stopped:
         return stopped.code in (0, None)
     return True
@@ -174,7 +173,7 @@ def check_read(command):
 def run(command, monkeypatch):
     """Run a command in this process."""
     if command[0] == "dcgrid":
-        cli.main(command[1:])
+        main.main(command[1:])
     else:
         named = command[3:] if command[1] == "-m" else command[2:]
         monkeypatch.setattr(sys, "argv", [command[2] if command[1] == "-m" else command[1], *named])

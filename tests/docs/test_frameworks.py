@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dcgrid_env.agents import Policy
-from dcgrid_env.install import from_clone
+from dcgrid_env.core.install import from_clone
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 LIMIT_S = 420

@@ -18,7 +18,7 @@ import numpy as np
 
 import dcgrid_env
 from dcgrid_env import PRESETS, Scenario, episode_hash, make_scenario, scenario_hash
-from dcgrid_env.agents.policy import SHIPPED, Policy
+from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines import Controller, make_controller, rollout
 
 GOLDEN = Path(__file__).with_name("golden.json")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PRESETS
-from dcgrid_env.agents.policy import SHIPPED
+from dcgrid_env.agents.policy.policy import SHIPPED
 
 
 def _load():

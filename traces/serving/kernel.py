@@ -8,7 +8,7 @@ ends when V reaches V0 + g - 1: no step needs to look at every request.
 
 from numba import njit
 
-from dcgrid_env.traces.grid import GRID_S
+from dcgrid_env.traces.time_grid import GRID_S
 
 RING = 8192
 """Requests in decode are counted by the token at which they end, modulo this: no answer may be longer."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from dcgrid_env.traces.grid import IDLE_SHARE, check_range
+from dcgrid_env.traces.time_grid import IDLE_SHARE, check_range
 from dcgrid_env.traces.trace import TraceError
 from dcgrid_env.traces.training.smoothing import PowerSmoothing
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S, IDLE_SHARE, check_range
+from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, check_range
 from dcgrid_env.traces.trace import FloatArray
 
 _RANGES = {

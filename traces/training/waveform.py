@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.traces.grid import GRID_S
+from dcgrid_env.traces.time_grid import GRID_S
 from dcgrid_env.traces.trace import FloatArray
 from dcgrid_env.traces.training.params import TrainingParams
 

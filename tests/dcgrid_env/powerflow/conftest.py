@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dcgrid_env import FEEDERS, Feeder, Solution, load_feeder
-from dcgrid_env.powerflow import implicit, prefix
+from dcgrid_env.powerflow.balanced import implicit, prefix
 
 
 @pytest.fixture(params=FEEDERS)

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcgrid_env import Feeder, Solution, distflow, lindistflow
-from dcgrid_env.powerflow import implicit, prefix
+from dcgrid_env.powerflow.balanced import implicit, prefix
 
 TOLERANCE_KVA = 1e-8
 CLOSE = 1e-9  # p.u., of the equations below

@@ -1,0 +1,1 @@
+"""Training algorithms, one a file; each one's configuration is its command line."""

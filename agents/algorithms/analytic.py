@@ -1,0 +1,316 @@
+"""Policy gradient through the physics: the cost is differentiated by the actions that led to it, and so by the policy.
+
+No value function and no exploration: episodes are rolled out by the environment's own ``dynamics.step``
+(``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
+back-propagation through time).
+
+    loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
+
+Under a limit the price of what is limited, of waiting or of the violation, is multiplied by a factor that begins at 1,
+rises while the limit is exceeded and falls while it is kept.
+
+One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
+(``view``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own rating.
+
+Truncated gradients through differentiable simulators: J. Xu et al., "Accelerated policy learning with parallel
+differentiable simulation", arXiv 2204.07137. The multiplier: dual ascent as in C. Tessler, D. Mankowitz and S. Mannor,
+"Reward constrained policy optimization", arXiv 1805.11074. By Little's law the mean delay is the mean backlog over the
+mean work that arrives, which has a derivative.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario, TensorEnv, TensorStep
+from dcgrid_env.agents.policy.interface import View
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.run import Run, device_of, finish, open_run, progress, torch
+from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
+from dcgrid_env.agents.training.validation import Validation, made_with
+from dcgrid_env.agents.training.variants import scenarios, variant
+from dcgrid_env.baselines.file_names import file_name
+
+NORMALISED_LANES, NORMALISED_STEPS = 32, 10
+"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
+
+
+@dataclass(frozen=True)
+class Analytic(Training):
+    """Train a policy by gradients through the grid."""
+
+    delay_limit_s: float | None = None
+    """Best voltage at no more than this mean delay, s; the price of waiting is then found, not given."""
+    violation_limit_pu: float | None = None
+    """Least cost at no more than this mean excess over the band, p.u.; the price of it is then found, not given."""
+    vary: int = 0
+    """Train on so many variants of each scenario, other placements and ratings, besides the scenario itself."""
+    updates: int = 200
+    """Steps of the optimiser."""
+    window: int = 40
+    """Steps through which the gradient reaches back, about."""
+    learning_rate: float = 1e-2
+    """At the beginning; it falls to nothing along a cosine."""
+    max_grad_norm: float = 1.0
+    """Gradients are cut to this norm."""
+    dual_rate: float = 0.05
+    """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
+    validate_every: int = 8
+    """Batches of episodes from one validation to the next."""
+    checkpoint_every: int = 8
+    """Batches of episodes from one checkpoint to the next."""
+
+
+class Learner:
+    """What is trained: networks, their optimiser and multipliers, and the grids that they are trained on.
+
+    Parameters
+    ----------
+    cfg
+        The configuration.
+    grids
+        Scenarios of the training split, of the same widths of observation.
+    """
+
+    def __init__(self, cfg: Analytic, grids: Sequence[Scenario]):
+        self.cfg, self.device = cfg, device_of(cfg.device)
+        kind = "shared" if cfg.view == "shared" else "joint"
+        self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
+        self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
+        self.views = [View(grid, kind, **self.chosen, array=self._tensor, clip=forgiving_clip) for grid in grids]
+        self._check_widths()
+        self.factors = {"delay": 1.0, "violation": 1.0}
+        self.spent_s = {"forward": 0.0, "backward": 0.0}
+        torch.manual_seed(cfg.seed)
+        moments = self._moments()
+        widths = {name: both for view in self.views for name, both in view.widths.items()}
+        made = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
+        self.networks = torch.nn.ModuleDict(made).to(self.device)
+        self.optimiser = torch.optim.Adam(self.networks.parameters(), lr=cfg.learning_rate)
+
+    def _check_widths(self) -> None:
+        """ValueError unless one policy fits all grids."""
+        first = self.views[0]
+        for env, view in zip(self.envs, self.views, strict=True):
+            for name, widths in view.widths.items():
+                if first.widths.get(name, widths) != widths:
+                    raise ValueError(
+                        f"scenario: the network {name!r} would see and give {first.widths[name]} figures on "
+                        f"{self.envs[0].scenario.name} and {widths} on {env.scenario.name}; train on scenarios of the "
+                        "same agents, or on one alone"
+                    )
+
+    def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
+        """A network at its beginning, for agents of this kind."""
+        return Perceptron(mean, std, n_out, self.cfg.hidden)
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.array(array)).to(self.device)
+
+    def _moments(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        """Mean and standard deviation of what each network sees, over an episode of each grid at random setpoints."""
+        rng, seen = np.random.default_rng(self.cfg.seed), {}
+        for env, view in zip(self.envs, self.views, strict=True):
+            clocks = np.array([True, False] * env.scenario.n_datacenters + [False] * env.scenario.n_inverters)
+            joint = env.reset(episode_seeds(self.cfg.seed, 0, NORMALISED_LANES))
+            action = torch.empty(0)
+            while not env.over:
+                if env.step_number % NORMALISED_STEPS == 0:
+                    drawn = rng.uniform(-1.0, 1.0, (NORMALISED_LANES, len(clocks)))
+                    drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
+                    action = self._tensor(drawn.astype(np.float32))
+                joint = env.step(action).observation
+                for name, own in view.inputs(joint).items():
+                    seen.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
+        every = {name: torch.cat(rows) for name, rows in seen.items()}
+        return {name: (rows.mean(0), rows.std(0).clamp(min=1e-2)) for name, rows in every.items()}
+
+    def episodes(
+        self, i: int, iteration: int, require_finite: Callable[[str, Iterable[torch.Tensor]], None]
+    ) -> dict[str, float]:
+        """Drive a batch of episodes of grid i to its end, a step of the optimiser after each window.
+
+        ``require_finite`` raises for tensors that are not, given what they are.
+        """
+        cfg, env = self.cfg, self.envs[i]
+        joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.lanes))
+        losses, norm, excess_pu = [], 0.0, 0.0
+        waited, arrived = torch.zeros(2, cfg.lanes, device=self.device)
+        for size in windows(env.scenario.horizon, cfg.window):
+            began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
+            for _ in range(size):
+                step = env.step(self.act(i, joint))
+                joint = step.observation
+                total = total + self._priced(step)
+                waited = waited + step.state.backlog_kws.detach().sum(-1)
+                arrived = arrived + step.state.arrived_kw.sum(-1)
+                excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.weights.violation or 1.0)
+            assert step is not None
+            loss = (total + self._left(env, step)) / size
+            self.spent_s["forward"] += time.perf_counter() - began_s
+            began_s = time.perf_counter()
+            self.optimiser.zero_grad()
+            loss.backward()
+            norm = float(torch.nn.utils.clip_grad_norm_(self.networks.parameters(), cfg.max_grad_norm))
+            weights = list(self.networks.parameters())
+            require_finite("a gradient is", (weight.grad for weight in weights if weight.grad is not None))
+            self.optimiser.step()
+            require_finite("a weight is", weights)
+            env.cut()
+            joint = joint.detach()
+            losses.append(float(loss.detach()))
+            self.spent_s["backward"] += time.perf_counter() - began_s
+        delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
+        self._raise("delay", cfg.delay_limit_s, delay_s)
+        self._raise("violation", cfg.violation_limit_pu, excess_pu / env.scenario.horizon)
+        return {"loss": float(np.mean(losses)), "gradient_norm": norm}
+
+    def _priced(self, step: TensorStep) -> torch.Tensor:
+        """Mean cost of a step, without what is left at the end, under the multipliers."""
+        c, f = step.costs, self.factors
+        each = step.cost_j - c.leftover + (f["delay"] - 1.0) * c.backlog + (f["violation"] - 1.0) * c.violation
+        return each.mean()
+
+    def _left(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
+        """Charge for the backlog at a window's end, as at an episode's."""
+        rated_kw, weight = float(env.scenario.datacenter.p_rated_kw.sum()) or 1.0, env.scenario.weights.leftover
+        return self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
+
+    def _raise(self, name: str, limit: float | None, found: float) -> None:
+        """Move a multiplier by how far its limit is exceeded or kept, as a share of the limit."""
+        if limit is not None:
+            off = min(max(found / limit - 1.0, -1.0), 1.0)
+            self.factors[name] = min(max(self.factors[name] * math.exp(self.cfg.dual_rate * off), 1e-3), 1e3)
+
+    def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
+        """Joint action after a joint observation of grid i."""
+        view = self.views[i]
+        return view.action(joint, {name: self.networks[name](own) for name, own in view.inputs(joint).items()})
+
+    def set_rate(self, learning_rate: float) -> None:
+        """Of the optimiser, from now on."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate
+
+    def progress(self) -> dict[str, float]:
+        """Multipliers, and the time spent, as the curve has them."""
+        factors = {f"{name}_factor": value for name, value in self.factors.items()}
+        return factors | {f"{name}_s": value for name, value in self.spent_s.items()}
+
+    def state(self) -> dict[str, Any]:
+        """All that training goes on from."""
+        return {
+            "networks": self.networks.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "factors": self.factors,
+            "spent_s": self.spent_s,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state()``."""
+        self.networks.load_state_dict(state["networks"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.factors, self.spent_s = state["factors"], state["spent_s"]
+
+    def policy(self) -> Policy:
+        """The policy as it stands, as NumPy arrays."""
+        networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
+        return Policy(
+            networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with()
+        )
+
+
+def windows(horizon: int, window: int) -> list[int]:
+    """Lengths of an episode's windows, as equal as they come and about as long as asked."""
+    n = max(1, round(horizon / window))
+    return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
+
+
+def episode_seeds(seed: int, iteration: int, lanes: int) -> range:
+    """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
+    first = (seed << 40) + iteration * lanes
+    return range(first, first + lanes)
+
+
+def merit(cfg: Analytic, figures: Mapping[str, float]) -> float:
+    """What the best policy has least of: J less what is limited, dearly paid beyond the limits."""
+    left, beyond = figures["J"], 0.0
+    if cfg.delay_limit_s is not None:
+        left -= figures["J_waiting"]
+        beyond += max(figures["delay_mean_s"] / cfg.delay_limit_s - 1.0, 0.0)
+    if cfg.violation_limit_pu is not None:
+        left -= figures["J_violation"]
+        beyond += max(figures["excess_mean_pu"] / cfg.violation_limit_pu - 1.0, 0.0)
+    return left * (1.0 + 10.0 * beyond)
+
+
+def check_limits(cfg: Analytic) -> None:
+    """ValueError, naming the field, for settings that cannot be."""
+    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
+    for field in ("delay_limit_s", "violation_limit_pu"):
+        value = getattr(cfg, field)
+        if value is not None and not value > 0:
+            raise ValueError(f"{field} is {value}; give more than 0, or leave it out")
+    if cfg.vary < 0:
+        raise ValueError(f"vary is {cfg.vary}; give at least 0")
+
+
+def grids_of(cfg: Analytic) -> list[Scenario]:
+    """Scenarios of the training split: those named, then variants of each."""
+    named = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
+    rng = np.random.default_rng([cfg.seed, 1])
+    return named + [variant(grid, rng) for _ in range(cfg.vary) for grid in named]
+
+
+def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
+    """Train; the folder written."""
+    check_limits(cfg)
+    torch.set_num_threads(cfg.threads)
+    grids = grids_of(cfg)
+    if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
+        raise ValueError("violation_limit_pu: the violation has weight 0 in a scenario; its price cannot be found")
+    model = learner(cfg, grids)
+    judged_on = scenarios(cfg.scenario, cfg.set, "validation")
+    validate = Validation(judged_on, cfg.validation_episodes)
+    label = "+".join(file_name(scenario.name) for scenario in judged_on)
+    folder = cfg.out or Path("results/train") / f"{label}-{cfg.algorithm()}-{cfg.seed}"
+    with open_run(folder, cfg, cfg.resume, judged_on) as run:
+        return _train(cfg, run, model, grids, validate)
+
+
+def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], validate: Validation) -> Path:
+    """Train a model on its grids, from the run's checkpoint on; the folder written."""
+    algorithm = cfg.algorithm()
+    each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
+    iterations = max(1, round(cfg.updates / each))
+    best, done, state = math.inf, 0, run.load()
+    if state is not None:
+        model.restore(state)
+        best, done = state["best"], state["iteration"]
+    with progress(f"{cfg.scenario}, {algorithm}", iterations, done) as advance:
+        for iteration in range(done + 1, iterations + 1):
+            run.step = iteration
+            model.set_rate(0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations)))
+            figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
+            if iteration % cfg.validate_every == 0 or iteration == iterations:
+                policy = model.policy()
+                found = validate(policy)
+                if merit(cfg, found) < best:
+                    best = merit(cfg, found)
+                    made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": found["J"]}
+                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": algorithm})
+                run.record(found | figures | model.progress())
+                advance(iteration, f"J {found['J']:.4f}, droop {validate.j_droop:.4f}")
+            if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
+                run.save({**model.state(), "best": best, "iteration": iteration})
+    finish(run)
+    print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
+    return run.folder

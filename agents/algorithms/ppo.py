@@ -1,0 +1,255 @@
+"""Proximal policy optimisation on a batch of feeders: one policy for all agents, or one agent for all actuators.
+
+J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347, as Stable-Baselines3 has it. What is
+ours: rollouts are whole episodes of all lanes, collected and bootstrapped by array operations; the critic, which only
+training needs, sees all agents of an environment (C. Yu et al., "The surprising effectiveness of PPO in cooperative
+multi-agent games", arXiv 2103.01955) and is computed once for all of them; an entry of an action that never reaches the
+grid, as an inverter's clock, counts for nothing in the likelihood; means are drawn back into the actions' range, beyond
+which there is nothing to learn from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import create_mlp
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
+
+from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.training.batched_envs import JointLanes, Outputs
+from dcgrid_env.agents.training.run import torch
+
+
+@dataclass(frozen=True)
+class Ppo(sb3.Config):
+    """Train a policy with PPO."""
+
+    outputs: Outputs = "setpoint"
+    """Whether the networks give setpoints, changes of what holds all as it is, or corrections of the tuned droop."""
+    steps: int = 10_000_000
+    """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
+    gae_lambda: float = 0.8
+    """Of generalised advantage estimation."""
+    learning_rate: float = 3e-3
+    """At the beginning; it falls linearly to nothing."""
+    epochs: int = 3
+    """Passes over each rollout."""
+    minibatches: int = 8
+    """Parts of a pass."""
+    clip: float = 0.2
+    """Largest change of the likelihood ratio that pays."""
+    log_std: float = -0.7
+    """Logarithm of the exploration's standard deviation at the beginning."""
+    pull: float = 1.0
+    """Weight that draws means back into the actions' range."""
+    max_grad_norm: float = 0.5
+    """Gradients are cut to this norm."""
+
+
+class Networks(torch.nn.Module):
+    """Hidden layers of the actor, from a lane's features, and of the critic, from those of all lanes of its group."""
+
+    def __init__(self, features: int, group: int, hidden: list[int]):
+        super().__init__()
+        self.group = group
+        self.policy_net = torch.nn.Sequential(*create_mlp(features, -1, hidden, torch.nn.Tanh))
+        self.value_net = torch.nn.Sequential(*create_mlp(group * features, -1, hidden, torch.nn.Tanh))
+        self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """(lane, n_hidden)"""
+        return self.policy_net(features)
+
+    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """(group, n_hidden)"""
+        return self.value_net(features.reshape(-1, self.group * features.shape[-1]))
+
+
+class LanePolicy(ActorCriticPolicy):
+    """SB3's actor and critic, the critic seeing all agents of an environment and giving all of them one value.
+
+    Parameters
+    ----------
+    group
+        Lanes of an environment; observations come with all lanes of an environment, one after the other.
+    used
+        ``JointLanes.used``: one row, or one a kind, told apart by the last figure of the observation. Entries of an
+        action that reach nothing have no likelihood.
+    clocks
+        1 for entries that are clocks as setpoints, whose mean begins at the top, (n_action,).
+    pull
+        Weight of half the squared excess of the mean over [-1, 1] in the loss: where the mean is far beyond, no action
+        drawn differs in what it does, and there is nothing to learn from.
+    """
+
+    used: torch.Tensor
+
+    def __init__(self, *args: Any, group: int, used: np.ndarray, clocks: np.ndarray, pull: float, **kwargs: Any):
+        self.group, self.pull = group, pull
+        super().__init__(*args, **kwargs)
+        self.register_buffer("used", torch.as_tensor(used))
+        self.action_net.bias.data += torch.as_tensor(clocks, dtype=torch.float32)  # pyright: ignore
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor: Any = Networks(self.features_dim, self.group, self.net_arch).to(self.device)  # pyright: ignore
+
+    def used_by(self, observations: torch.Tensor) -> torch.Tensor:
+        """Which entries of the lanes' actions reach the grid, (lane or 1, n_action)."""
+        return self.used if len(self.used) == 1 else self.used[observations[:, -1].long()]
+
+    def _likelihood(self, observations: torch.Tensor, actions: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
+        z = (actions - mean) * torch.exp(-self.log_std)
+        return (self.used_by(observations) * (-0.5 * z * z - self.log_std)).sum(-1)
+
+    def _values(self, features: Any) -> torch.Tensor:
+        return self.value_net(self.mlp_extractor.forward_critic(features)).repeat_interleave(self.group, 0)
+
+    def sample(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Actions drawn, (lane, n_action), and their log likelihood up to a constant, (lane,)."""
+        mean = self.action_net(self.mlp_extractor.forward_actor(self.extract_features(observations)))
+        actions = mean + torch.exp(self.log_std) * torch.randn_like(mean)
+        return actions, self._likelihood(observations, actions, mean)
+
+    def predict_values(self, obs: Any) -> torch.Tensor:
+        """Value of each lane, (lane, 1)."""
+        return self._values(self.extract_features(obs))
+
+    def evaluate_actions(
+        self, obs: Any, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Values, log likelihoods up to a constant, and the entropy up to a constant."""
+        features = self.extract_features(obs)
+        mean = self.action_net(self.mlp_extractor.forward_actor(features))
+        if mean.requires_grad:
+            beyond = (mean - mean.clamp(-1.0, 1.0)).detach() * self.used_by(obs)
+            mean.register_hook(lambda gradient: gradient + self.pull / len(beyond) * beyond)
+        return self._values(features), self._likelihood(obs, actions, mean), self.log_std.sum()
+
+
+class GroupBuffer(RolloutBuffer):
+    """A rollout whose minibatches hold whole groups: all lanes of an environment at a step.
+
+    Parameters
+    ----------
+    group
+        Lanes of an environment.
+    """
+
+    def __init__(self, *args: Any, group: int, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.group = group
+
+    def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
+        """Minibatches of about ``batch_size`` lane steps, in random order."""
+        kept = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)
+        grouped = [torch.as_tensor(array, device=self.device) for array in kept]
+        grouped = [tensor.reshape(-1, self.group, *tensor.shape[2:]) for tensor in grouped]
+        order = torch.as_tensor(np.random.permutation(len(grouped[0])), device=self.device)  # noqa: NPY002 (SB3 seeds it)
+        for chosen in order.split(max(1, (batch_size or order.numel()) // self.group)):
+            yield RolloutBufferSamples(*(tensor[chosen].flatten(0, 1) for tensor in grouped))
+
+
+class LanePpo(PPO):
+    """PPO that collects rollouts without a Python loop over lanes."""
+
+    def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, n_rollout_steps: int) -> bool:
+        """Fill the buffer; the value goes on where the horizon cuts an episode off."""
+        lanes: JointLanes = env
+        policy: Any = self.policy
+        policy.set_training_mode(False)
+        rollout_buffer.reset()
+        callback.on_rollout_start()
+        observation, starts = self._last_obs, self._last_episode_starts
+        cut: list[tuple[int, np.ndarray, np.ndarray]] = []
+        with torch.no_grad():
+            for t in range(n_rollout_steps):
+                actions, likelihood = policy.sample(self._tensor(observation))
+                rollout_buffer.observations[t], rollout_buffer.episode_starts[t] = observation, starts
+                rollout_buffer.actions[t] = actions.cpu().numpy()
+                rollout_buffer.log_probs[t] = likelihood.cpu().numpy()
+                clipped = rollout_buffer.actions[t].clip(lanes.action_space.low, lanes.action_space.high)  # pyright: ignore
+                observation, reward, starts, _ = lanes.step(clipped)
+                rollout_buffer.rewards[t] = reward
+                truncated = lanes.truncated
+                if truncated.any():
+                    cut.append((t, truncated, lanes.arrived()))
+                self.num_timesteps += lanes.num_envs
+                if not callback.on_step():
+                    return False
+            for t, truncated, arrived in cut:
+                rollout_buffer.rewards[t] += self.gamma * truncated * self._values(arrived)
+            seen = rollout_buffer.observations
+            rollout_buffer.values[:] = self._values(seen.reshape(-1, seen.shape[-1])).reshape(seen.shape[:2])
+            last = policy.predict_values(self._tensor(observation))
+        rollout_buffer.pos, rollout_buffer.full = n_rollout_steps, True
+        rollout_buffer.compute_returns_and_advantage(last_values=last, dones=starts)
+        self._last_obs, self._last_episode_starts = observation, starts  # pyright: ignore[reportAttributeAccessIssue]
+        callback.on_rollout_end()
+        return True
+
+    def _tensor(self, observation: Any) -> torch.Tensor:
+        return torch.as_tensor(observation, device=self.device)
+
+    def _values(self, observation: np.ndarray) -> np.ndarray:
+        return self.policy.predict_values(self._tensor(observation)).flatten().cpu().numpy()  # pyright: ignore
+
+
+def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
+    """The algorithm at its beginning."""
+    sb3.set_random_seed(cfg.seed)
+    known = sb3.normalise(lanes, cfg.seed, cfg.gamma)
+    rollout = lanes.num_envs * lanes.scenario.horizon
+    model = LanePpo(
+        LanePolicy,
+        lanes,
+        n_steps=lanes.scenario.horizon,
+        batch_size=-(-rollout // cfg.minibatches),
+        n_epochs=cfg.epochs,
+        gamma=cfg.gamma,
+        gae_lambda=cfg.gae_lambda,
+        clip_range=cfg.clip,
+        max_grad_norm=cfg.max_grad_norm,
+        device=cfg.device,
+        rollout_buffer_class=GroupBuffer,
+        rollout_buffer_kwargs={"group": lanes.lanes_per_env},
+        policy_kwargs={
+            "net_arch": list(cfg.hidden),
+            "log_std_init": cfg.log_std,
+            **known,
+            "group": lanes.lanes_per_env,
+            "used": lanes.used,
+            "clocks": lanes.clocks * (cfg.outputs == "setpoint"),
+            "pull": cfg.pull,
+        },
+    )
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    return model
+
+
+def exported(cfg: Ppo, lanes: JointLanes, model: LanePpo) -> sb3.Policy:
+    """The policy's mean as it stands, as NumPy arrays."""
+    policy: Any = model.policy
+    layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+    return sb3.export(
+        cfg, lanes, policy.features_extractor, layers, "tanh", "clip" if cfg.outputs == "setpoint" else "none"
+    )
+
+
+def main(cfg: Ppo) -> Path:
+    """Train; the folder written."""
+    with sb3.begin(cfg, "ppo", cfg.outputs) as (run, lanes):
+        model = make(cfg, lanes)
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=max(1, round(cfg.steps / (lanes.num_envs * lanes.scenario.horizon))),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=lambda done: cfg.learning_rate * (1.0 - done),
+        )  # fmt: skip

@@ -1,0 +1,51 @@
+"""Soft actor-critic on a batch of feeders: one policy for all agents, or one agent for all actuators.
+
+T. Haarnoja et al., "Soft actor-critic algorithms and applications", arXiv 1812.05905, as Stable-Baselines3 has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3 import SAC
+
+from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.training.batched_envs import JointLanes
+from dcgrid_env.agents.training.run import torch
+
+
+@dataclass(frozen=True)
+class Sac(sb3.OffPolicy):
+    """Train a policy with SAC."""
+
+    entropy_per_action: float = -2.0
+    """Entropy that the policy is held at, for each entry of an action: the lower, the less exploration."""
+
+
+def make(cfg: Sac, lanes: JointLanes) -> SAC:
+    """The algorithm at its beginning."""
+    entropy = cfg.entropy_per_action * float(lanes.used.sum(-1).mean())
+    model = SAC("MlpPolicy", lanes, **sb3.off_policy(cfg, lanes), target_entropy=entropy)
+    return sb3.begun(model, lanes, model.actor.mu)
+
+
+def exported(cfg: Sac, lanes: JointLanes, model: SAC) -> sb3.Policy:
+    """The policy's mean as it stands, as NumPy arrays."""
+    actor: Any = model.actor
+    return sb3.export(cfg, lanes, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
+
+
+def main(cfg: Sac) -> Path:
+    """Train; the folder written."""
+    with sb3.begin(cfg, "sac") as (run, lanes):
+        model = make(cfg, lanes)
+        temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=cfg.iterations(lanes),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=cfg.rate,
+            extra=lambda: sb3.remembered(model) | temperature,
+        )  # fmt: skip

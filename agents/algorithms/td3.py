@@ -1,0 +1,74 @@
+"""Twin delayed deep deterministic policy gradient: one policy for all agents, or one agent for all actuators.
+
+S. Fujimoto et al., "Addressing function approximation error in actor-critic methods", arXiv 1802.09477, as
+Stable-Baselines3 has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import TD3
+from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
+
+from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.training.batched_envs import JointLanes
+
+
+@dataclass(frozen=True)
+class Td3(sb3.OffPolicy):
+    """Train a policy with TD3."""
+
+    noise: float = 0.2
+    """Standard deviation of the exploration."""
+    target_noise: float = 0.1
+    """Standard deviation of the noise that smooths the critics' targets."""
+
+
+class LaneNoise(VectorizedActionNoise):
+    """Normal noise for all lanes in one draw."""
+
+    def __init__(self, std: float, lanes: int, n_action: int):
+        super().__init__(NormalActionNoise(np.zeros(n_action), std * np.ones(n_action)), 1)
+        self.std, self.shape = std, (lanes, n_action)
+
+    def __call__(self) -> np.ndarray:
+        """Noise, (lane, n_action)."""
+        return self.std * np.random.standard_normal(self.shape).astype(np.float32)  # noqa: NPY002 (SB3 seeds this one)
+
+    def reset(self, indices: Any = None) -> None:
+        """Nothing to forget."""
+
+
+def make(cfg: Td3, lanes: JointLanes) -> TD3:
+    """The algorithm at its beginning."""
+    noise = LaneNoise(cfg.noise, lanes.num_envs, lanes.action_space.shape[0])  # pyright: ignore
+    model = TD3(
+        "MlpPolicy", lanes, **sb3.off_policy(cfg, lanes), action_noise=noise, target_policy_noise=cfg.target_noise,
+        target_noise_clip=2.0 * cfg.target_noise,
+    )  # fmt: skip
+    model = sb3.begun(model, lanes, model.actor.mu[-2])
+    model.actor_target.load_state_dict(model.actor.state_dict())
+    return model
+
+
+def exported(cfg: Td3, lanes: JointLanes, model: TD3) -> sb3.Policy:
+    """The policy as it stands, as NumPy arrays."""
+    actor: Any = model.actor
+    return sb3.export(cfg, lanes, actor.features_extractor, actor.mu, "relu", "tanh")
+
+
+def main(cfg: Td3) -> Path:
+    """Train; the folder written."""
+    with sb3.begin(cfg, "td3") as (run, lanes):
+        model = make(cfg, lanes)
+        return sb3.train(
+            cfg, run, lanes, model,
+            iterations=cfg.iterations(lanes),
+            exported=lambda: exported(cfg, lanes, model),
+            learning_rate=cfg.rate,
+            extra=lambda: sb3.remembered(model),
+        )  # fmt: skip

@@ -1,0 +1,140 @@
+"""What stands beside a policy's weights: how they were made and what they reach, NAME.json beside NAME.safetensors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Self
+
+from dcgrid_env.agents.policy.network import PolicyError
+from dcgrid_env.core.files import write_json
+
+MADE = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
+"""What the one who trained a policy may say; the rest is filled in."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a policy reaches on episodes that it was neither trained nor selected on."""
+
+    scenario: str
+    """Name of the preset, of the one it was trained on or of another."""
+    split: str
+    episodes: int
+    """Seeds 0, 1, .."""
+    scenario_hash: str
+    """Of the scenario on that split."""
+    J: float
+    """Mean over the episodes, as the next two."""
+    delay_mean_s: float
+    droop_delay_mean_s: float
+    """Mean delay under the tuned droop."""
+    score: tuple[float, float, float]
+    """Score and the ends of its 95 % interval over episodes; 0 is the tuned droop, 1 hindsight."""
+    seeds: tuple[int, ...]
+    """Training seeds of the same command that were scored; the policy is the one of the best validation J."""
+    seed_scores: tuple[float, ...]
+    """Their scores, in the same order."""
+
+    def __post_init__(self) -> None:
+        _check(self, str, "scenario", "split", "scenario_hash")
+        _check(self, int, "episodes")
+        _check(self, float, "J", "delay_mean_s", "droop_delay_mean_s")
+        _check_all(self, float, "score", 3)
+        _check_all(self, int, "seeds")
+        _check_all(self, float, "seed_scores", len(self.seeds))
+
+
+@dataclass(frozen=True)
+class Card:
+    """A policy's card.
+
+    Raises
+    ------
+    PolicyError
+        For a field of the wrong type or a figure that is not finite, naming it.
+    """
+
+    version: str
+    """Of dcgrid-env, with which it was made."""
+    n_parameters: int
+    """Figures in its arrays, those of the normalisation included."""
+    sha256: str
+    """``Policy.sha256``: of weights and settings, as in the header of the weights' file."""
+    algorithm: str = ""
+    scenario: str = ""
+    """Name of the scenario that it was trained on."""
+    command: str = ""
+    """What makes it again, with the settings that ship for its scenario (``settings``)."""
+    seed: int | None = None
+    """Of the training."""
+    training_s: float | None = None
+    """Wall-clock time of the training."""
+    validation_J: float | None = None
+    """Mean J on the validation episodes by which it was selected."""
+    scored: Scored | None = None
+
+    def __post_init__(self) -> None:
+        _check(self, str, "version", "sha256", "algorithm", "scenario", "command")
+        _check(self, int, "n_parameters")
+        _check(self, (int, type(None)), "seed")
+        _check(self, (float, type(None)), "training_s", "validation_J")
+        if not re.fullmatch("[0-9a-f]{64}", self.sha256):
+            raise PolicyError(f"card: sha256 is {self.sha256!r}; give 64 hexadecimal digits")
+
+    @classmethod
+    def of(cls, sha256: str, n_parameters: int, made: Mapping[str, Any]) -> Self:
+        """The card of a policy that was just made; ``made`` holds some of ``MADE``, PolicyError for anything else."""
+        unknown = sorted(set(made) - set(MADE))
+        if unknown:
+            raise PolicyError(f"card: {unknown[0]} is no field of it; give some of {', '.join(MADE)}")
+        return cls(version("dcgrid-env"), n_parameters, sha256, **made)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a card; PolicyError, which names the file, for what is none, OSError if it cannot be opened."""
+        text = Path(path).read_bytes()
+        try:
+            fields = json.loads(text)
+            if fields.get("scored") is not None:
+                fields["scored"] = Scored(**{name: _frozen(value) for name, value in fields["scored"].items()})
+            return cls(**fields)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the card as JSON, whole or not at all."""
+        write_json(Path(path), dataclasses.asdict(self))
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _check(card: Scored | Card, kind: type | tuple[type, ...], *names: str) -> None:
+    for name in names:
+        _check_one(name, getattr(card, name), kind)
+
+
+def _check_all(card: Scored | Card, kind: type, name: str, n: int | None = None) -> None:
+    values = getattr(card, name)
+    if not isinstance(values, tuple) or len(values) != (len(values) if n is None else n):
+        raise PolicyError(f"card: {name} is {values!r}; give {'some' if n is None else n} figures")
+    for value in values:
+        _check_one(name, value, kind)
+
+
+def _check_one(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    allowed = (*kinds, int) if float in kinds else kinds
+    named = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
+    if not isinstance(value, allowed) or isinstance(value, bool):
+        raise PolicyError(f"card: {name} is {value!r}; give {named}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise PolicyError(f"card: {name} is {value}; give a finite figure")

@@ -1,0 +1,143 @@
+"""A local policy that is monotone in its own voltage, with a slope that nothing it learns can exceed.
+
+Each output, a change of reactive power or of the clock (see ``view``), is a head of its own:
+
+    output = offset(c) - slope psi(z, c)          psi = a_0 (z - b_0) + sum_h a_h t_h tanh((z - b_h) / t_h)
+
+with z the voltage's deviation in bands and c what else the head may see. The weights a(c) are the first entries of a
+softmax, so that they are positive and sum to less than 1, and the derivative of psi by z lies between 0 and 1: a lower
+voltage never means less reactive power or a faster clock, whatever was learned. Where b, and for a clock the offset,
+move with c, they move the voltage that is aimed at, not the gain.
+
+Why this keeps the loop stable. Where c does not depend on q, all agents' reactive power moves by
+q' = q - S psi(X q + w) with S the diagonal of slopes. Let Psi be the sum over agents of slope times the integral of psi
+by z, convex as psi is monotone, with second derivatives no larger than S. With u = S psi a step changes Psi by at most
+-u'X u + 0.5 u'X S X u, so Psi falls at every step if
+
+    lambda_max(S^1/2 X S^1/2) < 2
+
+which for equal slopes is the bound of the integrating droop (``baselines.stability``). This is for a c that stands
+still, and while no agent is at its reactive limit: there q stays where it is, which the argument leaves out. Monotone
+networks under such a bound are those of W. Cui, J. Li and B. Zhang, "Decentralized safe reinforcement learning for
+inverter-based voltage control", arXiv 2110.01126, and Y. Shi, G. Qu, S. Low, A. Anandkumar and A. Wierman, "Stability
+constrained reinforcement learning for real-time voltage control", arXiv 2109.14854 and 2209.07669.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from array_api_compat import array_namespace
+
+from dcgrid_env.agents.policy.network import Network, PolicyError, figures
+
+UNITS = 6
+"""Bent units of psi beside the straight one."""
+WIDTH = 2 * UNITS + 4
+"""Figures that a head's context network gives: UNITS + 2 logits (one for the rest of 1), UNITS + 1 centres, offset."""
+
+
+class Head(NamedTuple):
+    """One output."""
+
+    context: Network
+    """From what the head may see to ``WIDTH`` figures."""
+    columns: np.ndarray
+    """Where that stands in the observation, int, (n,)."""
+    widths: np.ndarray
+    """t_h, bands, (UNITS,)."""
+    slope: float
+    """Largest slope, units of the output for each band of voltage."""
+    offset: bool
+    """Whether there is one: for a clock, not for reactive power, which it would let run away."""
+
+
+def head_output(z: Any, context: Any, widths: Any, slope: float, offset: bool) -> Any:
+    """Output of a head for deviations ``z`` (...) and its context network's output (..., WIDTH); NumPy or torch."""
+    xp = np if isinstance(z, np.ndarray) else array_namespace(z)
+    share = xp.exp(context[..., : UNITS + 2].clip(-15.0, 15.0))
+    share = share / share.sum(-1)[..., None]
+    apart = z[..., None] - context[..., UNITS + 2 : -1]
+    bent = widths * xp.tanh(apart[..., 1:] / widths)
+    psi = share[..., 0] * apart[..., 0] + (share[..., 1:-1] * bent).sum(-1)
+    return context[..., -1] - slope * psi if offset else -slope * psi
+
+
+class MonotoneNetwork:
+    """A network of monotone heads, one for each output.
+
+    Parameters
+    ----------
+    heads
+        In the order of the outputs.
+    n_in
+        Width of the observation.
+    v_at
+        Where the voltage's deviation stands in it.
+
+    Raises
+    ------
+    PolicyError
+        For heads that do not fit.
+    """
+
+    family: ClassVar[str] = "monotone"
+
+    def __init__(self, heads: Sequence[Head], n_in: int, v_at: int = 0):
+        if not len(heads):
+            raise PolicyError("heads is empty; give at least one")
+        if not 0 <= v_at < n_in:
+            raise PolicyError(f"v_at is {v_at}; give one of 0 .. {n_in - 1}")
+        for i, head in enumerate(heads):
+            at = head.columns
+            if at.ndim != 1 or not len(at) or at.min() < 0 or at.max() >= n_in or v_at in at:
+                raise PolicyError(f"head {i}: columns are {at.tolist()}; give some of 0 .. {n_in - 1} without {v_at}")
+            if (head.context.n_in, head.context.n_out) != (len(at), WIDTH):
+                raise PolicyError(
+                    f"head {i}: its context network takes {head.context.n_in} figures and gives {head.context.n_out}; "
+                    f"it must be {len(at)} and {WIDTH}"
+                )
+            if head.widths.shape != (UNITS,) or not (head.widths > 0).all() or not 0 < head.slope < np.inf:
+                raise PolicyError(f"head {i}: give {UNITS} widths and a slope above 0")
+        self.heads, self.n_in, self.v_at = tuple(heads), n_in, v_at
+
+    @property
+    def n_out(self) -> int:
+        """Width of the output."""
+        return len(self.heads)
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Output, float32, (..., n_out), for an observation (..., n_in)."""
+        x = np.asarray(observation, dtype=np.float32)
+        found = [
+            head_output(x[..., self.v_at], h.context(x[..., h.columns]), h.widths, h.slope, h.offset)
+            for h in self.heads
+        ]
+        return np.stack(found, axis=-1)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """``widths0, columns0`` and the context network's arrays, ``context0.w0`` .., for each head."""
+        found: dict[str, np.ndarray] = {}
+        for i, head in enumerate(self.heads):
+            found |= {f"widths{i}": head.widths, f"columns{i}": head.columns.astype(np.float32)}
+            found |= {f"context{i}.{name}": array for name, array in head.context.arrays().items()}
+        return found
+
+    def settings(self) -> dict[str, Any]:
+        """Width, place of the voltage, and each head's slope, offset and context network's settings."""
+        heads = [{"slope": h.slope, "offset": h.offset, "context": h.context.settings()} for h in self.heads]
+        return {"n_in": self.n_in, "v_at": self.v_at, "heads": heads}
+
+    @classmethod
+    def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
+        """The network of these arrays and settings."""
+        heads = []
+        for i, known in enumerate(settings["heads"]):
+            of = f"context{i}."
+            own = {name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)}
+            columns, widths = (figures(name, arrays[name], 1) for name in (f"columns{i}", f"widths{i}"))
+            context = Network.read(own, known["context"])
+            heads.append(Head(context, columns.astype(np.int64), widths, float(known["slope"]), bool(known["offset"])))
+        return cls(heads, int(settings["n_in"]), int(settings["v_at"]))

@@ -1,0 +1,247 @@
+"""Learned policies: small networks of NumPy arrays, run without the library that trained them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, View
+from dcgrid_env.agents.policy.monotone import MonotoneNetwork
+from dcgrid_env.agents.policy.network import Family, Network, PolicyError
+from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
+from dcgrid_env.core.files import write_bytes
+
+FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork)}
+"""Families of networks by the name that files have for them."""
+FOLDER = Path(__file__).parents[1] / "policies"
+SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
+"""Names of the policies that ship."""
+
+
+class Policy:
+    """A controller that is one network, or one for each kind of agent.
+
+    Parameters
+    ----------
+    networks
+        ``{"joint": network}``: from the joint observation to the joint action, as ``gymnasium.make`` has them; fits
+        scenarios with the same numbers of agents. Or ``{"datacenter": network, "inverter": network}``: from each
+        agent's own observation to its own action, (clock, q) or (q,), as ``parallel_env`` has them; fits any number of
+        agents on any feeder. One of the two may be left out where there is no such agent.
+    observe
+        Scope of observation that it was trained with.
+    preview
+        Whether it sees the coming interval's p_ref; if not, those fields are 0 for it whatever the scenario shows.
+    act
+        Which axes it moves: ``both``; ``q``, with every clock at the top; ``clock``, with all reactive setpoints at 0.
+    nameplate
+        Whether an agent's observation has three more figures at its end: r times its rating in MW (of a data centre
+        p_rated, of an inverter s_rated) and x times its reactive limit at zero active power in Mvar, both in bands of
+        voltage, and v_deviation over the latter, cut to +-3: the share of its reactive power that would bring its own
+        voltage to 1. A joint network has the first of all agents, then the second, then the third.
+    outputs
+        Whether the networks give setpoints, changes of what holds everything as it is, or corrections of a droop law,
+        see ``view``.
+    gains
+        Of that law: k_p, MW per p.u., k_q, Mvar per p.u. and s, and alpha, per s.
+    scenario
+        Name of the scenario that it was trained on.
+    made_with
+        The command that made it.
+
+    Raises
+    ------
+    PolicyError
+        For networks of neither kind, or whose outputs are not the agent's actions.
+    """
+
+    def __init__(
+        self,
+        networks: Mapping[str, Family],
+        *,
+        observe: str = "local",
+        preview: bool = True,
+        act: str = "both",
+        nameplate: bool = False,
+        outputs: str = "setpoint",
+        gains: Sequence[float] | None = None,
+        scenario: str = "",
+        made_with: str = "",
+    ):
+        self.kind = next((kind for kind, names in KINDS.items() if networks and set(networks) <= set(names)), "")
+        if not self.kind:
+            raise PolicyError(f"networks are {sorted(networks)}; give joint alone, or datacenter, inverter or both")
+        for field, value, known in (("observe", observe, SCOPES), ("act", act, ACTS), ("outputs", outputs, OUTPUTS)):
+            if value not in known:
+                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(known)}")
+        for field, value in (("preview", preview), ("nameplate", nameplate)):
+            if not isinstance(value, bool):
+                raise PolicyError(f"{field} is {value!r}; give true or false")
+        for name, want in (("datacenter", 2), ("inverter", 1)):
+            if name in networks and networks[name].n_out != want:
+                raise PolicyError(f"{name}: the network has {networks[name].n_out} outputs; its agents take {want}")
+        self.networks = dict(networks)
+        self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
+        if (outputs == "droop") != (gains is not None):
+            raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
+        self.outputs, self.gains = outputs, None if gains is None else _gains(gains)
+        self.trained_on = scenario
+        self.made_with = made_with
+        self.source = "policy"
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""
+        if env_info.observe != self.observe:
+            raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
+        n_dc, n_inv = env_info.n_datacenters, env_info.n_inverters
+        chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
+        chosen["gains"] = self.gains
+        self._view = View(env_info, self.kind, **chosen)
+        self._agents, self._cuts = env_info.agents, np.cumsum([2] * n_dc + [1] * n_inv)[:-1]
+        for name, (n_in, n_out) in self._view.widths.items():
+            if name not in self.networks:
+                raise PolicyError(f"{self.source}: has no network for the {name}s of {env_info.name}; train one")
+            network = self.networks[name]
+            if (network.n_in, network.n_out) != (n_in, n_out):
+                raise PolicyError(
+                    f"{self.source}: network {name} takes {network.n_in} figures and gives {network.n_out}, on "
+                    f"{env_info.name} ({n_dc} data centres, {n_inv} inverters, {env_info.observe} observation) it must "
+                    f"be {n_in} and {n_out}; it was trained on {self.trained_on or 'another'}"
+                )
+
+    def act(self, observations: Any) -> Any:
+        """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
+        if isinstance(observations, Mapping):
+            joint = np.concatenate([observations[agent] for agent in self._agents], axis=-1)
+            return dict(zip(self._agents, np.split(self._joint(joint), self._cuts, axis=-1), strict=True))
+        return self._joint(np.asarray(observations))
+
+    def _joint(self, joint: np.ndarray) -> np.ndarray:
+        seen = self._view.inputs(joint)
+        return self._view.action(joint, {name: self.networks[name](own) for name, own in seen.items()})
+
+    @property
+    def sha256(self) -> str:
+        """Of weights and settings."""
+        return digest(self._about(), self._arrays())
+
+    @property
+    def n_parameters(self) -> int:
+        """Figures in its arrays."""
+        return sum(array.size for array in self._arrays().values())
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {f"{name}.{key}": array for name, net in self.networks.items() for key, array in net.arrays().items()}
+
+    def _about(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            "observe": self.observe,
+            "preview": self.preview,
+            "act": self.acts,
+            "nameplate": self.nameplate,
+            "outputs": self.outputs,
+            "scenario": self.trained_on,
+            "made_with": self.made_with,
+            "networks": {name: {"family": net.family, **net.settings()} for name, net in self.networks.items()},
+            **({} if self.gains is None else {"gains": list(self.gains)}),
+        }
+
+    def save(self, path: str | Path, card: Mapping[str, Any] | None = None) -> Path:
+        """Write weights and card, each whole or not at all; folders are made.
+
+        Parameters
+        ----------
+        path
+            Of the weights, with ``.safetensors`` at its end or without; the card has ``.json`` there.
+        card
+            What is known of how it was made (``card.MADE``); scenario and command are the policy's own unless said.
+
+        Returns
+        -------
+        Path
+            Of the weights.
+
+        Raises
+        ------
+        PolicyError
+            For another suffix, or a card that cannot be.
+        """
+        path = Path(path)
+        if path.suffix not in ("", SUFFIX):
+            raise PolicyError(f"{path}: a policy's file name ends in {SUFFIX}")
+        path = path.with_suffix(SUFFIX)
+        known = {"scenario": self.trained_on, "command": self.made_with} | dict(card or {})
+        beside = Card.of(self.sha256, self.n_parameters, known)
+        write_bytes(path, packed(self._about(), self._arrays()))
+        beside.save(path.with_suffix(".json"))
+        return path
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Policy:
+        """Read a policy that ships, by its name (``SHIPPED``), or a file.
+
+        PolicyError for what is none, of an unknown version, broken or too large; OSError if it cannot be opened.
+        """
+        if str(name_or_path) in SHIPPED:
+            policy = _load(FOLDER / f"{name_or_path}{SUFFIX}")
+            policy.source = str(name_or_path)
+            return policy
+        path = Path(name_or_path)
+        if path.suffix != SUFFIX:
+            named = ", ".join(SHIPPED) or "none"
+            raise PolicyError(f"{path}: no policy of that name ships (there are: {named}), nor does it end in {SUFFIX}")
+        return _load(path)
+
+
+def _gains(values: Sequence[float]) -> Gains:
+    figures = [float(value) for value in values]
+    if len(figures) != len(Gains._fields) or not all(0.0 <= value < float("inf") for value in figures):
+        raise PolicyError(f"gains are {values!r}; give {', '.join(Gains._fields)}, each at least 0")
+    return Gains(*figures)
+
+
+def _load(path: Path) -> Policy:
+    about, arrays = unpacked(path)
+    try:
+        networks = {name: _network(name, own, arrays) for name, own in about["networks"].items()}
+        for array in arrays:
+            if array.partition(".")[0] not in networks:
+                raise PolicyError(f"array {array} belongs to none of its networks; export it again")
+        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
+        policy = Policy(
+            networks,
+            **chosen,
+            gains=about.get("gains"),
+            scenario=str(about["scenario"]),
+            made_with=str(about["made_with"]),
+        )
+    except KeyError as missing:
+        raise PolicyError(f"{path}: {missing.args[0]} is missing; export the policy again") from None
+    except (PolicyError, TypeError, AttributeError) as error:
+        raise PolicyError(f"{path}: {error}") from None
+    if about.get("kind") != policy.kind:
+        raise PolicyError(
+            f"{path}: kind is {about.get('kind')!r}, its networks are {sorted(networks)}; export it again"
+        )
+    policy.source = str(path)
+    return policy
+
+
+def _network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
+    settings = dict(own)
+    family = settings.pop("family")
+    if family not in FAMILIES:
+        raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
+    held = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
+    try:
+        return FAMILIES[family].read(held, settings)
+    except KeyError as missing:
+        raise PolicyError(f"{name}: {missing.args[0]} is missing; export the policy again") from None
+    except PolicyError as error:
+        raise PolicyError(f"{name}: {error}") from None

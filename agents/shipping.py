@@ -1,0 +1,131 @@
+"""From the training runs of several seeds to a policy that ships: the best on validation, its card scored on test."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from dcgrid_env import PRESETS, make_scenario, scenario_hash
+from dcgrid_env.agents.find import preset_of
+from dcgrid_env.agents.policy.card import Card, Scored
+from dcgrid_env.agents.policy.network import PolicyError
+from dcgrid_env.agents.policy.policy import FOLDER, Policy
+from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.evaluation import REFERENCE, evaluate
+from dcgrid_env.core.files import write_bytes
+
+SPLIT = "test"
+
+
+def ship(
+    folders: Sequence[Path], name: str, scenario: str | None = None, episodes: int = 100, out: Path = FOLDER
+) -> Card:
+    """Score the policies of training runs that differ in the seed alone, and write the best on validation.
+
+    Parameters
+    ----------
+    folders
+        Of the runs, each with policy.safetensors and policy.json.
+    name
+        Of the policy; ``PRESET-NAME`` is found as NAME on that preset.
+    scenario
+        Preset on whose test split they are scored; that of the training unless given.
+    episodes
+        Seeds 0, 1, .. of the test split.
+    out
+        Folder for NAME.safetensors and NAME.json.
+
+    Returns
+    -------
+    Card
+        As written.
+
+    Raises
+    ------
+    PolicyError
+        For runs of different scenarios or algorithms, or twice of the same seed, a card of other weights, or one
+        without a seed, training time or validation cost.
+    ValueError
+        Where there is no score, see :meth:`Evaluation.score`.
+    """
+    made = [_read(folder) for folder in folders]
+    cards = [card for _, card in made]
+    _check(cards, folders, name)
+    trained_on = cards[0].scenario
+    if scenario is None and trained_on not in PRESETS:
+        raise PolicyError(f"scenario: the policy was trained on {trained_on}; say on which preset it is scored")
+    test = make_scenario(scenario or trained_on, split=SPLIT)
+    seeds = range(episodes)
+    droop = evaluate(make_controller(REFERENCE, test), test, seeds)
+    evaluations = [evaluate(policy, test, seeds) for policy, _ in made]
+    scores = [evaluation.score(droop).score for evaluation in evaluations]
+    best = min(range(len(cards)), key=lambda i: cards[i].validation_J or 0.0)
+    scored = Scored(
+        scenario=test.name,
+        split=SPLIT,
+        episodes=episodes,
+        scenario_hash=scenario_hash(test),
+        J=evaluations[best].means["J"],
+        delay_mean_s=evaluations[best].means["delay_mean_s"],
+        droop_delay_mean_s=droop.means["delay_mean_s"],
+        score=(scores[best].value, scores[best].low, scores[best].high),
+        seeds=tuple(card.seed or 0 for card in cards),
+        seed_scores=tuple(found.value for found in scores),
+    )
+    card = dataclasses.replace(cards[best], scored=scored)
+    write_bytes(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
+    card.save(out / f"{name}.json")
+    return card
+
+
+def _weights(folder: Path) -> Path:
+    return folder / f"policy{SUFFIX}"
+
+
+def _read(folder: Path) -> tuple[Policy, Card]:
+    """A run's policy and card; PolicyError unless they belong together and the card says how it was made."""
+    policy, path = Policy.load(_weights(folder)), folder / "policy.json"
+    card = Card.load(path)
+    if card.sha256 != policy.sha256:
+        raise PolicyError(f"{path}: its sha256 is that of other weights; train again")
+    for field in ("algorithm", "scenario", "command", "seed", "training_s", "validation_J"):
+        if getattr(card, field) in ("", None):
+            raise PolicyError(f"{path}: {field} is missing; train again")
+    return policy, card
+
+
+def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
+    if not cards:
+        raise PolicyError("folders is empty; give the folder of at least one training run")
+    if not name or Path(name).name != name or Path(name).suffix:
+        raise PolicyError(f"name is {name!r}; give a plain name without folder or suffix")
+    preset = preset_of(name)
+    if preset and preset != cards[0].scenario:
+        raise PolicyError(f"name is {name!r}, the policy was trained on {cards[0].scenario}; name it after that")
+    for card, folder in zip(cards, folders, strict=True):
+        for field in ("algorithm", "scenario", "version"):
+            one, other = getattr(cards[0], field), getattr(card, field)
+            if one != other:
+                raise PolicyError(
+                    f"{folder}: {field} is {other!r}, that of {folders[0]} is {one!r}; give runs of one kind"
+                )
+    _check_settings(folders)
+    twice = [card.seed for card in cards if sum(other.seed == card.seed for other in cards) > 1]
+    if twice:
+        raise PolicyError(f"folders: seed {twice[0]} is there twice; give each run once")
+
+
+def _check_settings(folders: Sequence[Path]) -> None:
+    """PolicyError where configurations that the runs kept differ in more than seed and place."""
+    kept = {folder: json.loads(path.read_text()) for folder in folders if (path := folder / "config.json").exists()}
+    for folder, settings in kept.items():
+        first, other = next(iter(kept.items()))
+        for field in sorted(set(settings) | set(other)):
+            if field not in ("seed", "out", "resume") and settings.get(field) != other.get(field):
+                raise PolicyError(
+                    f"{folder}: {field} is {settings.get(field)!r}, that of {first} is {other.get(field)!r}; give runs "
+                    "that differ in the seed alone"
+                )

@@ -1,0 +1,82 @@
+"""What the tables of these studies share: columns, cells, and the page that they stand on."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
+from dcgrid_env.baselines.score import Estimate
+
+COLUMNS = (
+    ("J", "J", 4),
+    ("mean \\|V-1\\|, p.u.", "voltage_deviation_mean_pu", 5),
+    ("outside, % of bus-s", "outside_bus_seconds_pct", 2),
+    ("violation cost", "cost_violation", 4),
+    ("J but for waiting", "J_but_delay", 4),
+    ("mean delay, s", "delay_mean_s", 2),
+)
+"""Columns that are means over episodes: label as in Markdown, metric, decimals."""
+HEADINGS = tuple(label for label, _, _ in COLUMNS)
+SCORE = (
+    "Score: 0 is the tuned droop law, 1 perfect foresight; mean(J_droop - J) / mean(J_droop - J_hindsight) over the "
+    "test episodes, with its 95 % paired bootstrap interval over episodes. Several training seeds enter with their "
+    "mean cost."
+)
+
+
+def figures(means: Mapping[str, float]) -> tuple[str, ...]:
+    """Cells under ``HEADINGS``."""
+    return tuple(f"{means[key]:.{decimals}f}" for _, key, decimals in COLUMNS)
+
+
+def estimate(found: Estimate | None, decimals: int = 3) -> str:
+    """A score with its interval."""
+    if found is None:
+        return NONE
+    return f"{found.value:.{decimals}f} ({found.low:.{decimals}f} to {found.high:.{decimals}f})"
+
+
+def spread(found: tuple[float, float] | None) -> str:
+    """Lowest and highest of the seeds."""
+    return NONE if found is None else f"{found[0]:.3f} to {found[1]:.3f}"
+
+
+def brief(table: Table, *headings: str) -> Table:
+    """A table for the terminal: the first column and those named, without intervals and notes."""
+    at = [0, *(table.header.index(heading) for heading in headings)]
+    rows = tuple(tuple(row[i].partition(" (")[0] if i else row[i] for i in at) for row in table.rows)
+    return Table(table.title, tuple(table.header[i] for i in at), rows)
+
+
+def page(title: str, made_by: str, *parts: str) -> str:
+    """A page of Markdown with the command that makes it."""
+    return (
+        "\n\n".join((f"# {title}", f"Made by\n\n    {made_by}", *(part.strip("\n") for part in parts if part))) + "\n"
+    )
+
+
+def wrapped(text: str) -> str:
+    """A paragraph of the width of a page."""
+    return textwrap.fill(text, width=120, break_on_hyphens=False, break_long_words=False)
+
+
+def commands(about: str, each: Iterable[tuple[str, str]]) -> str:
+    """Commands under what each is for."""
+    lines = [f"# {label}\n{command}" for label, command in each]
+    return f"{about}\n\n```bash\n" + "\n".join(lines) + "\n```"
+
+
+__all__ = [
+    "HEADINGS",
+    "NONE",
+    "SCORE",
+    "Table",
+    "brief",
+    "commands",
+    "estimate",
+    "figures",
+    "page",
+    "spread",
+    "wrapped",
+]

@@ -1,0 +1,92 @@
+"""Policies of several training seeds on the test split: their mean with its interval, and how far they lie apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dcgrid_env import Scenario, make_scenario
+from dcgrid_env.agents import Evaluation, Policy, evaluate, find_controller
+from dcgrid_env.baselines import Controller
+from dcgrid_env.baselines.evaluation import REFERENCE
+from dcgrid_env.baselines.score import Estimate
+
+SPLIT = "test"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One setting, trained with one or more seeds, or a controller."""
+
+    mean: Evaluation
+    """Costs of each episode and means of all metrics, averaged over the seeds."""
+    each: tuple[Evaluation, ...]
+    """Of each seed."""
+
+    def score(self, droop: Evaluation) -> Estimate | None:
+        """Score of the mean cost with its interval over episodes; None where there is no score."""
+        return score(self.mean, droop)
+
+    def spread(self, droop: Evaluation) -> tuple[float, float] | None:
+        """Lowest and highest score of a seed; None for one seed alone, or where there is no score."""
+        found = [score(one, droop) for one in self.each]
+        values = [estimate.value for estimate in found if estimate is not None]
+        return (min(values), max(values)) if len(values) > 1 else None
+
+
+def score(evaluation: Evaluation, droop: Evaluation) -> Estimate | None:
+    """Score of an evaluation against the tuned droop's; None where hindsight's costs are not known."""
+    try:
+        return evaluation.score(droop).score
+    except ValueError:
+        return None
+
+
+def on_test(scenario: str) -> Scenario:
+    """A preset as policies are tested on it."""
+    return make_scenario(scenario, split=SPLIT)
+
+
+@lru_cache(maxsize=64)
+def droop_on_test(scenario: str, episodes: int) -> Evaluation:
+    """The tuned droop law on a preset's test episodes."""
+    return named_on_test(REFERENCE, scenario, episodes).mean
+
+
+def named_on_test(name: str, scenario: str, episodes: int) -> Scored:
+    """A controller by its name on a preset's test episodes."""
+    return scored([find_controller(name, on_test(scenario))], scenario, episodes)
+
+
+def scored(controllers: Sequence[Controller | Policy], scenario: str, episodes: int) -> Scored:
+    """Controllers, one for each training seed, on a preset's test episodes.
+
+    Parameters
+    ----------
+    controllers
+        At least one.
+    scenario
+        Name of a preset.
+    episodes
+        Seeds 0, 1, ..
+
+    Raises
+    ------
+    ValueError
+        Where one of them cannot drive the scenario.
+    """
+    test, seeds = on_test(scenario), range(episodes)
+    found = tuple(_evaluated(controller, test, seeds) for controller in controllers)
+    means = {name: float(np.mean([one.means[name] for one in found])) for name in found[0].means}
+    return Scored(Evaluation(test, tuple(seeds), np.mean([one.J for one in found], axis=0), means), found)
+
+
+def _evaluated(controller: Controller | Policy, scenario: Scenario, seeds: Sequence[int]) -> Evaluation:
+    """An evaluation with one more mean, ``J_but_delay``: J without the charges for work that waits."""
+    found = evaluate(controller, scenario, seeds)
+    waiting = found.means["cost_backlog"] + found.means["cost_leftover"]
+    return dataclasses.replace(found, means=dict(found.means) | {"J_but_delay": found.means["J"] - waiting})

@@ -1,0 +1,1 @@
+"""What training algorithms share: configuration, a run's folder, batched environments, validation."""

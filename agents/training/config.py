@@ -1,0 +1,101 @@
+"""What every algorithm is told: each algorithm's configuration, which is its command line, begins with these fields."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from dcgrid_env.agents.training.preset_settings import settings
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+Act = Literal["both", "clock", "q"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """What to train, and how it is judged.
+
+    Fields that are not given are the algorithm's own defaults; :meth:`for_scenario` takes what was found for
+    a scenario.
+    """
+
+    scenario: str = "ieee123"
+    """What to train on: a preset, or path/to/file.py:function or package.module:function that makes your own; for
+    analytic and safe also several, separated by commas."""
+    set: tuple[str, ...] = ()
+    """Fields of the scenario that are to be otherwise, FIELD=VALUE, for instance --set horizon=60 load_sigma=0.1."""
+    view: Literal["shared", "centralised"] = "shared"
+    """One policy for all agents on their own observations, or one that sees and moves all."""
+    seed: int = 0
+    """Of the training."""
+    out: Path | None = None
+    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
+    device: str = "cpu"
+    """Where the networks live, and for analytic and safe the grid, as torch names it."""
+    resume: bool = False
+    """Go on from the folder's checkpoint."""
+    observe: Literal["local", "neighbours", "feeder"] = "local"
+    """Scope of observation."""
+    preview: bool = True
+    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
+    act: Act = "both"
+    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
+    lanes: int = 128
+    """Episodes at once."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers."""
+    validation_episodes: int = 32
+    """Episodes of the validation split that a policy is judged on."""
+    validate_every: int = 10
+    """Iterations, batches of whole episodes, from one validation to the next."""
+    checkpoint_every: int = 10
+    """Iterations from one checkpoint to the next."""
+    threads: int = 1
+    """Of torch; networks this small gain little from more, and lose much where other processes compete."""
+
+    @classmethod
+    def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:
+        """The configuration with which ``dcgrid train`` begins on a scenario, before its options.
+
+        Parameters
+        ----------
+        scenario, view
+            Of the training; the algorithm's default unless given.
+        fields
+            Further fields, by name; they stand before those that were found for the scenario
+            (``dcgrid_env.agents.training.preset_settings``), and those before the algorithm's defaults.
+
+        Raises
+        ------
+        TypeError
+            For a field that there is not.
+        """
+        chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
+        return cls(**(settings(cls.algorithm(), **chosen) | chosen | fields))
+
+    @classmethod
+    def algorithm(cls) -> str:
+        """Name of the algorithm on the command line."""
+        return cls.__name__.lower()
+
+
+MOST_SEEDS = 2**24
+"""Training seeds whose episodes are not those of another one."""
+
+
+def trained_on(cfg: Training) -> str:
+    """What a policy's file says it was trained on: the preset, or the words that name another scenario."""
+    return ScenarioSpec(cfg.scenario, cfg.set).label
+
+
+def check(cfg: Training, *more: str) -> None:
+    """ValueError, naming the field, for settings that cannot be; ``more`` are fields of which more than 0 is asked."""
+    for field in ("lanes", "validation_episodes", "validate_every", "checkpoint_every", "threads", *more):
+        if not 0 < getattr(cfg, field) < math.inf:
+            raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
+    if not cfg.hidden or not all(width > 0 for width in cfg.hidden):
+        raise ValueError(f"hidden is {cfg.hidden}; give widths of at least 1")
+    if not 0 <= cfg.seed < MOST_SEEDS:
+        raise ValueError(f"seed is {cfg.seed}; give at least 0 and less than {MOST_SEEDS}")

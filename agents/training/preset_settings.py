@@ -1,0 +1,26 @@
+"""Settings that were found for an algorithm on a preset; they ship with the package, in preset_settings.toml."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+PATH = Path(__file__).with_suffix(".toml")
+VIEW = "shared"
+"""The view that they were found for."""
+
+
+def settings(algorithm: str, scenario: str, view: str = VIEW) -> dict[str, Any]:
+    """What differs from an algorithm's defaults on a scenario: fields of its configuration by name.
+
+    Empty where nothing was found: for another view, several scenarios, or one that is no preset.
+    """
+    return dict(_all().get(algorithm, {}).get(scenario, {})) if view == VIEW else {}
+
+
+@cache
+def _all() -> dict[str, dict[str, dict[str, Any]]]:
+    """By algorithm and preset."""
+    return tomllib.loads(PATH.read_text(encoding="utf-8"))

@@ -1,0 +1,349 @@
+"""What the Stable-Baselines3 algorithms share: configuration, normalisation, validation, export, and the training loop.
+
+A run is a sequence of iterations. At the beginning of each the generators are seeded, and all lanes begin new episodes,
+by the iteration's number; so what an iteration does depends on its number and the checkpoint before it alone, and a run
+that was killed goes on with the same curve.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.utils import set_random_seed
+
+from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.network import Network
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes, Outputs
+from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.run import Run, device_of, finish, open_run, progress, torch
+from dcgrid_env.agents.training.torch_modules import CLIP
+from dcgrid_env.agents.training.validation import Validation, made_with
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+SMALLEST_STD = 1e-4
+ABOVE_0 = ("epochs", "minibatches", "clip", "max_grad_norm", "buffer", "batch", "gradient_steps", "tau")
+"""Settings of one algorithm or another that must be above 0."""
+
+
+@dataclass(frozen=True)
+class Config(Training):
+    """What all Stable-Baselines3 algorithms are told."""
+
+    nameplate: bool = False
+    """Also observe what full draw and full reactive power do to the own voltage (shared view)."""
+    lanes: int = 384
+    """Lanes of a batch, about: agents in the shared view, environments in the centralised one."""
+    gamma: float = 0.9
+    """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
+    wait: float = 10.0
+    """Steps of waiting that cost the same with the discount as without; the longer, the dearer is deferral."""
+
+
+@dataclass(frozen=True)
+class OffPolicy(Config):
+    """What the algorithms with a replay buffer are told besides."""
+
+    lanes: int = 96
+    """Lanes of a batch, about: agents in the shared view, environments in the centralised one."""
+    checkpoint_every: int = 50
+    """Iterations from one checkpoint to the next; it holds the replay buffer."""
+    steps: int = 1_000_000
+    """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
+    learning_rate: float = 1e-3
+    """At the beginning; it falls linearly to nothing."""
+    buffer: int = 200_000
+    """Lane steps that the replay buffer holds."""
+    batch: int = 512
+    """Lane steps that a gradient step draws."""
+    gradient_steps: int = 2
+    """For each step of all lanes."""
+    tau: float = 0.01
+    """How far the target networks follow in a gradient step."""
+
+    def iterations(self, lanes: JointLanes) -> int:
+        """Iterations that make up the steps, at least 1."""
+        return max(1, round(self.steps / (lanes.num_envs * lanes.scenario.horizon)))
+
+    def rate(self, done: float) -> float:
+        """Learning rate when this share of the training is done."""
+        return self.learning_rate * (1.0 - done)
+
+
+@contextmanager
+def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointLanes]]:
+    """The run's folder, held for the block, and the lanes of the training split.
+
+    ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
+    """
+    lanes = lanes_for(cfg, outputs)
+    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
+    judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
+    folder = cfg.out or Path("results/train") / f"{file_name(judged_on.name)}-{name}-{cfg.seed}"
+    with open_run(folder, cfg, cfg.resume, [judged_on]) as run:
+        yield run, lanes
+
+
+def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
+    """The lanes of the training split; ValueError for a setting that cannot be."""
+    check(cfg, "steps", "learning_rate", "wait", *(field for field in ABOVE_0 if hasattr(cfg, field)))
+    if not 0.0 < cfg.gamma <= 1.0:
+        raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
+    device_of(cfg.device)
+    torch.set_num_threads(cfg.threads)
+    spec = ScenarioSpec(cfg.scenario, cfg.set)
+    make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
+    scenario = spec.make("train", observe=cfg.observe)
+    scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
+    if cfg.view == "centralised":
+        return JointLanes(scenario, cfg.lanes, cfg.act, outputs)
+    return AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
+
+
+def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
+    """The scenario with backlog priced for a policy that neither sees the time nor, under a discount, far ahead.
+
+    To a policy that does not see the time each of T steps is the last with the same chance, and a second of backlog at
+    the last costs ``leftover``: so each step charges ``leftover / T`` more for it, the same in the mean, instead of one
+    large charge that no observation foretells. The horizon is then a mere truncation, after which the value goes on.
+
+    A discount hides most of a long wait, so that deferral would pay that should not. A wait of n steps costs n in truth
+    and (1 - gamma^n) / (1 - gamma) discounted: the price is raised by the ratio of the two at n = ``wait``.
+    """
+    w = scenario.weights
+    raised = wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
+    return scenario.replace(
+        weights=w._replace(backlog=raised * (w.backlog + w.leftover / scenario.horizon), leftover=0.0)
+    )
+
+
+def normalise(lanes: JointLanes, seed: int, gamma: float) -> dict[str, Any]:
+    """Scale the lanes' rewards, so that returns are of order 1; policy arguments that normalise observations.
+
+    Both by an episode in each environment, under clocks near the top and random setpoints; fixed from then on.
+    """
+    rng = np.random.default_rng(seed)
+    shape = (lanes.num_envs, lanes.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]
+    constant, seen, paid = rng.uniform(-1.0, 1.0, shape), [], []
+    lanes.seed(episode_seed(seed, 0, lanes.n_envs))
+    observation = lanes.reset()
+    for _ in range(lanes.scenario.horizon):
+        drawn = 0.3 * rng.standard_normal(shape)
+        seen.append(observation)
+        action = np.where(lanes.clocks, 1.0 - np.abs(drawn), constant + drawn)
+        observation, reward, *_ = lanes.step(np.clip(action, -1.0, 1.0).astype(np.float32))
+        paid.append(reward)
+    lanes.reward_mean, lanes.reward_scale = float(np.mean(paid)), float((1.0 - gamma) / (np.std(paid) + 1e-8))
+    each = np.concatenate(seen).astype(np.float64)
+    known = {"mean": each.mean(axis=0), "std": np.maximum(each.std(axis=0), SMALLEST_STD)}
+    return {"features_extractor_class": Normalised, "features_extractor_kwargs": known}
+
+
+def episode_seed(seed: int, iteration: int, n_envs: int) -> int:
+    """Seed of the first environment's episode in an iteration; no two iterations or runs of a seed share one."""
+    return (seed << 40) + iteration * n_envs
+
+
+class Normalised(BaseFeaturesExtractor):
+    """Features: the observation less its mean, over its standard deviation, cut at +-10."""
+
+    mean: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, observation_space: spaces.Box, mean: np.ndarray, std: np.ndarray):
+        super().__init__(observation_space, features_dim=observation_space.shape[0])
+        self.register_buffer("mean", torch.as_tensor(mean, dtype=torch.float32))
+        self.register_buffer("std", torch.as_tensor(std, dtype=torch.float32))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features of observations, (..., n_observation) each."""
+        return ((observations - self.mean) / self.std).clamp(-CLIP, CLIP)
+
+
+def off_policy(cfg: OffPolicy, lanes: JointLanes) -> dict[str, Any]:
+    """Arguments that the algorithms with a replay buffer share; seeds the generators and normalises the lanes."""
+    set_random_seed(cfg.seed)
+    return {
+        "gamma": cfg.gamma,
+        "buffer_size": cfg.buffer,
+        "batch_size": cfg.batch,
+        "train_freq": 1,
+        "gradient_steps": cfg.gradient_steps,
+        "learning_starts": 0,
+        "tau": cfg.tau,
+        "device": cfg.device,
+        "policy_kwargs": {"net_arch": list(cfg.hidden), **normalise(lanes, cfg.seed, cfg.gamma)},
+    }
+
+
+def begun(model: Any, lanes: JointLanes, last: Any) -> Any:
+    """The model with a logger that only remembers, and an actor whose ``last`` layer begins with clocks at the top."""
+    with torch.no_grad():
+        last.bias += 2.0 * torch.as_tensor(lanes.clocks, dtype=torch.float32, device=last.bias.device)
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    return model
+
+
+def remembered(model: Any) -> dict[str, Any]:
+    """What the replay buffer holds, as arrays; its position is that of the steps done."""
+    buffer = model.replay_buffer
+    buffer.pos = model.num_timesteps // buffer.n_envs % buffer.buffer_size
+    buffer.full = model.num_timesteps // buffer.n_envs >= buffer.buffer_size
+    names = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+    return {name: getattr(buffer, name) for name in names}
+
+
+def export(
+    cfg: Config, lanes: JointLanes, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
+    squash: str,
+) -> Policy:  # fmt: skip
+    """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent.
+
+    What an agent does not observe is constant in its lanes and goes into the first bias, and so does the kind.
+    """
+    mean, std = (buffer.cpu().numpy().astype(np.float64) for buffer in (normalised.mean, normalised.std))
+    linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
+    weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
+    if lanes.outputs != "setpoint":
+        weights[-1] = (weights[-1][0] * lanes.reach, weights[-1][1] * lanes.reach)
+    networks = {}
+    if isinstance(lanes, AgentLanes):
+        agents, n_dc = lanes.scenario.agents, lanes.scenario.n_datacenters
+        for name, members, kind in (("datacenter", agents[:n_dc], 1.0), ("inverter", agents[n_dc:], 0.0)):
+            if not members:
+                continue
+            own = lanes.columns(members[0])
+            constant = np.zeros(len(mean))
+            constant[-1] = kind
+            constant = np.clip((constant - mean) / std, -CLIP, CLIP)
+            constant[own] = 0.0
+            (first, bias), *rest = weights
+            layered = [(first[own], bias + constant @ first), *rest]
+            if name == "inverter":
+                last, last_bias = layered[-1]
+                layered[-1] = (last[:, 1:], last_bias[1:])
+            networks[name] = Network(layered, activation, squash, mean[own], std[own], CLIP)
+    else:
+        networks["joint"] = Network(weights, activation, squash, mean, std, CLIP)
+    return Policy(
+        networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
+        outputs=lanes.outputs, gains=lanes.gains,
+        scenario=trained_on(cfg), made_with=made_with(),
+    )  # fmt: skip
+
+
+def train(
+    cfg: Config,
+    run: Run,
+    lanes: JointLanes,
+    model: BaseAlgorithm,
+    *,
+    iterations: int,
+    exported: Callable[[], Policy],
+    learning_rate: Callable[[float], float],
+    extra: Callable[[], Mapping[str, Any]] = dict,
+) -> Path:
+    """Train a model whose iterations are an episode of every lane; the folder written.
+
+    Parameters
+    ----------
+    cfg, run, lanes, model
+        As made by :func:`begin` and the algorithm.
+    iterations
+        In all, an interrupted run's included.
+    exported
+        The policy as it stands.
+    learning_rate
+        Of the share of the training that is done.
+    extra
+        What the checkpoint must hold beside networks and optimisers: arrays and tensors, put back where they are.
+
+    Raises
+    ------
+    TrainingError
+        Where parameters or losses are not finite; the checkpoint before stays.
+    """
+    judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
+    validate, state = Validation([judged_on], cfg.validation_episodes), run.load()
+    best, done, spent = math.inf, 0, np.zeros(3)
+    if state is not None:
+        model.set_parameters(state["parameters"], exact_match=True, device=model.device)
+        model.num_timesteps, model._n_updates = run.step, state["updates"]
+        for name, values in extra().items():
+            torch.as_tensor(values).copy_(state["extra"][name])
+        best, done, spent = state["best"], state["iteration"], np.array(state["spent_s"])
+    with progress(f"{cfg.scenario}, {type(model).__name__}", iterations, done) as advance:
+        for iteration in range(done + 1, iterations + 1):
+            began_s, lanes.physics_s = time.perf_counter(), 0.0
+            _iterate(run, lanes, model, cfg.seed, iteration, learning_rate((iteration - 1) / iterations))
+            spent += (lanes.physics_s, time.perf_counter() - began_s - lanes.physics_s, 0.0)
+            run.step = model.num_timesteps
+            if iteration % cfg.validate_every == 0 or iteration == iterations:
+                began_s = time.perf_counter()
+                policy = exported()
+                figures = validate(policy)
+                if figures["J"] < best:
+                    best = figures["J"]
+                    made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
+                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": cfg.algorithm()})
+                spent[2] += time.perf_counter() - began_s
+                run.record(figures | {"J_best": best} | logged(model) | timing(run.step, spent))
+                advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
+            if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
+                run.save(
+                    {"parameters": model.get_parameters(), "iteration": iteration, "best": best,
+                     "spent_s": spent.tolist(), "updates": model._n_updates,
+                     "extra": {name: torch.as_tensor(values) for name, values in extra().items()}}
+                )  # fmt: skip
+    finish(run)
+    print(f"{run.folder}: J {best:.4f} on validation, tuned droop {validate.j_droop:.4f}")
+    print(", ".join(f"{name} {value:,.3g}" for name, value in timing(run.step, spent).items()))
+    return run.folder
+
+
+def _iterate(run: Run, lanes: JointLanes, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
+    """One episode of every lane and what is learned from it."""
+    set_random_seed((seed * 1_000_003 + iteration) % 2**32)
+    lanes.seed(episode_seed(seed, iteration, lanes.n_envs))
+    model._last_obs = None  # so that it begins with a reset
+    model.lr_schedule = lambda _: rate
+    steps = lanes.num_envs * lanes.scenario.horizon
+    try:
+        model.learn(steps, reset_num_timesteps=False, log_interval=None)  # pyright: ignore[reportArgumentType]
+    except ValueError:
+        run.require_finite("a parameter is", model.policy.parameters())
+        raise
+    run.step = model.num_timesteps
+    run.require_finite("a parameter is", model.policy.parameters())
+    for name, value in logged(model).items():
+        if not math.isfinite(value):
+            raise run.diverged(f"{name} is")
+
+
+def logged(model: BaseAlgorithm) -> dict[str, float]:
+    """What the algorithm told its logger last."""
+    return {name: float(value) for name, value in model.logger.name_to_value.items()}
+
+
+def timing(steps: int, spent_s: np.ndarray) -> dict[str, float]:
+    """Where the time went; the rate counts physics and learning, not validation."""
+    physics_s, learning_s, validation_s = spent_s
+    return {
+        "physics_s": physics_s,
+        "learning_s": learning_s,
+        "validation_s": validation_s,
+        "steps_per_s": steps / max(physics_s + learning_s, 1e-9),
+    }

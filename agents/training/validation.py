@@ -1,0 +1,65 @@
+"""How good a policy is while it is trained: its cost on the validation split, against the tuned droop law there."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from dcgrid_env import Scenario, make_scenario
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.baselines import make_controller, rollout
+
+_KEPT = ("J", "delay_mean_s", "excess_mean_pu", "cost_violation", "cost_backlog", "cost_leftover")
+
+
+class Validation:
+    """Judges policies on the validation split, against the tuned droop law on the same episodes.
+
+    Parameters
+    ----------
+    scenarios
+        Presets by name, or scenarios on the validation split; figures are means over them.
+    episodes
+        Seeds 0, 1, .. of each.
+    """
+
+    def __init__(self, scenarios: Sequence[str | Scenario], episodes: int):
+        self.scenarios = [make_scenario(s, split="validation") if isinstance(s, str) else s for s in scenarios]
+        self.seeds = range(episodes)
+        self.j_droop = self._mean([self._run(s, make_controller("droop-tuned", s)) for s in self.scenarios])["J"]
+
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Means: J, what of it is charged for waiting and for violation, the tuned droop's J, by how much J is below
+        that as a share, the delay, s, and the excess over the band, p.u.
+        """
+        found = self._mean([self._run(scenario, policy) for scenario in self.scenarios])
+        return found | {"J_droop": self.j_droop, "gain": 1.0 - found["J"] / self.j_droop}
+
+    def _run(self, scenario: Scenario, controller: object) -> list[dict[str, float]]:
+        found = rollout(scenario, controller, self.seeds).metrics()  # pyright: ignore[reportArgumentType]
+        weight = scenario.weights.violation or 1.0
+        return [metrics | {"excess_mean_pu": metrics["cost_violation"] / weight} for metrics in found]
+
+    @staticmethod
+    def _mean(runs: list[list[dict[str, float]]]) -> dict[str, float]:
+        every = [metrics for run in runs for metrics in run]
+        mean = {name: float(np.mean([m[name] for m in every])) for name in every[0] if name in _KEPT}
+        return mean | {
+            "J_waiting": mean.pop("cost_backlog") + mean.pop("cost_leftover"),
+            "J_violation": mean.pop("cost_violation"),
+        }
+
+
+def made_with() -> str:
+    """The command that runs, without where it writes and whether it was interrupted."""
+    words = iter(sys.argv[1:])
+    kept = ["dcgrid"]
+    for word in words:
+        if word == "--out":
+            next(words, None)
+        elif word not in ("--resume", "--no-resume", "--traceback") and not word.startswith("--out="):
+            kept.append(word)
+    return shlex.join(kept)

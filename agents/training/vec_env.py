@@ -1,0 +1,66 @@
+"""The native batch as a vector environment of Stable-Baselines3."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from dcgrid_env import IDS, Scenario, make_scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.agents.training.batched_envs import JointLanes
+
+SB3View = Literal["joint", "shared"]
+"""Whether a lane is an environment or an agent of one."""
+
+
+def sb3_vec_env(
+    scenario: str | Scenario,
+    num_envs: int,
+    view: SB3View = "joint",
+    *,
+    render_mode: str | None = None,
+    **overrides: Any,
+) -> JointLanes:
+    """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
+
+    Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) take it as it is. After ``seed(n)`` the next
+    reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
+    ``infos[lane]`` holds ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+
+    Parameters
+    ----------
+    scenario
+        Registered id, name of a preset, or a Scenario.
+    num_envs
+        Environments in the batch.
+    view
+        "joint": a lane is an environment, with the observation and action of ``gymnasium.make``. "shared": a lane is an
+        agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as lanes,
+        environment by environment. Observations are then an agent's own fields, 0 where it has none of the name, and
+        last 1 for a data centre or 0 for an inverter; actions are (clock, q), of which an inverter's clock is ignored;
+        each agent is paid the team's reward.
+    render_mode
+        None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
+    **overrides
+        Any field of the Scenario, for instance ``horizon=60, split="validation"``.
+
+    Raises
+    ------
+    ImportError
+        Where Stable-Baselines3 is not installed.
+    ScenarioError
+        For an unknown scenario; TypeError for an override that is no field of it.
+    ValueError
+        For another view.
+    """
+    if view not in get_args(SB3View):
+        raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
+    made = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
+    try:
+        from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes
+    except ImportError as error:
+        raise ImportError(
+            f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"
+        ) from error
+    lanes = JointLanes if view == "joint" else AgentLanes
+    return lanes(made, num_envs, render_mode=render_mode)

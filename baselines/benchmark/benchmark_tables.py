@@ -1,0 +1,162 @@
+"""The benchmark's tables: the score of every controller on every scenario, and all beside it for each scenario.
+
+One plain table of text behind all its forms: Markdown, HTML and the terminal.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dcgrid_env.baselines.benchmark.columns import fit, folded
+from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, Summary
+from dcgrid_env.baselines.score import Estimate
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+NONE = "–"
+
+COLUMNS = (
+    ("mean \\|V-1\\|, p.u.", "voltage_deviation_mean_pu", 4),
+    ("outside, % of bus-s", "outside_bus_seconds_pct", 2),
+    ("violation cost", "cost_violation", 4),
+    ("mean delay, s", "delay_mean_s", 2),
+    ("p99 delay, s", "delay_p99_s", 1),
+    ("unserved, kW s", "unserved_kws", 1),
+    ("effort, % of rating", "q_effort_pct", 1),
+)
+"""Columns that are means over episodes: label as in Markdown, metric, decimals."""
+
+LEGEND = (
+    f"Score: 0 is {REFERENCE}, 1 is perfect foresight; mean(J_ref - J) / mean(J_ref - J_hindsight) over the same test "
+    "episodes. In parentheses its 95 % paired bootstrap interval, and that of the paired difference of J.",
+    "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
+    "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
+    "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header; the first column is the row's name, the rest are figures."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+    def markdown(self) -> str:
+        """As Markdown; text of users cannot break the table."""
+        ruled = "|".join(["---", *["---:"] * (len(self.header) - 1)])
+        lines = [_row(self.header), f"|{ruled}|", *(_row(map(_cell, row)) for row in self.rows)]
+        notes = "".join(f"\n\n{_cell(note)}" for note in self.notes)
+        return f"## {_cell(self.title)}\n\n" + "\n".join(lines) + notes + "\n"
+
+    def html(self) -> str:
+        """As HTML, all text escaped."""
+        head = "".join(f"<th>{html.escape(_plain(text))}</th>" for text in self.header)
+        body = "".join(
+            f"<tr><th>{html.escape(row[0])}</th>" + "".join(map(_td, row[1:])) + "</tr>" for row in self.rows
+        )
+        notes = "".join(f"<p class=note>{html.escape(note)}</p>" for note in self.notes)
+        return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{notes}"
+
+    def rich(self, width: int, fixed: int = 1) -> Group:
+        """As a terminal of so many characters shows it, in parts where it is wider.
+
+        The first ``fixed`` columns are the row's name, and stand in every part.
+        """
+        from rich import box
+        from rich.console import Group
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        header, shown = [_plain(text) for text in self.header], []
+        for part in fit(header, self.rows, width, fixed):
+            made = RichTable(title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+            made.title = None if shown else Text(self.title)
+            for i, wide in zip(part.columns, part.widths, strict=True):
+                side = "right" if i >= fixed else "left"
+                made.add_column(Text(folded(header[i], wide)), justify=side, overflow="fold", width=wide)
+            for row in self.rows:
+                cells = zip(part.columns, part.widths, strict=True)
+                made.add_row(*(Text(folded(row[i], wide) if i < fixed else row[i]) for i, wide in cells))
+            shown.append(made)
+        return Group(*shown)
+
+
+def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:
+    """Scores of all controllers (rows) on all scenarios (columns)."""
+    names = [row.controller for row in summaries[0].rows]
+    found = {(s.scenario, row.controller): row for s in summaries for row in s.rows}
+    rows = [(name, *(_score_cell(found[s.scenario, name], interval) for s in summaries)) for name in names]
+    reasons: dict[str, list[str]] = {}
+    for s in summaries:
+        if s.no_score:
+            reasons.setdefault(s.no_score, []).append(s.scenario)
+    notes = [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    return Table("Score", ("controller", *(s.scenario for s in summaries)), tuple(rows), tuple(notes))
+
+
+def scenario_table(summary: ScenarioSummary) -> Table:
+    """Everything about one scenario."""
+    header = ("controller", "score", "J", "IQM of J", f"J - J of {REFERENCE}", *(c[0] for c in COLUMNS), "observes")
+    notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
+    if summary.hindsight:
+        notes.insert(
+            0,
+            "Hindsight: J {:.4f}; the linearised program's own optimum {:.4f} (largest gap of an episode {:.2f} % of J)"
+            ".".format(*summary.hindsight),
+        )
+    if summary.no_score:
+        notes.insert(0, summary.no_score[0].upper() + summary.no_score[1:] + ".")
+    title = f"{summary.scenario}: {summary.episodes} test episodes, means over episodes"
+    return Table(title, header, tuple(_figures(row) for row in summary.rows), tuple(notes))
+
+
+def _figures(row: Summary) -> tuple[str, ...]:
+    if row.means is None:
+        blank = [NONE] * (len(COLUMNS) + 4)
+        return (row.controller, _score_cell(row, True), *blank)
+    iqm = NONE if row.interquartile_mean is None else f"{row.interquartile_mean:.4f}"
+    cells = (f"{row.means[key]:.{decimals}f}" for _, key, decimals in COLUMNS)
+    difference = _estimate(row.difference, "+.4f")
+    return row.controller, _score_cell(row, True), f"{row.means['J']:.4f}", iqm, difference, *cells, row.observes
+
+
+def _score_cell(row: Summary, interval: bool) -> str:
+    if row.failure is not None:
+        return "does not apply" if row.failure.startswith("does not apply") else "failed"
+    if row.score is not None and not interval:
+        return f"{row.score.value:.3f}"
+    return _estimate(row.score, ".3f")
+
+
+def _estimate(estimate: Estimate | None, form: str) -> str:
+    if estimate is None:
+        return NONE
+    return f"{estimate.value:{form}} ({estimate.low:{form}} to {estimate.high:{form}})"
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _cell(text: str) -> str:
+    """Text of a user's as Markdown shows it literally."""
+    for sign in "\\|`*_<>[]$~":
+        text = text.replace(sign, "\\" + sign)
+    return text
+
+
+def _td(text: str) -> str:
+    """A figure's interval goes below it, smaller."""
+    value, bracket, interval = text.partition(" (")
+    return f"<td>{html.escape(value)}" + (f"<br><small>({html.escape(interval)}</small>" if bracket else "") + "</td>"
+
+
+def _plain(text: str) -> str:
+    return text.replace("\\|", "|")

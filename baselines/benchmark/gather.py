@@ -1,0 +1,95 @@
+"""From units to a benchmark's results: what was done of each scenario, summed up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.benchmark.benchmark_figures import Replay, Sheet
+from dcgrid_env.baselines.benchmark.jobs import V_EDGES_PU, Case, Unit
+from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, summarise
+from dcgrid_env.baselines.hindsight_costs import Published
+
+
+@dataclass(frozen=True)
+class Results:
+    """One scenario's results."""
+
+    case: Case
+    summary: ScenarioSummary
+    records: Mapping[str, Sequence[Mapping[str, Any]]]
+    """Episodes of each controller that did not fail, in the order of their seeds."""
+    voltages: Mapping[str, np.ndarray]
+    """Counts in the bins of ``jobs.V_EDGES_PU``, of the same controllers."""
+
+    def sheet(self) -> Sheet | None:
+        """What to draw: of episodes the costliest of the best controller and the costliest of the reference, each under
+        both; None where every controller failed.
+        """
+        rows = {row.controller: row.means or {} for row in self.summary.working}
+        others = [name for name in rows if name != REFERENCE]
+        if not rows:
+            return None
+        best = min(others, key=lambda name: rows[name]["J"]) if others else REFERENCE
+        both = (best, REFERENCE) if others and REFERENCE in rows else (best,)
+        costliest = {name: max(self.records[name], key=lambda record: record["J"])["seed"] for name in both}
+        return Sheet(self.summary, self.voltages, Replay(self.case, costliest))
+
+
+def gather(
+    cases: Sequence[Case],
+    controllers: Sequence[str],
+    episodes: int,
+    done: Mapping[Unit, Mapping[str, Any]],
+    failures: Mapping[tuple[str, str], str],
+    published: Callable[[Scenario], Published | None],
+) -> list[Results]:
+    """Results of each scenario.
+
+    Parameters
+    ----------
+    cases, controllers, episodes
+        As planned.
+    done
+        Records of the finished units; those of a pair that failed elsewhere are left out.
+    failures
+        Why a (scenario, controller) has no results.
+    published
+        Hindsight's figures for a scenario, None where there are none.
+    """
+    found = []
+    for case in cases:
+        name = case.scenario().name
+        failed = {controller: text for (scenario, controller), text in failures.items() if scenario == name}
+        own = sorted((u for u in done if u.scenario == name and u.controller not in failed), key=lambda u: u.first)
+        records: dict[str, list[Mapping[str, Any]]] = {u.controller: [] for u in own}
+        voltages = {u.controller: np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64) for u in own}
+        observes = {u.controller: done[u]["observes"] for u in own}
+        for unit in own:
+            records[unit.controller] += done[unit]["episodes"]
+            first, counts = done[unit]["voltage"]["first_bin"], done[unit]["voltage"]["counts"]
+            voltages[unit.controller][first : first + len(counts)] += counts
+        hindsight, doubt = published(case.scenario()), no_hindsight(case, episodes, published)
+        if hindsight is not None and doubt is None:
+            hindsight = hindsight.of(range(episodes))
+            try:
+                hindsight.check_episodes(case.scenario(), episodes)
+            except ValueError as error:
+                doubt = str(error)
+        summary = summarise(name, episodes, records, observes, failed, controllers, hindsight, doubt)
+        found.append(Results(case, summary, records, voltages))
+    return found
+
+
+def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Published | None]) -> str | None:
+    """Why there is no hindsight for the episodes of a scenario and the command that solves them; None if there is."""
+    known = published(case.scenario())
+    missing = len(known.missing(range(episodes))) if known else episodes
+    if not missing:
+        return None
+    command = f"dcgrid hindsight {case.spec.options('--scenarios')} --episodes {episodes}"
+    return f"hindsight is not known for {missing} of the {episodes} episodes; solve them with `{command}`"

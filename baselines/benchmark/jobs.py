@@ -1,0 +1,240 @@
+"""Units of work: some test episodes of a scenario under a controller, and what is kept of them."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import inspect
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePath
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario, __version__, scenario_hash
+from dcgrid_env.agents.find import find_controller
+from dcgrid_env.baselines import Controller, Placed, rollout
+from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.user_code import described, one_line, parse
+from dcgrid_env.engine.metrics import Recorder
+
+SPLIT = "test"
+UNIT_EPISODES = 25
+"""Episodes of a unit: enough for the batch to pay, few enough that an interruption costs little of a slow controller's
+work. Units are cut alike however many processes there are, so that results do not hang on that."""
+
+V_EDGES_PU = np.linspace(0.80, 1.20, 401)
+"""Bins of the voltage histogram, p.u.; what lies beyond counts in the first or last."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What defines a unit's result."""
+
+    scenario: str
+    """The scenario's own name."""
+    controller: str
+    """As asked for."""
+    first: int
+    """Its first seed."""
+    episodes: int
+    scenario_hash: str
+    controller_hash: str
+    version: str
+    """Of this package."""
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of its episodes."""
+        return range(self.first, self.first + self.episodes)
+
+
+GIVES_ANOTHER = "failed: {} gives another scenario in each process; let it draw nothing at random, or from a fixed seed"
+
+CODE = (type, FunctionType, BuiltinFunctionType, ModuleType, np.ufunc)
+"""What a controller may hold that is code and no parameter."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario on the test split and where its tuned gains come from, as processes hand it to each other."""
+
+    spec: ScenarioSpec
+    tuned: Path | None = None
+    """A file of ``dcgrid tune``; None as for ``make_controller``."""
+
+    def scenario(self) -> Scenario:
+        """The scenario; one object in a process."""
+        return self.spec.make(SPLIT)
+
+    def controller(self, name: str) -> Controller:
+        """A fresh controller for it; ValueError where there is none."""
+        return find_controller(name, self.scenario(), self.tuned)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A unit and what it takes to run it."""
+
+    unit: Unit
+    case: Case
+
+
+def episode_records(
+    scenario: str, controller: str, seeds: Sequence[int], metrics: Sequence[Mapping[str, float]], first: int = 0
+) -> list[dict[str, Any]]:
+    """One record for each episode, as results.json holds them; ``first`` is the number of the first."""
+    return [
+        {"scenario": scenario, "controller": controller, "episode": first + i, "seed": seed, **figures}
+        for i, (seed, figures) in enumerate(zip(seeds, metrics, strict=True))
+    ]
+
+
+def plan(
+    cases: Sequence[Case], controllers: Sequence[str], episodes: int
+) -> tuple[list[Task], dict[tuple[str, str], str]]:
+    """Units for all pairs, scenario by scenario, and why the rest have none, by (scenario, controller)."""
+    tasks: list[Task] = []
+    failures: dict[tuple[str, str], str] = {}
+    for case in cases:
+        scenario = case.scenario()
+        form, name = scenario_hash(scenario), scenario.name
+        for spec in controllers:
+            try:
+                identity = controller_hash(case.controller(spec), spec)
+            except ValueError as error:
+                failures[name, spec] = f"does not apply: {one_line(error)}"
+                continue
+            except Exception as error:
+                failures[name, spec] = f"failed: {described(error)}"
+                continue
+            for first in range(0, episodes, UNIT_EPISODES):
+                count = min(UNIT_EPISODES, episodes - first)
+                tasks.append(Task(Unit(name, spec, first, count, form, identity, __version__), case))
+    return tasks, failures
+
+
+def run(task: Task) -> dict[str, Any]:
+    """The unit's record: what defines it, its episodes and voltages, or ``failure``, one line."""
+    unit = task.unit
+    try:
+        scenario, controller = task.case.scenario(), task.case.controller(unit.controller)
+        if scenario_hash(scenario) != unit.scenario_hash:
+            return _failure(unit, GIVES_ANOTHER.format(task.case.spec.where))
+        recorder = rollout(scenario, controller, unit.seeds, name=unit.controller)
+    except ControllerError as error:
+        return _failure(
+            unit, f"does not apply: {error.told}" if error.refuses else f"failed in {error.where}: {error.told}"
+        )
+    except (Exception, SystemExit) as error:  # whatever the user's code does, the others go on
+        return _failure(unit, f"failed: {described(error)}")
+    metrics, counts = _figures(recorder, unit.episodes)
+    return {
+        "unit": asdict(unit),
+        "observes": observed(controller, scenario),
+        "episodes": episode_records(unit.scenario, unit.controller, unit.seeds, metrics, unit.first),
+        "voltage": {"first_bin": int(np.flatnonzero(counts)[0]), "counts": np.trim_zeros(counts).tolist()},
+    }
+
+
+def _failure(unit: Unit, text: str) -> dict[str, Any]:
+    return {"unit": asdict(unit), "failure": text}
+
+
+def observed(controller: Controller, scenario: Scenario) -> str:
+    """What a controller is shown, in words."""
+    scope = getattr(controller, "observe", scenario.observe)
+    return f"{scope}, feeder's model" if isinstance(controller, Placed) else scope
+
+
+def controller_hash(controller: Controller, spec: str = "") -> str:
+    """SHA-256 of a fresh controller's parameters, of the file its class stands in, and of the file and the arguments
+    that ``spec``, as the command line names it, holds, 16 hexadecimal digits.
+    """
+    digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
+    with contextlib.suppress(TypeError, OSError):  # made without a file
+        digest.update(Path(inspect.getfile(type(controller))).read_bytes())
+    named = parse(spec)
+    file = Path(spec) if spec.endswith(".safetensors") else named.path if named else None
+    if file is not None:
+        digest.update(file.read_bytes())
+    if named and (named.positional or named.keywords):
+        digest.update(repr((named.positional, named.keywords)).encode())
+    _add(digest, controller, {})
+    return digest.hexdigest()[:16]
+
+
+def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np.ndarray]:
+    """Metrics of each lane, and counts of all voltages in the bins of ``V_EDGES_PU``."""
+    metrics, counts = [], np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64)
+    for lane in range(lanes):
+        series = recorder.lane(lane)
+        metrics.append(series.metrics())
+        inside = np.clip(series.v_pu[1:, 1:], V_EDGES_PU[0], V_EDGES_PU[-1])
+        counts += np.histogram(inside, V_EDGES_PU)[0]
+    return metrics, counts
+
+
+def _add(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+    """Feed a parameter by value; of code its name, of what has no value to read the type alone.
+
+    ``seen`` holds the place and the object of those fed before, by ``id``: one met again is fed as its place.
+    """
+    digest.update(f"{type(value).__qualname__}:".encode())
+    if isinstance(value, str | bytes | int | float | complex | np.generic | PurePath | None):
+        digest.update(f"{value!r};".encode())
+    elif isinstance(value, CODE):
+        digest.update(f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')};".encode())
+    elif isinstance(value, tuple):
+        _add_all(digest, value, seen)
+    elif id(value) in seen:
+        digest.update(f"{seen[id(value)][0]};".encode())
+    else:
+        seen[id(value)] = (len(seen), value)
+        _add_held(digest, value, seen)
+
+
+def _add_held(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+    """Feed what an object holds: its items or figures, and its attributes."""
+    if isinstance(value, Mapping):
+        for key, held in value.items():
+            digest.update(f"{key!r}=".encode())
+            _add(digest, held, seen)
+    elif isinstance(value, list):
+        _add_all(digest, value, seen)
+    elif isinstance(value, AbstractSet):
+        _add_all(digest, sorted(value, key=repr), seen)
+    elif isinstance(value, np.ndarray):
+        digest.update(f"{value.shape}{value.dtype}".encode())
+        if value.dtype == object:
+            _add_all(digest, value.ravel().tolist(), seen)
+        else:
+            digest.update(value.tobytes())
+    elif isinstance(value, MethodType):
+        digest.update(f"{value.__qualname__};".encode())
+        _add(digest, value.__self__, seen)
+    elif hasattr(value, "tolist"):  # another library's array
+        with contextlib.suppress(Exception):
+            digest.update(f"{value.tolist()!r};".encode())
+    for name, held in _attributes(value):
+        digest.update(f".{name}=".encode())
+        _add(digest, held, seen)
+
+
+def _attributes(value: Any) -> list[tuple[str, Any]]:
+    found = list(getattr(value, "__dict__", {}).items())
+    for kind in type(value).__mro__:
+        slots = vars(kind).get("__slots__", ())
+        names = (slots,) if isinstance(slots, str) else slots
+        found += [(name, getattr(value, name)) for name in names if name[:2] != "__" and hasattr(value, name)]
+    return found
+
+
+def _add_all(digest: Any, values: Sequence[Any], seen: dict[int, tuple[int, Any]]) -> None:
+    digest.update(f"{len(values)};".encode())
+    for value in values:
+        _add(digest, value, seen)

@@ -1,0 +1,43 @@
+"""The benchmark's files: results.json, results.md and report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.baselines.benchmark import report
+from dcgrid_env.baselines.benchmark.benchmark_figures import draw, png, score_figure
+from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, scenario_table, score_table
+from dcgrid_env.baselines.benchmark.gather import Results
+from dcgrid_env.core.files import write_json, write_text
+from dcgrid_env.core.processes import each
+
+
+def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]) -> None:
+    """results.json, with every episode, and results.md, with the tables."""
+    summaries = [result.summary for result in results]
+    rows = [row for summary in summaries for row in summary.rows]
+    content = {
+        "meta": dict(meta),
+        "failures": [row.record() for row in rows if row.failure is not None],
+        "summaries": [row.record() for row in rows if row.failure is None],
+        "episodes": [
+            record for result in results for row in result.summary.working for record in result.records[row.controller]
+        ],
+    }
+    write_json(out / "results.json", content)
+    tables = [score_table(summaries), *map(scenario_table, summaries)]
+    head = f"# dcgrid benchmark\n\n    {meta['command']}\n\n" + "\n\n".join(LEGEND) + "\n"
+    write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
+
+
+def write_report(out: Path, results: Sequence[Results], jobs: int, meta: Mapping[str, Any]) -> None:
+    """report.html, its figures drawn by so many processes."""
+    summaries = [result.summary for result in results]
+    sheets = [sheet for result in results if (sheet := result.sheet())]
+    drawn = {sheet.summary.scenario: (sheet.worst, figures) for sheet, figures in each(draw, sheets, jobs)}
+    sections = [report.Section(scenario_table(s), s.scenario, *drawn.get(s.scenario, (None, None))) for s in summaries]
+    scores = score_figure(summaries)
+    text = report.page(score_table(summaries), png(scores) if scores else None, sections, meta)
+    write_text(out / "report.html", text)

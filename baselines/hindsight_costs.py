@@ -1,0 +1,138 @@
+"""Hindsight's costs of episodes: those of the presets' test episodes, which ship, and those of one's own scenarios.
+
+The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenario and episodes and the command that
+made them, ``dcgrid hindsight``; that command writes one's own into a folder, in the same form. A scenario that differs
+in any field has none of them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env import Scenario, episode_hash, scenario_hash
+from dcgrid_env.baselines.file_names import file_name
+
+FOLDER = Path("results/hindsight")
+"""Where ``dcgrid hindsight`` writes unless told otherwise, in the working directory."""
+FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
+"""What the record of an episode holds."""
+
+
+class Published(NamedTuple):
+    """Episodes of a scenario that have been solved, (n,) each."""
+
+    seeds: np.ndarray
+    J: np.ndarray
+    """Hindsight's actions, replayed."""
+    bound: np.ndarray
+    """Optimum of the linear program behind them, see ``hindsight``."""
+    episode_hashes: tuple[str, ...]
+
+    def missing(self, seeds: Iterable[int]) -> list[int]:
+        """Those of the seeds that have not been solved."""
+        known = set(self.seeds.tolist())
+        return [seed for seed in seeds if seed not in known]
+
+    def of(self, seeds: Sequence[int]) -> Published:
+        """The episodes of these seeds, in their order; all must have been solved."""
+        at = {int(seed): i for i, seed in enumerate(self.seeds)}
+        index = [at[seed] for seed in seeds]
+        hashes = tuple(self.episode_hashes[i] for i in index)
+        return Published(self.seeds[index], self.J[index], self.bound[index], hashes)
+
+    def check_episodes(self, scenario: Scenario, n: int) -> None:
+        """Raise ValueError unless the first ``n`` episodes are drawn here as they were where the values were made."""
+        for seed, expected in list(zip(self.seeds.tolist(), self.episode_hashes, strict=True))[:n]:
+            found = episode_hash(scenario, seed)
+            if found != expected:
+                raise ValueError(
+                    f"episode {seed} of {scenario.name!r}, {scenario.split} split, has the hash {found} here and "
+                    f"{expected} in the published values; compute them here with `dcgrid hindsight`"
+                )
+
+
+@cache
+def _shipped(name: str) -> dict[str, Any] | None:
+    path = files("dcgrid_env.baselines.data") / "hindsight" / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
+def published(scenario: Scenario, folder: Path | None = None) -> Published | None:
+    """What hindsight costs in the episodes of a scenario; None where there is nothing of exactly this one.
+
+    Parameters
+    ----------
+    scenario
+        With its split, which says which episodes the seeds mean.
+    folder
+        Where ``dcgrid hindsight`` has written besides; what ships counts first.
+
+    Raises
+    ------
+    ValueError
+        Where the scenario's file in the folder is damaged; one of another scenario of that name counts for nothing.
+    """
+    found = _shipped(scenario.name)
+    about = scenario_hash(scenario)
+    solved: dict[int, dict[str, Any]] = {}
+    if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
+        solved |= {episode["seed"]: episode for episode in content["episodes"]}
+    if found is not None and found["scenario_hash"] == about:
+        solved |= {episode["seed"]: episode for episode in found["episodes"]}
+    if not solved:
+        return None
+    episodes = [solved[seed] for seed in sorted(solved)]
+    seeds, j, bound = (np.array([e[key] for e in episodes]) for key in ("seed", "J", "bound"))
+    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+
+
+def hindsight_file(folder: Path, name: str) -> Path:
+    """Where the episodes of a scenario of this name are kept."""
+    return folder / f"{file_name(name)}.json"
+
+
+def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
+    """What a scenario's file holds, its ``scenario_hash`` and ``episodes``; None where there is no file.
+
+    ValueError, naming file and remedy, for a damaged one.
+    """
+    path = hindsight_file(folder, name)
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise _damaged(path, f"is no JSON ({error})") from None
+    if not isinstance(content, dict) or not {"scenario_hash", "episodes"} <= set(content):
+        raise _damaged(path, "has no 'scenario_hash' and 'episodes'")
+    if not isinstance(content["episodes"], list):
+        raise _damaged(path, "has 'episodes' that are no list")
+    for place, episode in enumerate(content["episodes"]):
+        if wrong := _wrong(episode):
+            raise _damaged(path, f"has {wrong} in its episode at place {place}")
+    return content
+
+
+def _damaged(path: Path, wrong: str) -> ValueError:
+    return ValueError(f"{path} {wrong}; delete it, or choose another --out")
+
+
+def _wrong(episode: Any) -> str | None:
+    """What is missing in an episode's record, or not what it should be; None if it is whole."""
+    if not isinstance(episode, dict):
+        return "no record"
+    for key, kind in FIELDS.items():
+        if key not in episode:
+            return f"no {key!r}"
+        value = episode[key]
+        if not isinstance(value, kind) or (kind is float and not math.isfinite(value)):
+            return f"{key} = {value!r}"
+    return None

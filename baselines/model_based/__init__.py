@@ -1,0 +1,1 @@
+"""Controllers with a model of the feeder, and hindsight, which knows the whole episode."""

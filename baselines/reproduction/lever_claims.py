@@ -1,0 +1,150 @@
+"""Claims on what each lever does: inverters, axes, bus 13, the control interval and the step of Fig. 3."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcgrid_env.baselines.reproduction.bus13 import LARGEST_KW, OWN_KW
+from dcgrid_env.baselines.reproduction.paper import BAND_PU
+from dcgrid_env.baselines.reproduction.verdict import DOES_NOT, HOLDS, PARTLY, Records, Row, decide, row
+
+
+def far(records: Records) -> Row:
+    """Near and far inverters."""
+    rows = records["inverters"]
+    share = np.array([r["far_rise_pu_per_mvar"] / r["near_rise_pu_per_mvar"] for r in rows])
+    near = np.mean([r["near_site_deviation_pu"] - r["none_site_deviation_pu"] for r in rows])
+    far = np.mean([r["far_site_deviation_pu"] - r["none_site_deviation_pu"] for r in rows])
+    weak, absorbs = bool((share < 0.5).all()), "; a far inverter in front, where V > 1, even absorbs" * bool(far > 0.0)
+    strong = "under droop the far one brings no less than the near one" if weak else "for some sites it is over half"
+    verdict = decide(weak and bool(near < far), bool((share < 1.0).any()))
+    return row(
+        "inverters far from a data centre are of limited help to it",
+        "of limited help",
+        f"1 Mvar at the farthest inverter moves a site by {100 * share.min():.0f} to {100 * share.max():.0f} % of what "
+        f"it does at the nearest; 350 kvar under droop change its deviation by {far:+.4f} p.u. far, {near:+.4f} near",
+        verdict,
+        {
+            HOLDS: f"only the reactance that both share moves the site (X_ij){absorbs}",
+            PARTLY: f"only the reactance that both share moves the site (X_ij), but {strong}",
+            DOES_NOT: "the far one shares as much reactance with every site as the near one",
+        }[verdict],
+    )
+
+
+def active(records: Records) -> Row:
+    """Active against reactive power."""
+    plain, steep = (next(r for r in records["axes"] if r["feeder"] == name) for name in ("ieee123", "ieee33-weak"))
+    ratio = [r["rise_pu_per_mw"] / r["rise_pu_per_mvar"] for r in (plain, steep)]
+    gain = [r["none_J"] - r["active_J"] for r in (plain, steep)]
+    stronger = ratio[1] > 1.0 > ratio[0]
+    verdict = decide(stronger and steep["active_J"] < steep["reactive_J"], stronger or gain[1] > gain[0])
+    per_unit = (
+        "per unit of power it is; over two minutes the clock can only move work in time, while reactive power stays"
+    )
+    return row(
+        "active power is the stronger lever where r/x is high",
+        "stronger where r/x is high",
+        f"per MW against per Mvar at the site: {ratio[0]:.2f} at r/x {plain['r_over_x']:.2f} (ieee123), {ratio[1]:.2f} "
+        f"at {steep['r_over_x']:.2f} (ieee33-weak); the active axis alone changes J by {-gain[0]:+.2f} and "
+        f"{-gain[1]:+.2f}, the reactive alone by {plain['reactive_J'] - plain['none_J']:+.2f} and "
+        f"{steep['reactive_J'] - steep['none_J']:+.2f}",
+        verdict,
+        {
+            HOLDS: "per unit of power, and in what the axis alone does for J",
+            PARTLY: per_unit if stronger else "not per unit of power; it only does more for J than where r/x is low",
+            DOES_NOT: "neither per unit of power, nor in what the axis alone does for J",
+        }[verdict],
+    )
+
+
+def bus_outside(records: Records) -> Row:
+    """Whether bus 13 leaves the band."""
+    b = records["bus_thirteen"]
+    in_volts = max(b["five_outside_pct"], b["alone_outside_pct"]) > 0.0
+    verdict = decide(in_volts, b["base_at_1pu_squared"] < 1.0 - BAND_PU)
+    read = (
+        "in the public code's reading, substation at 1.0 p.u. and squared voltage taken for voltage (its "
+        "tripled impedances left aside), "
+        f"{b['base_at_1pu']:.3f} p.u. without a data centre is {b['base_at_1pu_squared']:.3f}"
+    )
+    return row(
+        "bus 13 leaves the band with inverters only",
+        "outside the band",
+        f"in volts lowest {b['five_min_pu']:.3f} p.u. with five sites, {b['alone_min_pu']:.3f} with its own alone, "
+        f"{b['five_at_1pu_min_pu']:.3f} with the substation at 1.0 p.u.; squared, with that substation and no data "
+        f"centre, {b['base_at_1pu_squared']:.3f}",
+        verdict,
+        {
+            HOLDS: "it leaves the band in volts, with the substation at 1.044 p.u.",
+            PARTLY: f"not in volts, bus 13 is near the substation; {read}, outside",
+            DOES_NOT: f"bus 13 is near the substation; {read}, inside",
+        }[verdict],
+    )
+
+
+def bus_why(records: Records) -> Row:
+    """What brings bus 13 down."""
+    b = records["bus_thirteen"]
+    own, others = b["drop_own_pu"], b["drop_neighbours_pu"]
+    edge_kw = b["leaves_band_kw"]
+    size = f"even {LARGEST_KW / 1000:g} MW there do not leave the band beside them"
+    if edge_kw is not None:
+        size = f"it would take {edge_kw / 1000:.1f} MW there to leave the band beside them"
+    small = "; size does not decide" * (edge_kw is None or edge_kw > OWN_KW)
+    verdict = decide(others > own and b["five_outside_pct"] > 0.0, others > own)
+    return row(
+        "bus 13 is explained by its neighbours and its size",
+        "neighbours and size",
+        f"its own {OWN_KW:g} kW take {own:.4f} p.u., the four other sites {others:.4f}; {size}",
+        verdict,
+        {
+            HOLDS: "the neighbours weigh more than the site itself, and with them it leaves the band",
+            PARTLY: "the neighbours do weigh more than the site itself, through the path they share with it" + small,
+            DOES_NOT: f"the neighbours weigh no more than the site itself{small}",
+        }[verdict],
+    )
+
+
+def interval(records: Records) -> Row:
+    """Acting oftener."""
+    rows = {(r["k_p_mw_per_pu"], r["interval_s"]): r for r in records["intervals"]}
+    gains, said = [], []
+    for k_p in sorted({k_p for k_p, _ in rows}):
+        own = [rows[k_p, t] for t in (0.1, 1.0, 5.0)]
+        gains.append(1.0 - own[0]["late_deviation_pu"] / own[2]["late_deviation_pu"])
+        values = ", ".join(f"{r['late_deviation_pu']:.4f}" for r in own)
+        said.append(f"k_p = {k_p:g}: {values}")
+    first = [rows[1.0, t]["deviation_mean_pu"] for t in (0.1, 5.0)]
+    both = f"over both minutes it is {first[0]:.4f} at 0.1 s against {first[1]:.4f} at 5 s"
+    both += ", as the slow law takes its first 5 s at once" * (first[0] > first[1])
+    same = "the gain is per second, so the loop is as slow whatever its interval"
+    verdict = decide(min(gains) > 0.01, max(gains) > 0.01)
+    return row(
+        "a faster control interval helps",
+        "no figure at hand",
+        f"second minute, every 0.1, 1, 5 s: {'; '.join(said)} p.u.",
+        verdict,
+        {
+            HOLDS: f"acting oftener, the law lags less behind the load; {both}",
+            PARTLY: f"at one of the two gains only; {both}",
+            DOES_NOT: f"{same if min(gains) >= -0.01 else 'acting oftener makes it worse'}; {both}",
+        }[verdict],
+    )
+
+
+def sign(records: Records) -> Row:
+    """The step of Fig. 3."""
+    rows = {r["law"]: r for r in records["step"]}
+    before, after = (rows["none"][key] for key in ("before_pu", "after_pu"))
+    verdict = decide(after > before, False)
+    return row(
+        "Fig. 3: voltage after load is added",
+        "rises",
+        f"{before:.4f} to {after:.4f} p.u. without control; {rows['both']['end_pu']:.4f} in the end with both axes",
+        verdict,
+        {
+            HOLDS: "the load that was added raises the voltage here too",
+            DOES_NOT: "a sign error in the paper: its law reads as one for injections; more load lowers the voltage",
+        }[verdict],
+    )

@@ -1,0 +1,57 @@
+"""The load of the study's data centres: the paper's recording where it is at hand, else the generator for it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from dcgrid_env.baselines.reproduction.paper import RECORDING
+from dcgrid_env.traces import RECORDINGS, TRACE_SOURCES, cache_folder, load_power
+from dcgrid_env.traces.by_name import recorded_trace
+from dcgrid_env.traces.trace import PowerTrace
+
+GENERATOR = "inference"
+"""The generator that stands for the recording."""
+
+
+class Load(NamedTuple):
+    """Where the power of the data centres comes from."""
+
+    kind: str
+    """"recorded" or "generated"."""
+    description: str
+    fields: dict[str, Any]
+    """The scenario's fields that say so."""
+
+
+def choose_load(choice: str) -> Load:
+    """The load that a user asks for.
+
+    Parameters
+    ----------
+    choice
+        "auto" (the recording if it has been fetched, else the generator), "recorded", "generated", the name of a
+        generator or a recording, or a file.
+
+    Raises
+    ------
+    TraceError
+        For a recording or file that is not there or cannot be read; the message says how to get it.
+    """
+    if choice == "auto":
+        fetched = cache_folder() / RECORDINGS[RECORDING].file_name
+        choice = "recorded" if fetched.is_file() else "generated"
+    if choice == "recorded":
+        return _recorded(load_power(RECORDING))
+    if choice == "generated":
+        choice = GENERATOR
+    if choice in TRACE_SOURCES:
+        return Load("generated", f"generator `{choice}`, test split", {"trace": choice, "split": "test"})
+    return _recorded(recorded_trace(choice))
+
+
+def _recorded(trace: PowerTrace) -> Load:
+    # Nothing is learned or tuned here, so no part of the recording has to be kept back. Given out by recording, three
+    # of them leave one to the split, and that whole.
+    fields = {"trace": (trace,) * 3, "recording_split": "recording", "split": "train"}
+    known = trace.provenance
+    return Load("recorded", f"recording {known}, the whole {trace.duration_s:.1f} s", fields)

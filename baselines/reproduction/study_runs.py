@@ -1,0 +1,140 @@
+"""Runs of the study: a scenario under a law over all episodes, each done once however often it is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from dcgrid_env import Scenario, Series, make_scenario
+from dcgrid_env.baselines import Controller, Droop, NoControl, rollout
+from dcgrid_env.baselines.laws.droop import Memory
+from dcgrid_env.baselines.reproduction.load import Load
+from dcgrid_env.baselines.reproduction.paper import COUNTS, PUBLISHED_BUSES
+from dcgrid_env.baselines.reproduction.sampled_droop import HeldDroop
+
+Placement = Literal["random", "published"]
+
+
+class Law(NamedTuple):
+    """The paper's law, or a part of it."""
+
+    acts: Literal["nobody", "inverters", "all"] = "all"
+    k_p_mw_per_pu: float = 1.0
+    k_q_mvar_per_pu_s: float = 0.5
+    memory: Memory = "cumulative"
+    hold_steps: int = 1
+
+    def controller(self) -> Controller:
+        """A fresh controller."""
+        if self.acts == "nobody":
+            return NoControl()
+        gains: dict[str, Any] = {"k_p_mw_per_pu": self.k_p_mw_per_pu, "k_q_mvar_per_pu_s": self.k_q_mvar_per_pu_s}
+        if self.hold_steps > 1:
+            return HeldDroop(**gains, memory=self.memory, hold_steps=self.hold_steps)
+        return Droop(**gains, memory=self.memory, datacenters=self.acts == "all")
+
+
+NONE = Law("nobody")
+INVERTERS = Law("inverters")
+REACTIVE = Law(k_p_mw_per_pu=0.0)
+BOTH = Law()
+ACTIVE = Law(k_p_mw_per_pu=10.0, k_q_mvar_per_pu_s=0.0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the study is run with; ValueError for what cannot be."""
+
+    load: Load
+    episodes: int = 20
+    placement: Placement = "random"
+
+    def __post_init__(self) -> None:
+        if self.episodes < 2:
+            raise ValueError(f"episodes is {self.episodes}; give at least 2, so that there is a spread")
+        if self.placement not in get_args(Placement):
+            raise ValueError(f"placement is {self.placement!r}; choose one of {', '.join(get_args(Placement))}")
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Numbers of data centres: the paper's, and all eight buses of the public code where they are asked for."""
+        return COUNTS if self.placement == "random" else (*COUNTS, len(PUBLISHED_BUSES))
+
+    def scenario(self, n: int, **overrides: Any) -> Scenario:
+        """The IEEE 123-bus study with ``n`` data centres, placed as asked for."""
+        if self.placement == "published":
+            return self.published(n, **overrides)
+        return make_scenario("ieee123", n_datacenters=n, **self.load.fields, **overrides)
+
+    def published(self, n: int, **overrides: Any) -> Scenario:
+        """The same with the data centres at the first ``n`` buses of the public code."""
+        return self.pinned(PUBLISHED_BUSES[:n], **overrides)
+
+    def pinned(self, buses: tuple[int, ...], **overrides: Any) -> Scenario:
+        """The same with the data centres at ``buses``."""
+        fields = {"n_datacenters": len(buses), "datacenter_buses": buses, **self.load.fields}
+        return make_scenario("ieee123", **fields, **overrides)
+
+
+class Run(NamedTuple):
+    """Figures of each episode (``metrics``, and those of :func:`_more`)."""
+
+    episodes: tuple[dict[str, float], ...]
+
+    def each(self, key: str) -> np.ndarray:
+        """A figure of every episode, (n_episode,)."""
+        return np.array([found[key] for found in self.episodes])
+
+    def mean(self, key: str) -> float:
+        """Mean over the episodes."""
+        return float(self.each(key).mean())
+
+    @property
+    def deviation_pu(self) -> float:
+        """Mean abs(V - 1) over buses, steps and episodes."""
+        return self.mean("voltage_deviation_mean_pu")
+
+
+class Runs:
+    """Runs, kept.
+
+    Parameters
+    ----------
+    setting
+        Its episodes are those of the seeds 0, 1, ...
+    """
+
+    def __init__(self, setting: Setting):
+        self.setting = setting
+        self._kept: dict[tuple[Scenario, Law], Run] = {}
+
+    def of(self, scenario: Scenario, law: Law) -> Run:
+        """The episodes of a scenario under a law."""
+        key = (scenario, law)
+        if key not in self._kept:
+            recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
+            lanes = (recorder.lane(i) for i in range(self.setting.episodes))
+            self._kept[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
+        return self._kept[key]
+
+    def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
+        """The course of one episode."""
+        return rollout(scenario, law.controller(), [seed]).lane(0)
+
+
+def _more(lane: Series) -> dict[str, float]:
+    """Of squared voltages, which the public code calls voltages; over the second half; at the first site if fixed."""
+    s = lane.scenario
+    v = lane.v_pu[1:, 1:]
+    found = {
+        "squared_deviation_mean_pu": float(np.abs(v**2 - 1.0).mean()),
+        "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
+    }
+    if s.datacenter_buses:
+        site = lane.v_pu[1:, s.feeder.index(s.datacenter_buses[0])]
+        found["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
+        found["first_site_min_pu"] = float(site.min())
+        found["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).mean())
+    return found

@@ -1,0 +1,1 @@
+"""Parameters of laws: searched on the validation split, and found again by scenario."""

@@ -1,0 +1,163 @@
+"""Parameters tuned on the validation split: those of each preset, which ship, and those of one's own ``dcgrid tune``.
+
+The presets' stand in ``data/tuned.json`` with the command that made them. They serve every scenario of the preset's
+name whose grid is the preset's: feeder, devices and step are what a law's gains depend on; load, noise, horizon and
+cost may differ, as they do where robustness is looked at. Whoever changes the grid tunes anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dcgrid_env import PRESETS, Scenario, make_scenario, scenario_hash
+from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.scenario_spec import options_of
+from dcgrid_env.baselines.tuning.search import TUNABLE
+
+SUFFIX = "-tuned"
+OWN = Path("results/tuned.json")
+"""Where ``dcgrid tune`` writes unless told otherwise, in the working directory."""
+NUMBERS = (
+    "v0_pu", "idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share", "dt_s",
+)  # fmt: skip
+GRID = (
+    "feeder", "capacitors", "n_datacenters", "datacenter_buses", "p_rated_kw", "dvfs", "inverter_buses",
+    "inverter_s_kva", *NUMBERS,
+)  # fmt: skip
+"""Fields of a scenario that a law's gains depend on."""
+
+
+class Found(NamedTuple):
+    """Tuned parameters and where they stand."""
+
+    parameters: dict[str, Any]
+    file: Path | None
+    """None for those that ship."""
+
+
+def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = None) -> Found:
+    """Find the keyword arguments of a law for a scenario.
+
+    Parameters
+    ----------
+    law
+        One of ``TUNABLE``.
+    scenario
+        What it is to drive.
+    path
+        A file that ``dcgrid tune`` wrote, which must have them. Without one: what ``results/tuned.json`` in the working
+        directory has for this very scenario, else what ships, else what that file has for this name and grid.
+
+    Raises
+    ------
+    ValueError
+        Where there are none for this scenario, saying what differs and how to find them.
+    """
+    file = OWN if path is None else Path(path)
+    if path is not None and not file.is_file():
+        raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
+    own = read_tuned(file).get(law, {}).get(scenario.name)
+    shipped = None if path else _shipped().get(law, {}).get(scenario.name)
+    fits = own is not None and _grid_hash_of(own, scenario.name) == grid_hash(scenario)
+    if own is not None and fits and (path is not None or shipped is None or _is_of(own, scenario)):
+        return Found(_arguments(own), file)
+    differs = _difference_from_preset(scenario) if shipped else None
+    if shipped and differs is None:
+        return Found(_arguments(shipped), None)
+    if own is not None and fits:
+        return Found(_arguments(own), file)
+    raise ValueError(_none(law, scenario, path, own is not None, differs))
+
+
+def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
+    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`."""
+    return TUNABLE[law].law(**tuned_parameters(law, scenario, path).parameters)
+
+
+def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
+    """Entries by law and scenario of a file that ``dcgrid tune`` wrote, none where there is no such file.
+
+    ValueError for a file that is none of tuned parameters.
+    """
+    if not path.exists():
+        return {}
+    try:
+        laws = json.loads(path.read_text(encoding="utf-8"))["laws"]
+        if all(isinstance(entry["parameters"], dict) for of_law in laws.values() for entry in of_law.values()):
+            return laws
+    except (ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise ValueError(f"{path} is no file that dcgrid tune wrote; name another")
+
+
+def identity(scenario: Scenario) -> dict[str, str]:
+    """What an entry of a file holds of the scenario it was found for: the hash of all its fields, and of its grid."""
+    return {
+        "scenario_hash": scenario_hash(scenario.replace(split="validation")),
+        "grid_hash": grid_hash(scenario),
+    }
+
+
+def grid_hash(scenario: Scenario) -> str:
+    """Hash of what a law's gains depend on."""
+    return scenario_hash(_grid(scenario))
+
+
+def grid_difference(scenario: Scenario, other: Scenario) -> str | None:
+    """Name of the first field in which what gains depend on differs, None if there is none."""
+    return _grid(scenario).difference(_grid(other))
+
+
+def _grid(scenario: Scenario) -> Scenario:
+    """A scenario with the same grid and all else as by default; a number is a float, a rating one for each device."""
+    plain = {f.name: _default(f) for f in dataclasses.fields(scenario) if f.name not in (*GRID, "name")}
+    numbers = {name: float(getattr(scenario, name)) for name in NUMBERS}
+    p_rated_kw, s_kva = (tuple(of.tolist()) for of in (scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
+    return scenario.replace(name="grid", p_rated_kw=p_rated_kw, inverter_s_kva=s_kva, **plain, **numbers)
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    return field.default_factory() if field.default is dataclasses.MISSING else field.default  # pyright: ignore
+
+
+@cache
+def _shipped() -> dict[str, Any]:
+    text = (files("dcgrid_env.baselines.data") / "tuned.json").read_text(encoding="utf-8")
+    return json.loads(text)["laws"]
+
+
+def _difference_from_preset(scenario: Scenario) -> str | None:
+    return grid_difference(scenario, make_scenario(scenario.name))
+
+
+def _grid_hash_of(entry: dict[str, Any], name: str) -> str | None:
+    """An entry without hashes is the preset's of its name."""
+    return entry.get("grid_hash") or (grid_hash(make_scenario(name)) if name in PRESETS else None)
+
+
+def _is_of(entry: dict[str, Any], scenario: Scenario) -> bool:
+    return entry.get("scenario_hash") == identity(scenario)["scenario_hash"]
+
+
+def _arguments(entry: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in entry["parameters"].items()}
+
+
+def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, differs: str | None) -> str:
+    """Why there are no tuned parameters, and the command that finds them."""
+    said = f"no tuned parameters of {law!r} for scenario {scenario.name!r}"
+    if differs:
+        said += f": those that ship are of the preset of that name, from which this one differs in {differs}"
+    elif path is None:
+        said += f" ship with the package, nor stand in {OWN}"
+    else:
+        said += f" stand in {path}"
+    if another:
+        said += f"; {path or OWN} has some of another {scenario.name!r}, whose feeder, devices or step differ"
+    out = f" --out {path}" if path else ""
+    return f"{said}; find its own with `dcgrid tune --laws {law} {options_of(scenario, '--scenarios')}{out}`"

@@ -1,0 +1,87 @@
+"""Train a policy without this or that and score each; and score trained policies on other scenarios than their own.
+
+Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dcgrid_env.cli.names import scenario_names, split_names
+from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from dcgrid_env.agents import Policy
+
+
+@dataclass(frozen=True)
+class Ablate:
+    """What to compare."""
+
+    scenario: str = "ieee33-weak"
+    """Name of a scenario (dcgrid list)."""
+    updates: int | None = None
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
+    seeds: int = 1
+    """Training seeds of each variant: 0, 1, .."""
+    episodes: int = 100
+    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    policies: str = "analytic"
+    """Policies to test on other scenarios: analytic for all of that name that ship, or names and files, separated by
+    commas; or none. Those that are one network for all agents are left out."""
+    transfer: str = "all"
+    """Scenarios to test them on, separated by commas, or all."""
+    jobs: int | None = None
+    """Trainings at once; by default one for each core."""
+    runs: Path = Path("results/ablate")
+    """Folder of the training runs."""
+    out: Path = Path("results/ablate")
+    """Folder for ablations.md."""
+
+
+def main(cfg: Ablate) -> None:
+    """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+    from dcgrid_env.agents.studies import ablation
+    from dcgrid_env.agents.studies.learning_tables import brief
+    from dcgrid_env.cli import trainings
+    from dcgrid_env.cli.train import ALGORITHMS
+    from dcgrid_env.core.files import write_text
+
+    scenario = scenario_names(cfg.scenario)
+    if len(scenario) > 1:
+        raise ValueError(f"scenario is {cfg.scenario!r}; give one")
+    policies, others = _policies(cfg.policies), scenario_names(cfg.transfer)
+    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
+    algorithms = {name: trainings.configuration(name) for name in ("analytic", "safe") if name in ALGORITHMS}
+    runs = ablation.configs(algorithms, scenario[0], chosen, cfg.seeds, cfg.runs)
+    check_folder(cfg.out)
+    console = plain_console()
+    failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
+    with working(console, f"{cfg.episodes} test episodes of {scenario[0]}"):
+        found = ablation.ablation(scenario[0], cfg.episodes, runs, failures)
+        ablated = ablation.ablation_table(scenario[0], cfg.episodes, found)
+    console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
+    transferred = None
+    if policies:
+        with working(console, f"{len(policies)} policies on {len(others)} scenarios"):
+            transferred = ablation.transfer_table(policies, others, cfg.episodes)
+        console.print(transferred.rich(console.width))
+    write_text(cfg.out / "ablations.md", ablation.markdown(ablated, found, transferred, meta()["command"]))
+    say(console, f"wrote {cfg.out / 'ablations.md'}")
+
+
+def _policies(asked: str) -> dict[str, Policy]:
+    """Policies for every number of agents, by name; PolicyError for what is none."""
+    from dcgrid_env.agents import Policy
+    from dcgrid_env.agents.policy.policy import SHIPPED
+
+    names = []
+    for name in split_names(asked):
+        named = [known for known in SHIPPED if known.endswith("-analytic")] if name == "analytic" else [name]
+        names += [] if name == "none" else named
+    found = {name: Policy.load(name) for name in names}
+    return {name: policy for name, policy in found.items() if policy.kind == "shared"}

@@ -1,0 +1,185 @@
+"""Run controllers over scenarios on the test split and score them: a table, results.json, results.md and report.html.
+
+Finished units are kept in OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or
+episodes can be added by the same command; the files hold what the last one asked for. An OUT of another version of the
+package or of a changed scenario is refused; units of a controller that has changed are computed anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dcgrid_env.cli.names import scenario_specs, split_names
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes, tuned_from
+from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dcgrid_env.baselines.benchmark.gather import Results
+    from dcgrid_env.baselines.benchmark.jobs import Case, Task, Unit
+    from dcgrid_env.baselines.benchmark.store import Store
+
+STATIC = ("constant-q-tuned", "placement-tuned")
+"""The simplest rivals of a learner; where they are run they stand just below the reference."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What to run."""
+
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    controllers: str = "local"
+    """Controllers separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, in quotes with
+    arguments, as 'file.py:Class(gain=0.5)', saved policies (.safetensors); local (made by hand, without a model of the
+    feeder), all (made by hand) or policies (those that ship). A path must not hold a comma. The tuned droop is run
+    besides."""
+    episodes: int = 100
+    """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
+    dcgrid hindsight has solved besides is found in results/hindsight."""
+    tuned: Path | None = None
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    out: Path = Path("results/benchmark")
+    """Folder for what is written; made if it is not there."""
+    jobs: int | None = None
+    """Number of processes; by default one for each core."""
+
+
+def main(cfg: Benchmark) -> None:
+    """Run what is not done yet, sum up, write the files. ValueError for bad settings, before anything is written."""
+    from dcgrid_env.baselines import published
+    from dcgrid_env.baselines.benchmark.gather import gather
+    from dcgrid_env.baselines.benchmark.jobs import SPLIT, Case, plan
+    from dcgrid_env.baselines.benchmark.store import Store
+    from dcgrid_env.baselines.hindsight_costs import FOLDER
+
+    if cfg.episodes < 1:
+        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
+    jobs = processes(cfg.jobs)
+    cases = [Case(spec, cfg.tuned) for spec in scenario_specs(cfg.scenarios, cfg.set, SPLIT).values()]
+    controllers = _controllers(cfg.controllers, cases[0])
+    tasks, failures = plan(cases, controllers, cfg.episodes)
+    store = Store(cfg.out)
+    done = {task.unit: record for task in tasks if (record := store.get(task.unit))}
+    console = plain_console()
+    for line in _beforehand(cases, controllers, cfg, failures):
+        console.print(line)
+    if done:
+        console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
+    try:
+        with alone_in(cfg.out, "dcgrid benchmark"):
+            failures |= _run(tasks, done, store, jobs, console)
+            with console.status("checking the episodes' hashes and summing up"):
+                results = gather(cases, controllers, cfg.episodes, done, failures, lambda s: published(s, FOLDER))
+            _write(cfg, results, jobs, console)
+    except KeyboardInterrupt:
+        console.print(f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there")
+        raise SystemExit(130) from None
+
+
+def _beforehand(
+    cases: Sequence[Case], controllers: Sequence[str], cfg: Benchmark, failures: dict[tuple[str, str], str]
+) -> list[str]:
+    """What a scenario lacks for its score, with the commands that make it, and whose gains are not those that ship."""
+    from dcgrid_env.baselines import published
+    from dcgrid_env.baselines.benchmark.gather import no_hindsight
+    from dcgrid_env.baselines.benchmark.summary import REFERENCE
+    from dcgrid_env.baselines.hindsight_costs import FOLDER
+
+    said = []
+    for case in cases:
+        name = case.scenario().name
+        lacks = failures.get((name, REFERENCE)), no_hindsight(case, cfg.episodes, lambda s: published(s, FOLDER))
+        said += [f"{name} will have no score: {reason}" for reason in lacks if reason]
+        said += tuned_from([c for c in controllers if (name, c) not in failures], case.scenario(), cfg.tuned)
+    return said
+
+
+def _controllers(asked: str, case: Case) -> list[str]:
+    """The controllers in the order of the tables: the reference, static rules, then as asked for."""
+    from dcgrid_env.agents.find import NAMES, TRAINED
+    from dcgrid_env.baselines.benchmark.summary import REFERENCE
+
+    by_hand = [name for name in NAMES if name not in TRAINED]
+    groups = {"all": by_hand, "policies": [*TRAINED]}
+    names: list[str] = []
+    for name in split_names(asked):
+        names += filter(_is_local, by_hand) if name == "local" else groups.get(name, [name])
+    if not names:
+        raise ValueError(f"controllers is {asked!r}; name at least one, local, all or policies (dcgrid list)")
+    for name in names:
+        if name not in NAMES:
+            case.controller(name)  # ValueError for what is none
+    return list(dict.fromkeys([REFERENCE, *(name for name in STATIC if name in names), *names]))
+
+
+def _is_local(name: str) -> bool:
+    """Whether a controller sees local figures alone, on the first preset that it can be made for."""
+    from dcgrid_env import PRESETS
+    from dcgrid_env.baselines.benchmark.jobs import Case, observed
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+    for preset in PRESETS:
+        case = Case(ScenarioSpec(preset))
+        try:
+            return observed(case.controller(name), case.scenario()) == "local"
+        except ValueError:
+            continue
+    return True
+
+
+def _run(
+    tasks: Sequence[Task], done: dict[Unit, dict[str, Any]], store: Store, jobs: int, console: Console
+) -> dict[tuple[str, str], str]:
+    """Run what is not done, keeping each unit at once; what failed, by (scenario, controller)."""
+    from dcgrid_env.baselines.benchmark.jobs import run
+    from dcgrid_env.core.processes import Died, each
+
+    failed: dict[Unit, str] = {}
+    with progress_bar(console) as progress:
+        bar = progress.add_task(
+            "episodes", total=sum(t.unit.episodes for t in tasks), completed=sum(u.episodes for u in done)
+        )
+        for task, record in each(run, [task for task in tasks if task.unit not in done], jobs):
+            unit = task.unit
+            if isinstance(record, Died):
+                failed[unit] = f"failed: its process ended with exit code {record.exit_code}"
+            elif "failure" in record:
+                failed[unit] = record["failure"]
+            else:
+                store.put(unit, record)
+                done[unit] = record
+            progress.advance(bar, unit.episodes)
+    first = sorted(failed, key=lambda unit: -unit.first)  # the pair's first unit is put in last, and stays
+    return {(unit.scenario, unit.controller): failed[unit] for unit in first}
+
+
+def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Console) -> None:
+    """The files, the records before the figures, and the scores on the terminal."""
+    from dcgrid_env import scenario_hash
+    from dcgrid_env.baselines.benchmark.benchmark_tables import score_table
+    from dcgrid_env.baselines.benchmark.jobs import SPLIT
+    from dcgrid_env.baselines.benchmark.output import write_report, write_results
+
+    hashes = {result.summary.scenario: scenario_hash(result.case.scenario()) for result in results}
+    about = meta() | {"split": SPLIT, "episodes": cfg.episodes, "scenarios": hashes}
+    write_results(cfg.out, results, about)
+    with console.status("drawing the report"):
+        write_report(cfg.out, results, jobs, about)
+    summaries = [result.summary for result in results]
+    console.print(score_table(summaries, interval=False).rich(console.width))
+    for note in score_table(summaries).notes:
+        console.print(note)
+    for row in (row for result in results for row in result.summary.rows if row.failure):
+        console.print(f"{row.scenario}, {row.controller}: {row.failure}")
+    console.print(f"wrote results.json, results.md and report.html in {cfg.out}")

@@ -1,0 +1,56 @@
+"""Draw learning curves out of training folders: a panel for each scenario, a line with its band for each algorithm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.terminal import plain_console, say
+
+if TYPE_CHECKING:
+    from dcgrid_env.agents.studies.curves import Line
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What to draw."""
+
+    folders: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of training runs (dcgrid train); those that differ in the seed alone are one line with its band."""
+    out: Path = Path("results/curves.png")
+    """The picture; folders are made."""
+
+
+def main(cfg: Curves) -> None:
+    """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
+    from dcgrid_env.agents.studies.curves import lines, read
+    from dcgrid_env.agents.studies.learning_figures import curves_figure
+    from dcgrid_env.core.files import write_figure
+
+    if not cfg.folders:
+        raise ValueError("folders is empty; give the folder of at least one training run")
+    found = lines([read(folder) for folder in cfg.folders])
+    check_folder(cfg.out.parent)
+    write_figure(cfg.out, curves_figure(found), dpi=130)
+    console = plain_console()
+    for scenario, every in found.items():
+        for line in every:
+            say(console, f"{scenario}, {line.label}: {ending(line)}")
+    say(console, f"wrote {cfg.out}")
+
+
+def ending(line: Line) -> str:
+    """Where the runs of a line end: how far below the tuned droop's cost, or above it."""
+    mean, low, high = (_against(found[-1]) for found in (line.mean_pct, line.low_pct, line.high_pct))
+    if line.n_runs == 1:
+        return f"1 run, J at the end {mean} the tuned droop's"
+    return f"{line.n_runs} runs, J at the end {mean} the tuned droop's on average (the best {high}, the worst {low})"
+
+
+def _against(gain_pct: float) -> str:
+    shown = round(float(gain_pct), 2)
+    return f"{abs(shown):.2f} % {'below' if shown >= 0.0 else 'above'}"

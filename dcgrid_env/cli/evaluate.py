@@ -1,0 +1,212 @@
+"""Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
+from dcgrid_env.cli.settings import Overrides, processes, tuned_from
+from dcgrid_env.cli.terminal import plain_console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dcgrid_env import Scenario
+    from dcgrid_env.agents import Evaluation
+    from dcgrid_env.baselines import Published
+    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.baselines.score import Estimate
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """What to evaluate."""
+
+    policy: tyro.conf.Positional[str]
+    """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
+    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)')."""
+    scenario: str | None = None
+    """Name of a scenario, or path/to/file.py:function or package.module:function that makes your own; the one that the
+    policy was trained on unless given."""
+    set: Overrides = ()
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    split: str = "test"
+    """Which episodes the seeds mean: train, validation, test or ood."""
+    episodes: int = 100
+    """Number of episodes: those of seeds seed, seed + 1, ..."""
+    seed: int = 0
+    """Seed of the first episode."""
+    hindsight: bool = False
+    """Whether to solve the episodes whose hindsight, which a score needs, neither ships nor stands in
+    results/hindsight; they are kept there. Without it the command says how long that would take."""
+    tuned: Path | None = None
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    jobs: int | None = None
+    """Number of processes that solve episodes; by default one for each core."""
+
+
+ROWS = (
+    ("J", "J", 4),
+    ("mean |V-1|, p.u.", "voltage_deviation_mean_pu", 4),
+    ("bus-seconds outside, %", "outside_bus_seconds_pct", 2),
+    ("mean delay, s", "delay_mean_s", 2),
+    ("99 % of work within, s", "delay_p99_s", 1),
+    ("unserved at the end, kW s", "unserved_kws", 1),
+    ("effort, % of rating", "q_effort_pct", 1),
+)
+"""Rows of the table: name with unit, metric, decimals."""
+
+
+def main(cfg: Evaluate) -> None:
+    """Run, print the table and what it says. ValueError for a setting that cannot be."""
+    from dcgrid_env.agents import evaluate, find_controller
+    from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
+    from dcgrid_env.baselines.hindsight_costs import FOLDER
+
+    for field, least in (("episodes", 1), ("seed", 0)):
+        if getattr(cfg, field) < least:
+            raise ValueError(f"{field} is {getattr(cfg, field)}; give at least {least}")
+    jobs, file, spec = processes(cfg.jobs), _file(cfg.policy), _scenario_of(cfg)
+    scenario = spec.make(cfg.split)
+    seeds = range(cfg.seed, cfg.seed + cfg.episodes)
+    if cfg.hindsight:
+        kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
+    controllers = {cfg.policy: find_controller(file, scenario, cfg.tuned)}
+    left_out = []
+    for name in (REFERENCE, *STATIC):
+        try:
+            controllers.setdefault(name, find_controller(name, scenario, cfg.tuned))
+        except ValueError as error:
+            left_out.append(f"{name} is left out: {error}")
+    console = plain_console()
+    found = {}
+    with console.status(f"{cfg.episodes} episodes"):
+        for name, controller in controllers.items():
+            found[name] = evaluate(controller, scenario, seeds, name)
+    scores, why = _scores(found, cfg, spec, jobs, console)
+    about = f"{cfg.episodes} episodes" + f", seeds from {cfg.seed}" * (cfg.seed > 0)
+    console.print(table(found, scores, f"{scenario.name}, {cfg.split} split, {about}").rich(console.width))
+    said = [*([why] if why else []), *left_out, *remarks(cfg.policy, found)]
+    for line in [*said, *tuned_from(list(controllers), scenario, cfg.tuned)]:
+        console.print(line)
+
+
+def _file(policy: str) -> str:
+    """The policy's file where a training run's folder is named."""
+    return str(Path(policy) / "policy.safetensors") if Path(policy).is_dir() else policy
+
+
+def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
+    """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
+    from dcgrid_env import PRESETS
+    from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+    if cfg.scenario is not None:
+        return ScenarioSpec(cfg.scenario, cfg.set)
+    about = Path(cfg.policy) / "config.json"
+    if about.is_file():
+        trained = json.loads(about.read_text(encoding="utf-8"))
+        where, overrides = str(trained.get("scenario", "")), tuple(trained.get("set", ()))
+        if where and "," not in where:
+            return ScenarioSpec(where, (*overrides, *cfg.set))
+    file = _file(cfg.policy)
+    where = Policy.load(file).trained_on if file in SHIPPED or file.endswith(SUFFIX) else ""
+    if where not in PRESETS:
+        raise ValueError(f"policy {file!r} is of no preset of its own; say on which --scenario (dcgrid list)")
+    return ScenarioSpec(where, cfg.set)
+
+
+def _scores(
+    found: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, jobs: int, console: Console
+) -> tuple[dict[str, Estimate], str | None]:
+    """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
+    from dcgrid_env.baselines import published
+    from dcgrid_env.baselines.evaluation import REFERENCE
+    from dcgrid_env.baselines.hindsight_costs import FOLDER
+
+    if REFERENCE not in found:
+        return {}, f"no score: it is measured from {REFERENCE}"
+    droop = found[REFERENCE]
+    scenario, seeds = droop.scenario, droop.seeds
+    try:
+        known = published(scenario, FOLDER)
+        missing = _missing(known, seeds)
+        if missing and not cfg.hindsight:
+            return {}, _offer(scenario, missing, len(seeds), jobs, console)
+        if missing:
+            solve_missing({scenario.name: spec}, cfg.split, {scenario.name: missing}, FOLDER, jobs, console)
+            known = published(scenario, FOLDER)
+        return {name: evaluation.score(droop, known).score for name, evaluation in found.items()}, None
+    except ValueError as error:
+        text = str(error)
+        return {}, text if text.startswith("no score") else f"no score: {text}"
+
+
+def _missing(known: Published | None, seeds: Sequence[int]) -> list[int]:
+    return known.missing(seeds) if known else list(seeds)
+
+
+def _offer(scenario: Scenario, missing: Sequence[int], n: int, jobs: int, console: Console) -> str:
+    """Why there is no score, how to get it and about how long that takes, as far as one linear program tells."""
+    from dcgrid_env.baselines.model_based.hindsight import ROUNDS, hindsight
+
+    with console.status("how long hindsight would take"):
+        began_s = time.perf_counter()
+        hindsight(scenario, missing[0], rounds=1)
+        program_s = time.perf_counter() - began_s
+    turns = -(-len(missing) // jobs)
+    span = " to ".join(_duration(rounds * program_s * turns) for rounds in (2, ROUNDS))
+    return (
+        f"no score: hindsight is not known for {len(missing)} of the {n} episodes; the same command with --hindsight "
+        f"solves them, in about {span} (one linear program took {_duration(program_s)}, an episode takes 2 to "
+        f"{ROUNDS} of them, on {jobs} {'processes' if jobs > 1 else 'process'})"
+    )
+
+
+def _duration(seconds: float) -> str:
+    """A time as one says it."""
+    if seconds < 90.0:
+        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
+    """The controllers side by side."""
+    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+
+    rows = []
+    if scores:
+        for i, label in enumerate(("score", "95 % interval: from", "to")):
+            rows.append((label, *(f"{scores[name][i]:.3f}" for name in found)))
+    for label, key, decimals in ROWS:
+        rows.append((label, *(f"{found[name].means[key]:.{decimals}f}" for name in found)))
+    return Table(title, ("mean over episodes", *found), tuple(rows))
+
+
+def remarks(policy: str, found: Mapping[str, Evaluation]) -> list[str]:
+    """What must not be overlooked: delay that pays for voltage, and rules that measure nothing and do better."""
+    from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
+
+    said, own = [], found[policy].means
+    droop = found[REFERENCE].means if REFERENCE in found else own
+    if round(own["delay_mean_s"], 2) > round(droop["delay_mean_s"], 2):
+        said.append(
+            f"{policy}: work waits longer than under the tuned droop: mean delay {own['delay_mean_s']:.2f} s, there "
+            f"{droop['delay_mean_s']:.2f} s"
+        )
+    best = min((name for name in STATIC if name in found), key=lambda name: found[name].means["J"], default=policy)
+    if policy not in STATIC and round(own["J"], 4) > round(found[best].means["J"], 4):
+        said.append(
+            f"{policy}: J {own['J']:.4f} is above that of {best}, {found[best].means['J']:.4f}, which measures nothing"
+        )
+    return said

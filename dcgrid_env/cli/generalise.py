@@ -1,0 +1,61 @@
+"""Leave one feeder out: train one policy on all the other scenarios, and score it on the one that it never saw.
+
+Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dcgrid_env.cli.names import scenario_names
+from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.core.versions import meta
+
+
+@dataclass(frozen=True)
+class Generalise:
+    """What to leave out."""
+
+    scenarios: str = "ieee33,das69,khodr141,ieee123"
+    """Names of scenarios, at least two, separated by commas (dcgrid list)."""
+    vary: int = 6
+    """Variants of each scenario to train on: other places, ratings and substation voltages."""
+    updates: int | None = None
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
+    seeds: int = 1
+    """Training seeds: 0, 1, .."""
+    episodes: int = 100
+    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    jobs: int | None = None
+    """Trainings at once; by default one for each core."""
+    runs: Path = Path("results/generalise")
+    """Folder of the training runs."""
+    out: Path = Path("results/generalise")
+    """Folder for generalise.md."""
+
+
+def main(cfg: Generalise) -> None:
+    """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+    from dcgrid_env.agents.studies import generalise
+    from dcgrid_env.agents.studies.learning_tables import brief
+    from dcgrid_env.cli import trainings
+    from dcgrid_env.core.files import write_text
+
+    scenarios = scenario_names(cfg.scenarios)
+    if len(scenarios) < 2:
+        raise ValueError(f"scenarios is {cfg.scenarios!r}; give at least two, one is left out")
+    if cfg.vary < 0:
+        raise ValueError(f"vary is {cfg.vary}; give at least 0")
+    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes, vary=cfg.vary)
+    runs = generalise.configs(trainings.configuration("analytic"), scenarios, chosen, cfg.seeds, cfg.runs)
+    check_folder(cfg.out)
+    console = plain_console()
+    failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
+    with working(console, f"{cfg.episodes} test episodes of each scenario"):
+        found = generalise.generalise(cfg.episodes, runs, failures)
+        made = generalise.table(cfg.episodes, found)
+    console.print(brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width))
+    write_text(cfg.out / "generalise.md", generalise.markdown(found, made, meta()["command"]))
+    say(console, f"wrote {cfg.out / 'generalise.md'}")

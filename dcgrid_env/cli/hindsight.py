@@ -1,0 +1,183 @@
+"""Solve episodes with perfect foresight and keep what they cost: one JSON file a scenario, resumed where it stopped.
+
+A file is written after each episode. The command in it is the one that gives all its episodes, seeds 0 to the largest
+one there; where an interruption left a hole between them, that command fills it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dcgrid_env.cli.names import scenario_specs
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
+from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.files import write_json
+from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dcgrid_env import Scenario
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+
+@dataclass(frozen=True)
+class HindsightValues:
+    """What to solve."""
+
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    episodes: int = 100
+    """Number of episodes of each: seeds 0, 1, .."""
+    split: str = "test"
+    """Which episodes the seeds mean: train, validation or test."""
+    jobs: int | None = None
+    """Number of processes; by default one for each core."""
+    out: Path = Path("results/hindsight")
+    """Folder for SCENARIO.json; episodes that stand in it are not solved again."""
+
+
+def main(cfg: HindsightValues) -> None:
+    """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
+    if cfg.episodes < 1:
+        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
+    jobs = processes(cfg.jobs)
+    specs = scenario_specs(cfg.scenarios, cfg.set, cfg.split)
+    console = plain_console()
+    kept = solve_missing(specs, cfg.split, dict.fromkeys(specs, range(cfg.episodes)), cfg.out, jobs, console)
+    for name, episodes in kept.items():
+        console.print(f"{name:>16}  {_said(episodes)}")
+
+
+def solve_missing(
+    specs: Mapping[str, ScenarioSpec],
+    split: str,
+    seeds: Mapping[str, Iterable[int]],
+    folder: Path,
+    jobs: int,
+    console: Console,
+) -> dict[str, dict[int, dict[str, Any]]]:
+    """Solve those of the episodes that a folder does not hold, over processes, and keep each at once.
+
+    Parameters
+    ----------
+    specs
+        Scenarios by their own names.
+    split
+        Which episodes the seeds mean.
+    seeds
+        By the same names.
+    folder
+        Where ``hindsight_file`` of each name is, made if it is not there.
+    jobs
+        Number of processes.
+    console
+        Where the progress is shown.
+
+    Returns
+    -------
+    dict
+        By name: the records of all episodes that its file holds now, by seed.
+
+    Raises
+    ------
+    ValueError
+        For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
+        hindsight cannot solve.
+    HeldError
+        Where another command solves episodes into this folder.
+    """
+    from dcgrid_env.baselines.hindsight_costs import hindsight_file
+    from dcgrid_env.core.processes import Died, each
+
+    def kept_now() -> dict[str, dict[int, dict[str, Any]]]:
+        return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
+
+    kept_now()  # ValueError before a folder is made
+    with alone_in(folder, "dcgrid hindsight"), progress_bar(console) as progress:
+        kept = kept_now()
+        due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
+        bar = progress.add_task("episodes", total=len(due))
+        for (spec, seed), found in each(partial(solve, split), due, jobs):
+            name = spec.make(split).name
+            if isinstance(found, Died):
+                raise OSError(f"the process that solved {name}, seed {seed}, ended with code {found.exit_code}")
+            kept[name][seed] = found
+            _write(hindsight_file(folder, name), spec, split, kept[name])
+            progress.advance(bar)
+    return kept
+
+
+def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
+    """The record of one episode, given what names the scenario and the seed."""
+    from dcgrid_env import episode_hash
+    from dcgrid_env.baselines.model_based.hindsight import hindsight
+
+    spec, seed = task
+    scenario = spec.make(split)
+    found = hindsight(scenario, seed)
+    return {
+        "seed": seed,
+        "hash": episode_hash(scenario, seed),
+        "J": found.J,
+        "bound": found.bound,
+        "rounds": found.rounds,
+    }
+
+
+def _said(episodes: dict[int, dict[str, Any]]) -> str:
+    """Sum of a scenario's file on one line."""
+    from dcgrid_env.baselines.model_based.hindsight import ROUNDS, TOLERANCE
+
+    j = [episode["J"] for episode in episodes.values()]
+    gaps = [abs(episode["J"] - episode["bound"]) / max(abs(episode["J"]), 1e-12) for episode in episodes.values()]
+    most = sum(e["rounds"] >= ROUNDS and gap > TOLERANCE for e, gap in zip(episodes.values(), gaps, strict=True))
+    missing = max(episodes) + 1 - len(episodes)
+    return (
+        f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, "
+        f"{most} stopped at {ROUNDS} programs with a gap above {TOLERANCE:g} of J"
+        + f"; {missing} of the seeds 0 to {max(episodes)} are missing"
+        * (missing > 0)
+    )
+
+
+def kept_episodes(folder: Path, scenario: Scenario) -> dict[int, dict[str, Any]]:
+    """Episodes that a folder holds of a scenario; ValueError where its file is damaged or of another scenario."""
+    from dcgrid_env import scenario_hash
+    from dcgrid_env.baselines.hindsight_costs import hindsight_file, read_hindsight
+
+    content = read_hindsight(folder, scenario.name)
+    if content is None:
+        return {}
+    if content["scenario_hash"] != scenario_hash(scenario):
+        raise ValueError(
+            f"{hindsight_file(folder, scenario.name)} is of another {scenario.name}; move it away, or choose another "
+            "--out or another name (--set name=...)"
+        )
+    return {episode["seed"]: episode for episode in content["episodes"]}
+
+
+def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[str, Any]]) -> None:
+    from dcgrid_env import scenario_hash
+
+    scenario, count = spec.make(split), max(episodes) + 1
+    command = f"dcgrid hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
+    write_json(
+        path,
+        {
+            "scenario": scenario.name,
+            "split": scenario.split,
+            "scenario_hash": scenario_hash(scenario),
+            "command": command,
+            "versions": meta()["versions"],
+            "episodes": [episodes[seed] for seed in sorted(episodes)],
+        },
+    )

@@ -1,0 +1,185 @@
+"""Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from dcgrid_env.cli.names import split_names
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import Overrides, tuned_from
+from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.files import write_json
+from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from dcgrid_env import Scenario, Series
+    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+
+
+@dataclass(frozen=True)
+class Run:
+    """What to run."""
+
+    scenario: str = "ieee123"
+    """Name of a scenario (dcgrid list), or path/to/file.py:function or package.module:function that makes your own."""
+    set: Overrides = ()
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    controllers: str = "none,inverters,droop"
+    """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
+    'file.py:Class(gain=0.5)', or saved policies (.safetensors). A path must not hold a comma."""
+    episodes: int = 8
+    """Number of episodes for each controller: those of seeds seed, seed + 1, ..."""
+    seed: int = 0
+    """Seed of the first episode."""
+    split: str = "test"
+    """Which episodes the seeds mean: train, validation, test, or ood (another GPU or service)."""
+    trace: str | None = None
+    """Load of the data centres instead of the scenario's: a generator, or recordings and files separated by commas."""
+    dvfs: Literal["linear", "prefill-decode"] | None = None
+    """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
+    training follow it, decode hardly does)."""
+    tuned: Path | None = None
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    out: Path = Path("results/run")
+    """Folder for results.json and figure.png; made if it is not there."""
+
+
+def main(cfg: Run) -> None:
+    """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
+    from dcgrid_env import scenario_hash
+    from dcgrid_env.agents.find import find_controller
+    from dcgrid_env.baselines import rollout
+    from dcgrid_env.baselines.benchmark.jobs import episode_records
+    from dcgrid_env.baselines.laws import stability
+
+    if cfg.episodes < 1 or cfg.seed < 0:
+        raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
+    scenario = _scenario(cfg)
+    names = split_names(cfg.controllers)
+    controllers = {name: find_controller(name, scenario, cfg.tuned) for name in names}
+    if not controllers:
+        raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
+    seeds = range(cfg.seed, cfg.seed + cfg.episodes)
+    console = plain_console()
+    recorders = {}
+    with progress_bar(console) as progress:
+        for name, controller in controllers.items():
+            task = progress.add_task(name, total=scenario.horizon)
+            recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
+    records = [
+        record
+        for name, recorder in recorders.items()
+        for record in episode_records(scenario.name, name, seeds, recorder.metrics())
+    ]
+    summed_up = table(scenario, records, names, cfg)
+    console.print(summed_up.rich(console.width, fixed=2))
+    for note in summed_up.notes:
+        console.print(note)
+    console.print(linear_difference(scenario, seeds))
+    for line in tuned_from(names, scenario, cfg.tuned):
+        console.print(line)
+    for name, controller in controllers.items():
+        if said := stability.warning(scenario, controller):
+            console.print(f"{name}: {said}")
+    about = meta() | {"split": cfg.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
+    write_json(cfg.out / "results.json", {"meta": about, "episodes": records})
+    draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
+    console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
+
+
+def _scenario(cfg: Run) -> Scenario:
+    from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.traces import TRACE_SOURCES
+    from dcgrid_env.traces.by_name import recorded_trace
+
+    chosen: dict[str, Any] = {}
+    if cfg.dvfs is not None:
+        chosen["dvfs"] = PrefillDecodeDvfs() if cfg.dvfs == "prefill-decode" else LinearDvfs()
+    if cfg.trace in TRACE_SOURCES:
+        chosen["trace"] = cfg.trace
+    elif cfg.trace is not None:
+        names = [cfg.trace] if Path(cfg.trace).is_file() else [name.strip() for name in cfg.trace.split(",")]
+        mixed = [name for name in names if name in TRACE_SOURCES]
+        if mixed:
+            raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
+        chosen["trace"] = tuple(map(recorded_trace, names))
+    return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
+
+
+def _origin(scenario: Scenario) -> list[dict[str, Any]]:
+    """Where each row of the data centres' load comes from: parameters and seed, or hash, licence and citation."""
+    from dcgrid_env.engine.trace_pool import trace_pool
+
+    return [provenance.record() for provenance in trace_pool(scenario).provenance]
+
+
+ROWS = (
+    ("J", "", "J", 1.0, 4, "mean"),
+    ("mean |V-1|", "p.u.", "voltage_deviation_mean_pu", 1.0, 4, "mean"),
+    ("std of |V-1|", "p.u.", "voltage_deviation_std_pu", 1.0, 4, "mean"),
+    ("bus-seconds outside", "%", "outside_bus_seconds_pct", 1.0, 2, "mean"),
+    ("buses ever outside", "%", "outside_buses_pct", 1.0, 1, "mean"),
+    ("lowest voltage", "p.u.", "voltage_min_pu", 1.0, 3, "min"),
+    ("highest voltage", "p.u.", "voltage_max_pu", 1.0, 3, "max"),
+    ("1-step voltage change", "1e-3 p.u.", "voltage_step_mean_pu", 1e3, 2, "mean"),
+    ("mean delay", "s", "delay_mean_s", 1.0, 2, "mean"),
+    ("95 % of work within", "s", "delay_p95_s", 1.0, 1, "mean"),
+    ("99 % of work within", "s", "delay_p99_s", 1.0, 1, "mean"),
+    ("time to first token, mean", "s", "ttft_mean_s", 1.0, 2, "mean"),
+    ("time to first token, 99 %", "s", "ttft_p99_s", 1.0, 2, "mean"),
+    ("end to end, mean", "s", "e2e_mean_s", 1.0, 2, "mean"),
+    ("end to end, 99 %", "s", "e2e_p99_s", 1.0, 2, "mean"),
+    ("unserved at the end", "kW s", "unserved_kws", 1.0, 1, "mean"),
+    ("mean loss", "kW", "loss_mean_kw", 1.0, 1, "mean"),
+)
+"""Rows of the table: name, unit, metric, factor, decimals, how episodes are summed up."""
+
+
+def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
+    """The controllers side by side, summed up over the episodes."""
+    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+
+    n = len(records) // len(names)
+    length_s = scenario.horizon * scenario.dt_s
+    title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
+    rows = []
+    for label, unit, key, factor, decimals, how in ROWS:
+        if key not in records[0]:
+            continue  # of requests, where the load is made of them
+        cells = []
+        for name in names:
+            own = [r for r in records if r["controller"] == name]
+            if key.startswith(("ttft", "e2e")):
+                own = [r for r in own if r["requests_sampled"]] or own[:1]
+            values = [factor * r[key] for r in own]
+            value = sum(values) / len(values) if how == "mean" else min(values) if how == "min" else max(values)
+            cells.append(f"{value:.{decimals}f}")
+        rows.append((label, unit, *cells))
+    collapsed = sum(1 - r["power_flow_converged"] for r in records)
+    notes = (f"{collapsed:g} episodes ended in voltage collapse and are charged for it",) if collapsed else ()
+    return Table(title, ("mean over episodes", "unit", *names), tuple(rows), notes)
+
+
+def linear_difference(scenario: Scenario, seeds: range) -> str:
+    """How far LinDistFlow's voltages are from DistFlow's on the same episodes without control."""
+    import numpy as np
+
+    from dcgrid_env.baselines import NoControl, rollout
+
+    runs = [rollout(scenario.replace(power_flow=flow), NoControl(), seeds) for flow in ("distflow", "lindistflow")]
+    lengths = [min(len(run.lane(i).v_pu) for run in runs) for i in range(len(seeds))]
+    apart = [np.abs(runs[0].lane(i).v_pu[:n] - runs[1].lane(i).v_pu[:n]) for i, n in enumerate(lengths)]
+    mean, most = np.mean([a.mean() for a in apart]), np.max([a.max() for a in apart])
+    return f"LinDistFlow, which leaves losses out, is off by {mean:.4f} p.u. on average and {most:.4f} at most (none)"
+
+
+def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
+    """The first episode under each controller."""
+    from dcgrid_env.core.files import write_figure
+    from dcgrid_env.rendering.run_figure import run_figure
+
+    write_figure(path, run_figure(scenario, series, seed), dpi=130)

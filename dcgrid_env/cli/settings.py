@@ -1,0 +1,66 @@
+"""Settings that several commands take, checked in one way."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from dcgrid_env.core.files import new_folder, require_folder
+from dcgrid_env.core.lock import held
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from dcgrid_env import Scenario
+
+Overrides = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE ...")]
+"""Fields of the scenario that are to be otherwise."""
+Scenarios = Annotated[str, tyro.conf.arg(aliases=("--scenario",))]
+"""Scenarios separated by commas; who has one alone may leave out the s."""
+
+
+def processes(jobs: int | None) -> int:
+    """How many processes to work with, one for each core by default; ValueError below 1."""
+    from dcgrid_env.core.threads import n_threads
+
+    if jobs is None:
+        return n_threads()
+    if jobs < 1:
+        raise ValueError(f"jobs is {jobs}; give at least 1")
+    return jobs
+
+
+def check_folder(folder: Path) -> None:
+    """ValueError unless a folder can be made for what will be written, before the work for it is done.
+
+    It is made when there is something to write, so that an error or Ctrl-C leaves none that is empty.
+    """
+    try:
+        require_folder(folder)
+    except OSError as error:
+        raise ValueError(f"out: no folder {folder} can be made ({error.strerror}); choose another --out") from None
+
+
+@contextmanager
+def alone_in(folder: Path, what: str) -> Iterator[None]:
+    """Hold a folder that is read, changed and written again, so that two commands at once lose nothing of each other.
+
+    ``what`` says who holds it. ValueError where the folder cannot be made, HeldError where another command holds it.
+    """
+    check_folder(folder)
+    with new_folder(folder), held(folder, what, "wait until it has ended, or work in another folder"):
+        yield
+
+
+def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
+    """Lines that say which tuned controllers have their gains from a file rather than from what ships."""
+    from dcgrid_env.baselines import TUNED
+    from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_parameters
+
+    found = {
+        name: tuned_parameters(name.removesuffix(SUFFIX), scenario, tuned).file for name in controllers if name in TUNED
+    }
+    return [f"{name}: gains of {scenario.name} from {file}" for name, file in found.items() if file is not None]

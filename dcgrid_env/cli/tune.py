@@ -1,0 +1,169 @@
+"""Tune laws on the validation split of scenarios; writes their parameters with the command that made each.
+
+The file is written after each law, so that an interrupted search goes on from there: what stands in it with the same
+command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
+
+`dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json; with
+--tuned FILE the first three take them from another file.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dcgrid_env.cli.names import scenario_specs, split_names
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
+from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.files import write_json
+from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+SPLIT = "validation"
+Laws = dict[str, dict[str, dict[str, Any]]]
+"""Law -> scenario, or scenarios with commas between -> parameters, J, trials and command."""
+
+
+@dataclass(frozen=True)
+class Tune:
+    """What to tune."""
+
+    laws: str = "all"
+    """Laws separated by commas: droop, droop-q, deadband, constant-q, placement; or all."""
+    scenarios: Scenarios = "all"
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
+    makes your own; or all of those that ship."""
+    set: Overrides = ()
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    episodes: int = 20
+    """Number of validation episodes of each scenario: seeds 0, 1, .."""
+    together: bool = False
+    """Whether the scenarios share one set of parameters, or each has its own."""
+    jobs: int | None = None
+    """Number of processes; by default one for each core."""
+    out: Path = Path("results/tuned.json")
+    """File to write."""
+    again: bool = False
+    """Whether to search again what stands in the file."""
+
+
+class Search(NamedTuple):
+    """A law and the scenarios that are to share its parameters, by their own names."""
+
+    law: str
+    names: tuple[str, ...]
+    specs: tuple[ScenarioSpec, ...]
+
+    @property
+    def key(self) -> str:
+        """Where it stands among the law's entries."""
+        return ",".join(self.names)
+
+
+def main(cfg: Tune) -> None:
+    """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
+    from dcgrid_env.baselines.tuning.search import TUNABLE
+
+    specs = scenario_specs(cfg.scenarios, cfg.set, SPLIT)
+    laws = list(TUNABLE) if cfg.laws.strip() == "all" else split_names(cfg.laws)
+    unknown = [law for law in laws if law not in TUNABLE]
+    if unknown or not laws:
+        raise ValueError(f"laws is {cfg.laws!r}; choose among {', '.join(TUNABLE)}, or all")
+    if cfg.episodes < 1:
+        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
+    jobs = processes(cfg.jobs)
+    groups = [tuple(specs)] if cfg.together else [(name,) for name in specs]
+    asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+    _kept(cfg.out)  # ValueError for another kind of file, before a folder is made
+    with alone_in(cfg.out.parent, "dcgrid tune"):
+        _search(cfg, asked, jobs)
+
+
+def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
+    """Search what is due, and write the file after each."""
+    from dcgrid_env.core.processes import Died, each
+
+    kept = _kept(cfg.out)
+    due = [search for search in asked if cfg.again or not _stands(kept, search, cfg.episodes)]
+    console = plain_console()
+    if len(due) < len(asked):
+        done = len(asked) - len(due)
+        console.print(f"{done} of {len(asked)} stand in {cfg.out} and are kept; --again searches them again")
+    with progress_bar(console) as progress:
+        bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
+        for search, found in each(partial(_tuned, cfg.episodes), due, jobs):
+            if isinstance(found, Died):
+                raise OSError(f"the process that tuned {search.law} for {search.key} ended with code {found.exit_code}")
+            kept.setdefault(search.law, {})[search.key] = found
+            _write(cfg.out, kept)
+            values = ", ".join(f"{name} = {value}" for name, value in found["parameters"].items())
+            console.print(f"{search.key} {search.law}: {values}; J {found['J']:.4f}")
+            progress.advance(bar)
+    console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}")
+
+
+def _tuned(episodes: int, search: Search) -> dict[str, Any]:
+    from dcgrid_env.baselines.tuning.search import tune
+
+    found = tune(search.law, [spec.make(SPLIT) for spec in search.specs], episodes)
+    return {
+        "parameters": found.parameters,
+        "J": found.score,
+        "trials": found.trials,
+        "command": _command(search, episodes),
+        **_identity(search),
+    }
+
+
+def _identity(search: Search) -> dict[str, Any]:
+    """What tells the scenarios of an entry from others of their names; nothing for presets as they are."""
+    from dcgrid_env.baselines.tuning.tuned import identity
+
+    if all(spec.is_preset for spec in search.specs):
+        return {}
+    found = [identity(spec.make(SPLIT)) for spec in search.specs]
+    return found[0] if len(found) == 1 else {"scenario_hashes": [each["scenario_hash"] for each in found]}
+
+
+def _command(search: Search, episodes: int) -> str:
+    wheres = ",".join(spec.where for spec in search.specs)
+    words = ["dcgrid", "tune", "--laws", search.law, "--scenarios", wheres]
+    words += ["--set", *search.specs[0].set] if search.specs[0].set else []
+    return shlex.join([*words, "--episodes", str(episodes), *(["--together"] if len(search.names) > 1 else [])])
+
+
+def _stands(kept: Laws, search: Search, episodes: int) -> bool:
+    entry = kept.get(search.law, {}).get(search.key, {})
+    said = {"command": _command(search, episodes), **_identity(search)}
+    return all(entry.get(name) == value for name, value in said.items())
+
+
+def _kept(path: Path) -> Laws:
+    """What stands in the file; ValueError if it cannot be one of tuned parameters."""
+    from dcgrid_env.baselines.tuning.tuned import read_tuned
+
+    if path.is_dir():
+        raise ValueError(f"out is {path}, a folder; give a file")
+    return read_tuned(path)
+
+
+def _write(path: Path, laws: Laws) -> None:
+    """Laws in the order of ``TUNABLE``, scenarios in that of the presets; others behind them."""
+    from dcgrid_env import PRESETS
+    from dcgrid_env.baselines.tuning.search import TUNABLE
+
+    ordered = {law: {key: laws[law][key] for key in _first(PRESETS, laws[law])} for law in _first(TUNABLE, laws)}
+    write_json(path, {"versions": meta()["versions"], "laws": ordered})
+
+
+def _first(known: Iterable[str], names: Iterable[str]) -> list[str]:
+    """Names, those that are known first and in the order in which they are known."""
+    order = {name: place for place, name in enumerate(known)}
+    return sorted(names, key=lambda name: order.get(name, len(order)))

@@ -1,0 +1,1 @@
+"""Tools that know nothing of grids: units, arrays, random numbers, threads, processes, files, locks and caches."""

@@ -1,0 +1,1 @@
+"""The data centre: its queue of work, and the clock laws that serve it."""

@@ -1,0 +1,83 @@
+"""A data centre on the grid: work arrives, queues, is served as the clock allows, and draws power.
+
+    a       = max(p_ref - p_idle, 0)                dynamic power asked for by newly arriving work
+    d       = served(f, a + backlog / dt)           the clock law; never more than is there
+    p       = min(p_ref, p_idle) + power(f, ...)    drawn from the grid
+    backlog' = backlog + (a - d) dt                 kW s of nominal work
+
+After arXiv 2507.06416, section II, with work that cannot be served before it arrives. A law of two classes has a, d
+and backlog for each, with a in the proportion in which the work arrives. Where p_ref may exceed the rating for a moment
+(boost), the law is given max(p_rated - p_idle, a) for the site's dynamic power: what arrives above the rating is served
+at once at the top clock, while a backlog is worked off at the rating only. The converter's reactive side is in
+``converter``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.devices.datacenter.clock_law import Dvfs
+from dcgrid_env.devices.ratings import DataCenterParams
+
+
+class DataCenterStep(NamedTuple):
+    """What the data centres did over one interval, each of shape (..., n_dc)."""
+
+    backlog_kws: Array
+    """Work queued at the end, kW s."""
+    arrived_kw: Array
+    served_kw: Array
+    p_kw: Array
+    """Draw from the grid, kW."""
+    class_backlog_kws: Array
+    """The first three by work class, (..., n_dc, 2); with one work class, the very same arrays as above."""
+    class_arrived_kw: Array
+    class_served_kw: Array
+
+
+def step(
+    params: DataCenterParams,
+    dvfs: Dvfs,
+    class_backlog_kws: Array,
+    p_ref_kw: Array,
+    f_mhz: Array,
+    dt_s: float,
+    compute_share: Array | None = None,
+    *,
+    boost: bool = False,
+) -> DataCenterStep:
+    """Advance the data centres by one interval.
+
+    Parameters
+    ----------
+    params, dvfs
+        Ratings and clock law.
+    class_backlog_kws
+        Work queued at the beginning, kW s, (..., n_dc), or (..., n_dc, 2) under a law of two work classes.
+    p_ref_kw
+        Draw at the top clock with nothing queued, kW, (..., n_dc).
+    f_mhz
+        Clock, within its limits, MHz, (..., n_dc).
+    dt_s
+        Length of the interval, s.
+    compute_share
+        Compute-bound share of the arriving work, (..., n_dc), for a law of two work classes; None for one of one.
+    boost
+        Whether ``p_ref_kw`` may exceed the rating.
+    """
+    xp = namespace(p_ref_kw)
+    arrived = class_arrived = positive_part(p_ref_kw - params.p_idle_kw)
+    if boost:
+        params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
+    if compute_share is not None:
+        compute = arrived * compute_share
+        class_arrived = xp.concat((compute[..., None], (arrived - compute)[..., None]), axis=-1)
+    class_served, dynamic = dvfs.serve(params, f_mhz, class_arrived + class_backlog_kws / dt_s)
+    # The positive part takes off no more than the rounding of a queue that has just run empty.
+    class_backlog = positive_part(class_backlog_kws + (class_arrived - class_served) * dt_s)
+    served, backlog = class_served, class_backlog
+    if compute_share is not None:
+        served, backlog = sum_last(class_served), sum_last(class_backlog)
+    p = xp.minimum(p_ref_kw, params.p_idle_kw) + dynamic
+    return DataCenterStep(backlog, arrived, served, p, class_backlog, class_arrived, class_served)

@@ -1,0 +1,67 @@
+"""A law of two work classes: prefill and training follow the clock, decode hardly does; power falls faster than speed.
+
+With x = f / f_max, work is done at these shares of its speed at the top clock, and while busy the site draws these
+shares of the dynamic power that it draws there:
+
+    speed_c = x                               power_c = a x + (1 - a) x^3         compute-bound: prefill, training
+    speed_m = 1 / (1 + kappa (1 / x - 1))     power_m = mu + (1 - mu) x^3         memory-bound: decode
+
+Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The classes share its
+time in proportion to the work at hand; tau is the time that all of it would take, as a share of the interval:
+
+    tau   = w_c / (P speed_c) + w_m / (P speed_m)
+    d     = w / max(tau, 1)                                             served, of both work classes
+    power = d_c power_c / speed_c + d_m power_m / speed_m
+
+so at the top clock power is the work served, whatever its composition. Where the figures come from:
+
+- speed_c: 5 to 7 % of throughput lost for each 100 MHz of an A100's 1410, that is in proportion. No parameter.
+- decode_clock_share, kappa: decode takes 1 to 6 % longer at lower clocks (arXiv 2501.08219, from 2842 down to 180 MHz).
+  Here it is 2 % at half the top clock, 6 % at a quarter and 11 % at 210 of 1410 MHz.
+- decode_memory_share, mu: fitted, so that with an idle draw of 0.2 and a dynamic one of 0.45 of the rating a token
+  takes at best 42 % less energy (that paper's saving, on average); here that is at 0.3 of the top clock.
+- compute_linear_share, a: a choice, for f V^2 with a voltage that stops falling at low clocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import ClassVar
+
+from dcgrid_env.core.arrays import Array, positive_part
+from dcgrid_env.devices.ratings import DataCenterParams
+
+
+@dataclass(frozen=True)
+class PrefillDecodeDvfs:
+    """Speed and power by work class, see the module; ValueError for a parameter outside 0 .. 1."""
+
+    decode_clock_share: float = 0.02
+    """Part of decode's time at the top clock that grows as the clock falls, kappa."""
+    decode_memory_share: float = 0.34
+    """Part of decode's dynamic power at the top clock that does not follow the clock, mu."""
+    compute_linear_share: float = 0.4
+    """Part of the compute-bound dynamic power that is linear in the clock, the rest its cube, a."""
+
+    work_classes: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (isinstance(value, int | float) and 0.0 <= value <= 1.0):
+                raise ValueError(f"PrefillDecodeDvfs: {field.name} is {value!r}; give a share from 0 to 1")
+
+    def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
+        """See :class:`Dvfs`: ``work_kw`` and what is served of it are (..., n_dc, 2), compute-bound first."""
+        compute, memory = work_kw[..., 0], work_kw[..., 1]
+        x = f_mhz / params.f_max_mhz
+        slow = 1.0 / x
+        square = x * x
+        cube = square * x
+        # Time and energy of a unit of work, of which both work classes have 1 at the top clock, to the bit.
+        time_m = 1.0 + self.decode_clock_share * (slow - 1.0)
+        energy_c = square + self.compute_linear_share * (1.0 - square)
+        energy_m = (cube + self.decode_memory_share * (1.0 - cube)) * time_m
+        tau = (compute * slow + memory * time_m) / params.p_dynamic_kw
+        share = 1.0 / (1.0 + positive_part(tau - 1.0))
+        return work_kw * share[..., None], (compute * energy_c + memory * energy_m) * share

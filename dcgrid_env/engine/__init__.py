@@ -1,0 +1,1 @@
+"""The engine: draws episodes, steps devices and grid, observes, charges and measures; every environment runs on it."""

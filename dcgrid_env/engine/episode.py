@@ -1,0 +1,230 @@
+"""An episode as drawn: placement, trace windows, time of day, faults and noise, all functions of one key per lane."""
+
+from __future__ import annotations
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core import random
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.engine import observation
+from dcgrid_env.engine.dynamics import Exogenous
+from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
+from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
+
+FOR_GOOD = 2**40
+"""Steps that outlast every episode."""
+
+
+class Episode(NamedTuple):
+    """What a reset draws, for a batch of lanes."""
+
+    key: np.ndarray
+    """(lane,) uint64."""
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    placed: observation.Placement
+    start: np.ndarray
+    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
+    sun: np.ndarray
+    """The same of generated PV, (lane,); 0 where there is none."""
+    begin_h: np.ndarray
+    """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
+    still: np.ndarray
+    """Ones, (lane,): the share of the nominal load where nothing follows the day."""
+    fault: np.ndarray
+    """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
+    int64, (lane, n_fault, 3)."""
+
+
+class _Load(NamedTuple):
+    """What the load noise needs to know of a scenario, as the kernel takes it."""
+
+    rho: float  # over one step
+    sigma: float
+    p_base_kw: np.ndarray
+    q_base_kvar: np.ndarray
+    q_fixed_kvar: np.ndarray
+
+
+@cached_on_owner
+def _load(scenario: Scenario) -> _Load:
+    feeder = scenario.feeder
+    return _Load(
+        rho=float(scenario.load_rho**scenario.dt_s),
+        sigma=float(scenario.load_sigma),
+        p_base_kw=feeder.p_load_kw.copy(),
+        q_base_kvar=feeder.q_load_kvar.copy(),
+        q_fixed_kvar=-feeder.capacitor_kvar if scenario.capacitors else np.zeros(feeder.n_bus),
+    )
+
+
+def prepare(scenario: Scenario, episode: Episode) -> None:
+    """Have the rows of trace that an episode's windows lie in, where they are made on demand.
+
+    Drawing it here does so; an episode that was drawn in another process or environment needs it.
+    """
+    pool = trace_pool(scenario)
+    if isinstance(pool, RowsOnDemand):
+        pool.make(episode.start // pool.p_share.shape[1])
+
+
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
+    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
+
+    The split enters the key, so that no two splits share an episode whatever their seeds.
+    """
+    salt = np.uint64(zlib.crc32(scenario.split.encode()))
+    key = random.keys(salt, seeds, numbers)
+    lanes, n_dc = len(key), scenario.n_datacenters
+    fixed = [scenario.feeder.index(b) for b in scenario.inverter_buses]
+    if scenario.datacenter_buses is None:
+        order = np.argsort(random.bits(key, random.PLACEMENT, len(scenario.candidates)), axis=1, kind="stable")
+        at = scenario.candidates[order[:, :n_dc]]
+    else:
+        at = np.tile([scenario.feeder.index(b) for b in scenario.datacenter_buses], (lanes, 1)).astype(np.int64)
+    buses = np.concatenate((at, np.tile(np.array(fixed, dtype=np.int64), (lanes, 1))), axis=1)
+    begin_h = _begin_h(scenario, key)
+    sun_row, sun_start = random.bits(key, random.SUN, 2).T
+    rows, steps = sun_rows(scenario).shape
+    sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
+    drawn = (_windows(scenario, key, begin_h), sun.astype(np.int64), begin_h, _faults(scenario, key))
+    episode = assemble(scenario, key, buses, *drawn)
+    prepare(scenario, episode)
+    return episode
+
+
+def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """Time of day at t = 0, h, (lane,)."""
+    if isinstance(scenario.start_hour, str) or (scenario.start_hour is None and scenario.follows_day):
+        return 24.0 * random.uniform(key, random.HOUR, 1)[:, 0]
+    return np.full(len(key), float(scenario.start_hour or 0.0))
+
+
+def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.ndarray:
+    """Where each data centre's trace window begins, see ``Episode.start``."""
+    pool, n_dc = trace_pool(scenario), scenario.n_datacenters
+    n_rows, n_steps = pool.p_share.shape
+    # Sites take different rows as long as there are enough.
+    row = np.argsort(random.bits(key, random.TRACE_ROW, n_rows), axis=1, kind="stable")
+    row = row[:, np.arange(n_dc) % n_rows]
+    spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
+    room = 1 if scenario.trace_window == "start" else spare + 1
+    start = (random.bits(key, random.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
+    if scenario.trace_window == "together":
+        start = start[:, :1]
+    if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
+        # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
+        later_h = (begin_h[:, None] - pool.begin_h[row]) % 24.0
+        start = start + np.floor(later_h * 3600.0 / scenario.dt_s).astype(np.int64)
+    window = row * n_steps + start
+    if scenario.site_correlation:
+        window = np.where(
+            random.uniform(key, random.CORRELATION, n_dc) < scenario.site_correlation, window[:, :1], window
+        )
+    return window
+
+
+def assemble(
+    scenario: Scenario,
+    key: np.ndarray,
+    buses: np.ndarray,
+    start: np.ndarray,
+    sun: np.ndarray,
+    begin_h: np.ndarray,
+    fault: np.ndarray,
+) -> Episode:
+    """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
+    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, np.ones(len(key)), fault)
+
+
+def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
+    drawn = random.bits(key, random.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
+    found = np.empty(drawn.shape, np.int64)
+
+    def steps(times_s: tuple[float, float], between: np.ndarray) -> np.ndarray:
+        low, high = (round(min(t_s / scenario.dt_s, FOR_GOOD)) for t_s in times_s)
+        return low + (between % np.uint64(high - low + 1)).astype(np.int64)
+
+    for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
+        found[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
+        found[:, i, 1] = 1 + steps(fault.begin_s, drawn[:, i, 1])  # nothing is lost at t = 0
+        found[:, i, 2] = found[:, i, 1] + steps(fault.duration_s, drawn[:, i, 2])
+    return found
+
+
+def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
+    """What is lost in the interval that ends at ``step`` (lane,), bool: agents, then buses' capacitors.
+
+    (lane, n_agent + n_bus)
+    """
+    target, begin, end = np.moveaxis(episode.fault, -1, 0)
+    struck = (begin <= step[:, None]) & (step[:, None] < end)
+    out = np.zeros((len(step), scenario.n_agents + scenario.feeder.n_bus), bool)
+    lane, i = np.nonzero(struck)
+    out[lane, target[lane, i]] = True
+    return out
+
+
+def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
+    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
+    return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
+
+
+def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
+    """Compute-bound share of that power above idle, (lane, n_dc); None under a clock law of one work class."""
+    if scenario.work_classes == 1:
+        return None
+    known = trace_pool(scenario).compute_share
+    if known is None:
+        return np.full(episode.start.shape, float(scenario.compute_share))
+    return known.take(episode.start + step[:, None])
+
+
+def exogenous(
+    scenario: Scenario, episode: Episode, step: np.ndarray, noise: np.ndarray, p_ref: np.ndarray
+) -> tuple[Exogenous, np.ndarray]:
+    """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
+
+    Parameters
+    ----------
+    scenario, episode
+        As drawn.
+    step
+        (lane,) int64; at 0 the noise starts afresh.
+    noise
+        The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
+    p_ref
+        The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
+    """
+    hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
+    share = episode.still if hour is None else load_share(hour)
+    process_and_loads = np.empty((3, *noise.shape))
+    z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
+    load = _load(scenario)
+
+    def part(a: int, b: int) -> int:
+        return random.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
+
+    if len(step) == 1:
+        random.load_step(episode.key, step, noise, share, *load, z, p, q)
+    else:
+        over_lanes(part, len(step))
+    if scenario.inverter_trace is None:
+        injection = np.zeros((len(step), scenario.n_inverters))
+    else:
+        injection = sun_rows(scenario).take(episode.sun + step)[:, None] * scenario.inverter.s_rated_kva
+        if hour is not None and scenario.inverter_trace == SUN:
+            injection *= sun_share(hour)[:, None]
+    available = None
+    if scenario.faults:
+        agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
+        available = 1.0 - agents
+        q += capacitors * scenario.feeder.capacitor_kvar
+    compute = compute_share(scenario, episode, step)
+    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, compute, available), z

@@ -1,0 +1,59 @@
+"""The perfect forecast of an episode: all that will come from outside, known at its beginning."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.digest import digest
+from dcgrid_env.core.seeds import whole_seed
+from dcgrid_env.scenario.scenario import Scenario, ScenarioError
+
+
+class Forecast(NamedTuple):
+    """What comes from outside in the steps 1 .. T of an episode; nothing here depends on an action."""
+
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (n_agent,)."""
+    p_load_kw: np.ndarray
+    """Other loads, kW, (T, n_bus)."""
+    q_load_kvar: np.ndarray
+    """Other loads less capacitors, kvar, (T, n_bus)."""
+    p_ref_kw: np.ndarray
+    """What the data centres would draw at the top clock with nothing queued, kW, (T, n_dc)."""
+    p_inverter_kw: np.ndarray
+    """Scheduled active injection of the inverters, kW, (T, n_inv)."""
+    available: np.ndarray
+    """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
+
+
+def forecast(scenario: Scenario, seed: int) -> Forecast:
+    """The first episode of a seed, as every environment of the scenario draws it.
+
+    ScenarioError for what is no Scenario, ValueError for a seed that is no whole number of at least 0.
+    """
+    from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
+
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
+    drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
+    noise = np.zeros((1, scenario.feeder.n_bus))
+    found = []
+    for k in range(scenario.horizon + 1):
+        step = np.array([k])
+        p_ref = episode.p_ref_kw(scenario, drawn, step)
+        outside, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
+        available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]
+        found.append((outside.p_load_kw[0], outside.q_load_kvar[0], p_ref[0], outside.p_inverter_kw[0], available))
+    return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*found, strict=True)))
+
+
+def episode_hash(scenario: Scenario, seed: int) -> str:
+    """SHA-256 of what comes from outside in the first episode of a seed, 16 hexadecimal digits.
+
+    Figures are rounded to 2^-7 kW: should a machine's arithmetic differ in the last bit, a figure in some 10^10 falls
+    to the other side.
+    """
+    drawn = forecast(scenario, seed)._asdict()
+    return digest((name, np.round(values * 2.0**7) + 0.0) for name, values in drawn.items())  # no negative zero

@@ -1,0 +1,236 @@
+"""What an agent observes: local figures only, unless the scenario widens the scope.
+
+Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add theirs at the end:
+
+| field | who | unit | range |
+|---|---|---|---|
+| v_deviation | all | (V - 1) / band, 1 is the band's edge | -1/band .. 1/band |
+| v_change | all | V now less V one step ago, / band | the same |
+| p | all | share of the rating; an inverter's injection is negative | -1 .. boost share |
+| q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
+| q_limit | all | the same share | 0 .. 1 |
+| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
+| p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. boost share |
+| backlog | data centres | s at the rated power | 0 .. horizon dt boost share |
+| p_ref_next_compute | data centres* | compute-bound part of what p_ref_next has above idle | as p_ref_next |
+| backlog_compute | data centres* | compute-bound part of backlog | as backlog |
+| neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
+| bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
+
+* Under a clock law that tells two work classes of work apart.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, namespace, positive_part, take_at, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.engine.dynamics import State, from_nodes
+from dcgrid_env.engine.parameters import constants, inverse
+from dcgrid_env.grid import Feeder
+from dcgrid_env.scenario.scenario import Scenario
+
+COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
+DATACENTER = (*COMMON, "p_ref_next", "backlog")
+TWO_CLASSES = (*DATACENTER, "p_ref_next_compute", "backlog_compute")
+N_NEIGHBOURS = 3
+
+
+class Placement(NamedTuple):
+    """Where the agents stand, as far as observing goes; fixed for an episode, made by :func:`placement`."""
+
+    distance: Array
+    """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""
+    nodes: Array
+    """Flat positions lane * n_bus + bus of the agents' nodes, as in ``Exogenous.nodes``, (lane, n_agent, 1)."""
+    nearest: Array
+    """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
+
+
+def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Names of the observed fields, in order, for each agent."""
+    wider: tuple[str, ...] = ()
+    if scenario.observe == "neighbours":
+        count = min(N_NEIGHBOURS, scenario.n_agents - 1)
+        wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
+    elif scenario.observe == "feeder":
+        wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[1:])
+    site = _site_fields(scenario)
+    return {a: (*(site if a.startswith("dc_") else COMMON), *wider) for a in scenario.agents}
+
+
+def _site_fields(scenario: Scenario) -> tuple[str, ...]:
+    """Names of a data centre's own fields."""
+    return TWO_CLASSES if scenario.work_classes == 2 else DATACENTER
+
+
+def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Lowest and highest value of each field, float32, for each agent."""
+    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    own = _own_distance(scenario)
+    boost = scenario.boost_share
+    range_of = {
+        "v_deviation": (-edge, edge),
+        "v_change": (-edge, edge),
+        "p": (-1.0, boost),
+        "q": (-1.0, 1.0),
+        "q_limit": (0.0, 1.0),
+        "r": (0.0, max(float(own[:, 0].max()), 1e-6)),
+        "x": (0.0, max(float(own[:, 1].max()), 1e-6)),
+        "p_ref_next": (0.0, boost),
+        "backlog": (0.0, scenario.horizon * scenario.dt_s * boost),
+        "p_ref_next_compute": (0.0, boost),
+        "backlog_compute": (0.0, scenario.horizon * scenario.dt_s * boost),
+    }
+
+    def find(name: str) -> tuple[float, float]:
+        if name.startswith("neighbour"):
+            name = name.partition("_")[2]
+        return range_of["v_deviation" if name.startswith("v_deviation") else name]
+
+    found = {agent: np.array([find(n) for n in names]) for agent, names in field_names(scenario).items()}
+    return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
+
+
+@cached_on_owner
+def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the joint observation, the agents' one after the other, float32, (n_observation,) each."""
+    low, high = zip(*bounds(scenario).values(), strict=True)
+    return np.concatenate(low), np.concatenate(high)
+
+
+@cached_on_owner
+def _own_distance(scenario: Scenario) -> np.ndarray:
+    """(R_ii, X_ii) in bands, (n_bus, 2)."""
+    return scenario.model.own_sensitivity / (scenario.band_pu or 1.0)
+
+
+@cached_on_owner
+def _between(feeder: Feeder) -> np.ndarray:
+    """Impedance magnitude of the path between any two buses, (n_bus, n_bus)."""
+    r, x = feeder.sensitivity()
+    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)))
+
+
+class _Layout(NamedTuple):
+    scale: Array  # of each raw figure, (n_raw,)
+    column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
+
+
+@cached_on_owner
+def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
+    """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
+    known = constants(scenario, np.empty(0))
+    n, n_dc = scenario.n_agents, scenario.n_datacenters
+    per_band = 1.0 / (scenario.band_pu or 1.0)
+    rated = 1.0 / scenario.datacenter.p_rated_kw
+    per_q = inverse(known.q_scale_kvar)
+    near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
+    blocks = {
+        "v_deviation": np.full(n, per_band),
+        "v_change": np.full(n, per_band),
+        "p": 1.0 / known.p_scale_kw,
+        "q": per_q,
+        "q_limit": per_q,
+        "r": np.ones(n),
+        "x": np.ones(n),
+        "p_ref_next": rated * scenario.preview,
+        "backlog": rated,
+    }
+    if scenario.work_classes == 2:
+        blocks |= {"p_ref_next_compute": blocks["p_ref_next"], "backlog_compute": rated}
+    starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
+    site = _site_fields(scenario)
+    scale = np.concatenate(list(blocks.values()))
+    column = []
+    for i in range(n):
+        column += [starts[name] + i for name in (site if i < n_dc else COMMON)]
+        if scenario.observe == "neighbours":
+            column += range(len(scale) + 3 * near * i, len(scale) + 3 * near * (i + 1))
+        elif scenario.observe == "feeder":
+            column += range(len(scale), len(scale) + scenario.feeder.n_bus - 1)
+    if scenario.observe == "neighbours":
+        scale = np.concatenate((scale, np.ones(3 * near * n)))
+    elif scenario.observe == "feeder":
+        scale = np.concatenate((scale, np.full(scenario.feeder.n_bus - 1, per_band)))
+    return _Layout(
+        xp.asarray(scale, dtype=dtype, device=device), xp.asarray(np.array(column, dtype=np.int64), device=device)
+    )
+
+
+def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
+    """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
+    own = _own_distance(scenario)
+    lanes, n_agent = buses.shape
+    nodes = (buses + np.arange(lanes)[:, None] * scenario.feeder.n_bus)[..., None]
+    count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
+    nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
+    if count:
+        apart = _between(scenario.model)[buses[:, :, None], buses[:, None, :]]
+        apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
+        nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
+        nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
+    return Placement(np.concatenate((own[buses, 0], own[buses, 1]), axis=-1), nodes, nearest)
+
+
+def observe(
+    scenario: Scenario,
+    state: State,
+    placed: Placement,
+    p_ref_next_kw: Array,
+    v_measured_pu: Array,
+    v_before_pu: Array,
+    compute_share_next: Array | None = None,
+) -> Array:
+    """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
+
+    Parameters
+    ----------
+    scenario, state
+        Scenario and state after the last step.
+    placed
+        The episode's placement.
+    p_ref_next_kw
+        p_ref over the coming interval, kW, (lane, n_dc).
+    v_measured_pu, v_before_pu
+        Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
+        (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
+    compute_share_next
+        Compute-bound share of the work that arrives over the coming interval, (lane, n_dc); None with one work class.
+    """
+    xp = namespace(state.v_pu)
+    layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
+    v_now, v_before = v_measured_pu, v_before_pu
+    if scenario.observe == "feeder":
+        v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
+    deviation = v_now - 1.0
+    raw = [
+        deviation,
+        v_now - v_before,
+        state.p_kw,
+        state.q_kvar,
+        state.q_limit_kvar,
+        placed.distance,
+        p_ref_next_kw,
+        state.backlog_kws,
+    ]
+    if compute_share_next is not None:
+        coming = positive_part(p_ref_next_kw - constants(scenario, p_ref_next_kw).datacenter.p_idle_kw)
+        raw += (coming * compute_share_next, state.class_backlog_kws[..., 0])
+    if scenario.observe == "neighbours":
+        known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
+        trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)
+        near = (take_at(field, placed.nearest)[..., None] for field in trio)
+        raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
+    elif scenario.observe == "feeder":
+        raw.append(v_measured_pu[:, 1:] - 1.0)
+    return take_last(xp.concat(raw, axis=-1) * layout.scale, layout.column)
+
+
+def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:
+    """The joint observation as float32 and cut to its bounds."""
+    low, high = joint_bounds(scenario)
+    return np.minimum(np.maximum(joint.astype(np.float32), low), high)

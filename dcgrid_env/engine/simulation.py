@@ -1,0 +1,238 @@
+"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. Environments are its faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core import random
+from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
+from dcgrid_env.engine.dynamics import State
+from dcgrid_env.powerflow import Solution
+from dcgrid_env.scenario.scenario import Scenario
+
+
+class Transition(NamedTuple):
+    """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
+
+    observation: np.ndarray
+    """Joint observation, float32, (lane, n_observation)."""
+    reward: np.ndarray
+    """(lane,), or (lane, n_agent) where the scenario's reward is local."""
+    terminated: np.ndarray
+    """The power flow has no solution, bool, (lane,)."""
+    truncated: np.ndarray
+    """The horizon is reached, bool, (lane,)."""
+    costs: reward.Costs
+    """Weighted terms of the team's cost, (lane,) each."""
+    cost_j: np.ndarray
+    """The step's share of J times T, (lane,): minus the team's reward."""
+    j_so_far: np.ndarray
+    """Sum of ``cost_j`` since the reset over T, (lane,): J of the episode once it is over."""
+    state: State
+    loss_kw: np.ndarray
+    """(lane,)"""
+    converged: np.ndarray
+    """Whether the power flow has a solution, bool, (lane,)."""
+    trace_start: np.ndarray
+    """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
+
+
+class Snapshot(NamedTuple):
+    """All that a simulation needs to go on from where it was; made by ``save``. Its arrays are never written to."""
+
+    scenario: Scenario
+    seeds: np.ndarray
+    numbers: np.ndarray
+    episode: episode.Episode
+    step: np.ndarray
+    noise: np.ndarray
+    p_ref_next_kw: np.ndarray
+    state: State
+    measured: tuple[np.ndarray, ...]
+    transition: Transition
+
+    @property
+    def over(self) -> np.ndarray:
+        """Whether a lane's episode has ended, bool, (lane,)."""
+        return self.transition.terminated | self.transition.truncated
+
+
+class Simulation:
+    """Lanes of one scenario, each in its own episode.
+
+    Nothing is written in place: every step makes new arrays, so a snapshot is a tuple of references.
+    """
+
+    def __init__(self, scenario: Scenario, lanes: int):
+        self.scenario = scenario
+        self.lanes = lanes
+        trace_pool.check_traces(scenario)
+        self._now: Snapshot | None = None
+
+    @property
+    def now(self) -> Snapshot:
+        """The current snapshot; RuntimeError before the first reset."""
+        if self._now is None:
+            raise RuntimeError("the environment has not been reset; call reset() first")
+        return self._now
+
+    @property
+    def transition(self) -> Transition:
+        """What the last step or reset led to."""
+        return self.now.transition
+
+    @property
+    def begun(self) -> bool:
+        """Whether there has been a reset."""
+        return self._now is not None
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from ``snapshot``; ValueError unless it is one of this scenario with as many lanes."""
+        if not isinstance(snapshot, Snapshot):
+            raise ValueError(f"restore takes what save() gave, not a {type(snapshot).__name__}")
+        other = snapshot.scenario.difference(self.scenario)
+        if other is not None:
+            raise ValueError(f"the snapshot is of a scenario with another {other}; restore it where it was saved")
+        if len(snapshot.seeds) != self.lanes:
+            raise ValueError(f"the snapshot has {len(snapshot.seeds)} lanes, this environment {self.lanes}")
+        episode.prepare(self.scenario, snapshot.episode)
+        self._now = snapshot
+
+    def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
+        """Begin a new episode in every lane, or where ``mask`` is True.
+
+        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded.
+        """
+        lanes = np.arange(self.lanes) if mask is None else np.flatnonzero(mask)
+        drawn = self._begin(lanes, seeds)
+        self._now = drawn if len(lanes) == self.lanes else _merge(self.scenario, self.now, drawn, lanes)
+        return self._now.transition
+
+    def step_or_begin(self, action: np.ndarray) -> Transition:
+        """Advance the lanes whose episode goes on; the others begin their next one, whatever their action."""
+        lanes = np.flatnonzero(self.now.over)
+        begun = self._begin(lanes, [None] * self.lanes)
+        if len(lanes) == self.lanes:
+            self._now = begun
+            return begun.transition
+        # The physics steps all lanes at once: those that begin stand in the batch meanwhile, and are then put back.
+        self._now = _merge(self.scenario, self.now, begun, lanes)
+        self.step(action)
+        self._now = _merge(self.scenario, self.now, begun, lanes)
+        return self._now.transition
+
+    def step(self, action: np.ndarray) -> Transition:
+        """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
+        now = self.now
+        step = now.step + 1
+        outside, noise = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
+        state, solution = dynamics.step(self.scenario, now.state, action, outside)
+        measured = (*now.measured[1:], self._measure(now.episode, step, state))
+        p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
+        j_before = now.transition.j_so_far
+        transition = self._transition(now.episode, step, state, solution, measured, p_ref_next, j_before)
+        self._now = Snapshot(
+            self.scenario, now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition
+        )
+        return transition
+
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
+        seed = np.zeros(len(lanes), np.uint64)
+        number = np.zeros(len(lanes), np.uint64)
+        for i, lane in enumerate(lanes):
+            given = seeds[lane]
+            if given is not None:
+                seed[i] = int(given) % 2**64
+            else:
+                seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
+        drawn = episode.draw(self.scenario, seed, number)
+        step = np.zeros(len(lanes), np.int64)
+        quiet = np.zeros((len(lanes), self.scenario.feeder.n_bus))
+        p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
+        outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
+        state, solution = dynamics.initial_state(self.scenario, outside)
+        measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
+        none = np.zeros(len(lanes))
+        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
+        free = reward.Costs(*(0.0 * term for term in transition.costs))  # t = 0 is not charged
+        paid = np.zeros_like(transition.reward)
+        transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
+        return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
+
+    def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
+        """Voltages as measured: of every bus where agents observe the feeder, else of the agents."""
+        s = self.scenario
+        true = state.v_pu if s.observe == "feeder" else state.v_agent_pu
+        if s.voltage_noise_pu == 0.0:
+            return true
+        return true + s.voltage_noise_pu * random.standard(drawn.key, random.MEASUREMENT, step, true.shape[1])
+
+    def _transition(
+        self,
+        drawn: episode.Episode,
+        step: np.ndarray,
+        state: State,
+        solution: Solution,
+        measured: tuple[np.ndarray, ...],
+        p_ref_next: np.ndarray,
+        j_before: np.ndarray,
+    ) -> Transition:
+        s = self.scenario
+        share_next = episode.compute_share(s, drawn, step + 1)
+        joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0], share_next)
+        last = step >= s.horizon
+        costs = reward.charged(s, reward.team_costs(s, state, solution, last), step, solution.converged)
+        cost_j = reward.total(costs)
+        if s.reward == "shared":
+            paid = -cost_j
+        else:
+            own = reward.local_costs(s, state, solution, last)
+            paid = -reward.total(reward.charged(s, own, step, solution.converged))
+        return Transition(
+            observation=observation.within_bounds(s, joint),
+            reward=paid,
+            terminated=~solution.converged & (step > 0),
+            truncated=solution.converged & last,
+            costs=costs,
+            cost_j=cost_j,
+            j_so_far=j_before + cost_j / s.horizon,
+            state=state,
+            loss_kw=solution.loss_kw,
+            converged=solution.converged,
+            trace_start=drawn.start,
+        )
+
+
+_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault")
+"""Fields of an episode that ``episode.assemble`` takes."""
+
+
+def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
+    """``now`` with the lanes of ``drawn`` put in."""
+
+    def put(old: Any, new: Any) -> Any:
+        if isinstance(old, np.ndarray):
+            merged = old.copy()
+            merged[lanes] = new
+            return merged
+        merged = [put(a, b) for a, b in zip(old, new, strict=True)]
+        return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
+
+    old_episode, new_episode = now.episode, drawn.episode
+    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in _DRAWN)
+    state = put(now.state, drawn.state)
+    return Snapshot(
+        scenario=scenario,
+        seeds=put(now.seeds, drawn.seeds),
+        numbers=put(now.numbers, drawn.numbers),
+        episode=episode.assemble(scenario, *drawn_in),
+        step=put(now.step, drawn.step),
+        noise=put(now.noise, drawn.noise),
+        p_ref_next_kw=put(now.p_ref_next_kw, drawn.p_ref_next_kw),
+        state=state,
+        measured=put(now.measured, drawn.measured),
+        transition=put(now.transition, drawn.transition)._replace(state=state),
+    )

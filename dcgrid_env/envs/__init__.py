@@ -1,0 +1,1 @@
+"""Environments: Gymnasium, Gymnasium vector, PettingZoo and tensors, on one engine."""

@@ -1,0 +1,131 @@
+"""What the three interfaces share: a simulation, its spaces, saving and restoring, rendering."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+
+from dcgrid_env.engine import actions, observation
+from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
+from dcgrid_env.scenario.presets import make_scenario
+from dcgrid_env.scenario.scenario import Scenario, ScenarioError
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
+    """Spaces of the joint observation and action."""
+    low, high = observation.joint_bounds(scenario)
+    n = len(actions.action_names(scenario))
+    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (n,), np.float32)
+
+
+def check_running(face: Face) -> None:
+    """RuntimeError unless the (first lane's) episode goes on."""
+    last = face._simulation.transition
+    if last.truncated[0] or last.terminated[0]:
+        raise RuntimeError("the episode is over; call reset()")
+
+
+class Face:
+    """Mixed into the environment classes; holds one simulation and nothing else of substance."""
+
+    scenario: Scenario
+    render_mode: str | None
+    info_level: InfoLevel
+    _viewer: Any = None
+
+    def _setup(
+        self,
+        scenario: str | Scenario,
+        lanes: int,
+        render_mode: str | None,
+        info: InfoLevel,
+        overrides: dict[str, Any],
+        *,
+        joint: bool,
+    ) -> None:
+        from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it, so not on import
+
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
+        if info not in INFO_LEVELS:
+            raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
+        self.scenario = make_scenario(scenario, **overrides)
+        if joint and self.scenario.reward == "local":
+            raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
+        self.render_mode, self.info_level = render_mode, info
+        self._bus_ids = np.array(self.scenario.feeder.bus_ids)
+        self._simulation: Simulation = Simulation(self.scenario, lanes)
+        self._last: Transition | None = None
+
+    @property
+    def transition(self) -> Transition:
+        """What the last step or reset led to, before any automatic reset: voltages, draws, costs; arrays over lanes."""
+        return self._simulation.transition if self._last is None else self._last
+
+    def save(self) -> Snapshot:
+        """All that is needed to go on from here; ``restore`` takes it, in this or another environment of the kind."""
+        return self._simulation.now
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from where ``save`` was called; ValueError for a snapshot of another scenario or number of lanes."""
+        self._simulation.restore(snapshot)
+        self._arrived()
+
+    def buses(self) -> np.ndarray:
+        """Name of each agent's bus, (lane, n_agent); RuntimeError before the first reset."""
+        return self._bus_ids[self._simulation.now.episode.buses]
+
+    def render(self) -> Any:
+        """Draw the feeder and the running curves: an image (height, width, 3) uint8, or a window for "human"."""
+        return self._drawable().draw()
+
+    def _drawable(self) -> Any:
+        if self.render_mode is None:
+            raise RuntimeError("render needs a render_mode; make the environment with 'rgb_array' or 'human'")
+        if self._viewer is None:
+            raise RuntimeError("the environment has not been reset; call reset() before render()")
+        return self._viewer
+
+    def close(self, **kwargs: Any) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    def _reset(self, seeds: list[int | None], rng: np.random.Generator, mask: np.ndarray | None = None) -> Transition:
+        """Begin episodes; where there was never a seed one is drawn."""
+        if not self._simulation.begun:
+            seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
+        transition = self._simulation.reset(seeds, mask)
+        self._arrived()
+        return transition
+
+    def _step(self, action: np.ndarray) -> Transition:
+        transition = self._simulation.step(action)
+        if self._viewer is not None:
+            self._show()
+        return transition
+
+    def _arrived(self) -> None:
+        """After a reset or restore: where the agents stand, and the picture."""
+        self._last = None
+        self._bus_names = self.buses()
+        if self.render_mode is not None:
+            if self._viewer is None:
+                from dcgrid_env.rendering.viewer import Viewer
+
+                lanes = 1 if self.render_mode == "human" else self._simulation.lanes
+                self._viewer = Viewer(self.scenario, self.render_mode, lanes)
+            self._show()
+
+    def _show(self) -> None:
+        self._viewer.record(self._simulation.now)
+        if self.render_mode == "human":
+            self._viewer.draw()

@@ -1,0 +1,187 @@
+"""PettingZoo environment: every data-centre bus and every inverter bus is an agent."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils import parallel_to_aec
+
+from dcgrid_env.core.seeds import as_seed
+from dcgrid_env.engine import observation
+from dcgrid_env.engine.actions import joined_actions
+from dcgrid_env.engine.parameters import constants
+from dcgrid_env.envs.base import Face, check_running
+from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.time_limit import with_horizon
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+
+
+STATE_BOUND = 1e4
+"""Bound of the global state's entries: far beyond any voltage deviation in bands or any backlog in seconds."""
+
+
+class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
+    """A scenario with an agent in each slot: ``dc_0``.. then ``inv_0``.., the same in every episode.
+
+    A data centre acts on (clock, q), an inverter on (q,), each in [-1, 1]; ``info[agent]["bus"]`` is where it stands.
+
+    Parameters
+    ----------
+    scenario
+        Name of a preset or a Scenario.
+    render_mode
+        None, "rgb_array" or "human".
+    max_cycles
+        Steps in an episode; the scenario's horizon by default.
+    info
+        What stands in each agent's ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
+    **overrides
+        Any field of the Scenario, for instance ``reward="local", observe="neighbours"``.
+    """
+
+    metadata = {  # noqa: RUF012 (pettingzoo declares it so)
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+        "name": "dcgrid_v0",
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "ieee123",
+        *,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+        info: InfoLevel = "full",
+        **overrides: Any,
+    ):
+        overrides = with_horizon(overrides, "max_cycles", max_cycles)
+        self._setup(scenario, 1, render_mode, info, overrides, joint=False)
+        s = self.scenario
+        self.max_cycles = s.horizon
+        self.possible_agents = list(s.agents)
+        self.agents: list[str] = []
+        bounds = observation.bounds(s)
+        self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {
+            a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents
+        }
+        self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
+            a: spaces.Box(-1.0, 1.0, (2 if a.startswith("dc_") else 1,), np.float32) for a in s.agents
+        }
+        cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
+        self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
+        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + 2 * s.work_classes * s.n_datacenters + 1
+        self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
+        self._rng, _ = seeding.np_random()
+
+    def observation_space(self, agent: str) -> spaces.Space[np.ndarray]:
+        """Space of an agent's observation, the same object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[np.ndarray]:
+        """Space of an agent's action, the same object at each call."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Begin a seed's first episode, or the next one if no seed is given."""
+        transition = self._reset([as_seed(seed)], self._rng)
+        self.agents = list(self.possible_agents)
+        return self._observations(transition), self._infos(transition)
+
+    def step(self, actions: dict[str, np.ndarray]) -> tuple[
+        dict[str, np.ndarray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+    ]:  # fmt: skip
+        """Advance one step; ActionError names the agent whose action cannot be used."""
+        check_running(self)
+        transition = self._step(joined_actions(self.scenario, actions))
+        everyone = self.possible_agents
+        paid = transition.reward[0]
+        rewards = paid.tolist() if paid.ndim else [float(paid)] * len(everyone)
+        terminated, truncated = bool(transition.terminated[0]), bool(transition.truncated[0])
+        if terminated or truncated:
+            self.agents = []
+        return (
+            self._observations(transition),
+            dict(zip(everyone, rewards, strict=True)),
+            dict.fromkeys(everyone, terminated),
+            dict.fromkeys(everyone, truncated),
+            self._infos(transition),
+        )
+
+    def restore(self, snapshot: Any) -> None:
+        """Go on from where ``save`` was called."""
+        super().restore(snapshot)
+        self.agents = [] if self._simulation.now.over[0] else list(self.possible_agents)
+
+    def state(self) -> np.ndarray:
+        """Global state, float32.
+
+        In turn: (V - 1) / band of every bus but the substation; draw and reactive injection of every agent as shares of
+        its rating and limit; p_ref over the coming interval and backlog of every data centre, as shares of its rating
+        and in seconds at it; under a clock law of two work classes the compute-bound parts of both; the share of the
+        episode that has passed.
+        """
+        from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
+
+        s, now = self.scenario, self._simulation.now
+        known, rated = constants(s, now.state.p_kw), s.datacenter.p_rated_kw
+        compute: tuple[np.ndarray, ...] = ()
+        share = episode.compute_share(s, now.episode, now.step + 1)
+        if share is not None:
+            coming = np.maximum(now.p_ref_next_kw - s.datacenter.p_idle_kw, 0.0) * share
+            compute = (coming[0] / rated, now.state.class_backlog_kws[0, :, 0] / rated)
+        parts = (
+            (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
+            now.state.p_kw[0] / known.p_scale_kw,
+            now.state.q_kvar[0] * known.per_q_scale,
+            now.p_ref_next_kw[0] / rated,
+            now.state.backlog_kws[0] / rated,
+            *compute,
+            now.step / s.horizon,
+        )
+        return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)
+
+    def _observations(self, transition: Transition) -> dict[str, np.ndarray]:
+        joint = transition.observation[0].copy()
+        return {agent: joint[cut] for agent, cut in self._slices.items()}
+
+    def _infos(self, transition: Transition) -> dict[str, dict[str, Any]]:
+        common = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        if self.info_level != "full":
+            return {agent: common.copy() for agent in self.possible_agents}
+        buses = zip(self.possible_agents, self._bus_names[0], strict=True)
+        return {agent: {**common, "bus": bus} for agent, bus in buses}
+
+
+def parallel_env(
+    scenario: str | Scenario = "ieee123",
+    *,
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    info: InfoLevel = "full",
+    **overrides: Any,
+) -> DcgridParallelEnv:
+    """The multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
+    return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
+
+
+def env(
+    scenario: str | Scenario = "ieee123",
+    *,
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    info: InfoLevel = "full",
+    **overrides: Any,
+) -> AECEnv[str, Any, Any]:
+    """The same environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
+    turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
+    return parallel_to_aec(turns)

@@ -1,0 +1,85 @@
+"""Gymnasium environment: one agent holds all actuators."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+
+from dcgrid_env.core.seeds import as_seed
+from dcgrid_env.engine.actions import joint_action
+from dcgrid_env.envs.base import Face, check_running, joint_spaces
+from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.plain_spec import PlainSpec
+from dcgrid_env.envs.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+
+
+class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
+
+    ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the
+    horizon is put around the environment by hand, ``reset`` raises a ScenarioError.
+
+    Parameters
+    ----------
+    scenario
+        Name of a preset or a Scenario.
+    render_mode
+        None, "rgb_array" or "human".
+    info
+        What stands in ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
+    **overrides
+        Any field of the Scenario, for instance ``horizon=60, split="test"``.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 (gymnasium declares it so)
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "ieee123",
+        *,
+        render_mode: str | None = None,
+        info: InfoLevel = "full",
+        **overrides: Any,
+    ):
+        overrides = with_horizon(overrides, "max_episode_steps", max_episode_steps_of_make(self))
+        self._setup(scenario, 1, render_mode, info, overrides, joint=True)
+        self._bus_keys = [f"bus_{agent}" for agent in self.scenario.agents]
+        self.observation_space, self.action_space = joint_spaces(self.scenario)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin a seed's first episode, or the next one if no seed is given."""
+        seed = as_seed(seed)
+        refuse_shorter_limit(self)
+        super().reset(seed=seed)
+        transition = self._reset([seed], self.np_random)
+        return transition.observation[0].copy(), self._info(transition)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advance one step; RuntimeError once the episode is over."""
+        check_running(self)
+        transition = self._step(joint_action(self.scenario, action))
+        return (
+            transition.observation[0].copy(),
+            float(transition.reward[0]),
+            bool(transition.terminated[0]),
+            bool(transition.truncated[0]),
+            self._info(transition),
+        )
+
+    def _info(self, transition: Transition) -> dict[str, Any]:
+        figures = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        if self.info_level == "full":
+            figures.update(self._bus_of)
+        return figures
+
+    def _arrived(self) -> None:
+        super()._arrived()
+        self._bus_of = dict(zip(self._bus_keys, self._bus_names[0], strict=True))

@@ -1,0 +1,237 @@
+"""A batch of episodes as arrays of any kind: for gradients through the grid, and for devices other than the CPU.
+
+The episodes are those of the other environments, drawn by the same code; what comes from outside is drawn when they
+begin and moved to the device once. Every step is ``dynamics.step``, so that a cost has a derivative by every action
+that led to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import is_array_api_obj
+
+from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
+from dcgrid_env.core.seeds import whole_seed
+from dcgrid_env.engine import dynamics, observation, reward
+from dcgrid_env.engine.dynamics import Exogenous, State
+from dcgrid_env.engine.observation import Placement
+from dcgrid_env.powerflow import PowerFlowError
+from dcgrid_env.scenario.presets import make_scenario
+from dcgrid_env.scenario.scenario import Scenario
+
+
+class TensorStep(NamedTuple):
+    """What a step led to; arrays over lanes."""
+
+    observation: Array
+    """Joint observation, (lane, n_observation), not cut to its bounds."""
+    cost_j: Array
+    """The step's share of J times T, (lane,); 0 once the power flow has had no solution and all has been charged."""
+    costs: reward.Costs
+    """Its weighted terms, (lane,) each."""
+    state: State
+
+
+class _Outside(NamedTuple):
+    """All that comes from outside, with the step 0 .. T in front."""
+
+    p_load_kw: Array
+    q_load_kvar: Array
+    p_ref_kw: Array  # one step more: the preview at the end
+    p_inverter_kw: Array
+    compute_share: Array | None  # one step more
+    available: Array | None
+    noise_pu: Array | None
+
+
+class TensorEnv:
+    """Episodes of a scenario in step with each other, differentiable where the arrays are.
+
+    Parameters
+    ----------
+    scenario
+        A scenario or the name of one.
+    like
+        An array of the wanted kind, precision and device: ``torch.empty(0, device="cuda")``. float32 is solved to
+        1e-2 kVA, float64 to 1e-4 kVA.
+    **overrides
+        Fields of the scenario.
+    """
+
+    def __init__(self, scenario: str | Scenario = "ieee123", *, like: Array, **overrides: Any):
+        if not _is_floating_array(like):
+            raise ValueError(
+                f"like is {like!r}; give an array of float32 or float64, such as numpy.empty(0) or torch.empty(0)"
+            )
+        self.scenario = make_scenario(scenario, **overrides)
+        self.like = like
+        self.step_number = self.scenario.horizon  # over, until reset
+
+    @property
+    def over(self) -> bool:
+        """Whether the horizon is reached."""
+        return self.step_number >= self.scenario.horizon
+
+    def reset(self, seeds: Sequence[int] | np.ndarray, copies: int = 1) -> Array:
+        """Begin the first episode of each seed and return the joint observation, (lane, n_observation).
+
+        With ``copies`` each episode is driven by that many lanes: lane i has the episode of seeds[i % len(seeds)].
+        ValueError for no episode, and for seeds or copies that are no whole numbers.
+        """
+        if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
+            raise ValueError(f"seeds is {seeds!r}; give a list of whole numbers of at least 0, one for each episode")
+        if not isinstance(copies, int | np.integer) or isinstance(copies, bool):
+            raise ValueError(f"copies is {copies!r}; give a whole number of at least 1")
+        if not len(seeds) or copies < 1:
+            raise ValueError(f"{len(seeds)} seeds and {copies} copies; give at least 1 of each")
+        outside, buses = _draw(self.scenario, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
+        self._outside = _Outside(*(None if a is None else as_like(a, self.like) for a in outside))
+        lanes = np.arange(len(buses) * copies) % len(buses)
+        self._copied = None if copies == 1 else self._index(lanes)
+        placed = observation.placement(self.scenario, buses[lanes])
+        self._placed = Placement(
+            as_like(placed.distance, self.like), self._index(placed.nodes), self._index(placed.nearest)
+        )
+        self.step_number = 0
+        self.state, _ = dynamics.initial_state(self.scenario, self._exogenous())
+        self._measured = (self._measure(),) * (self.scenario.measurement_delay + 2)
+        self._due = as_like(np.ones(len(lanes)), self.like)
+        return self._observe()
+
+    def step(self, action: Array) -> TensorStep:
+        """Advance every lane by joint actions (lane, n_action) in [-1, 1], arrays of the kind of ``like``.
+
+        RuntimeError once the episodes are over; ValueError for actions of another kind, precision, device or shape, or
+        that are not finite.
+        """
+        if self.over:
+            raise RuntimeError("the episodes are over or have not begun; call reset()")
+        self._check_action(action)
+        self.step_number += 1
+        s, due = self.scenario, self._due
+        try:
+            self.state, solution = dynamics.step(s, self.state, action, self._exogenous())
+        except PowerFlowError:
+            self.step_number -= 1
+            self._check_finite(action)
+            raise
+        self._measured = (*self._measured[1:], self._measure())
+        costs = reward.team_costs(s, self.state, solution, float(self.over))
+        if not all_true(solution.converged):
+            xp = namespace(due)
+            costs = reward.charged(s, costs, xp.full_like(due, self.step_number), solution.converged)
+            self._due = due * xp.astype(solution.converged, due.dtype)
+        if not all_true(due > 0.0):
+            costs = reward.Costs(*(term * due for term in costs))
+        return TensorStep(self._observe(), reward.total(costs), costs, self.state)
+
+    def cut(self) -> None:
+        """Forget how the state came about: derivatives of later costs stop here (torch tensors)."""
+        self.state = State(*(a.detach() for a in self.state))
+        self._measured = tuple(a.detach() for a in self._measured)
+
+    def _check_action(self, action: Array) -> None:
+        like = self.like
+        want = (len(self._due), 2 * self.scenario.n_datacenters + self.scenario.n_inverters)
+        if not _fits(action, like):
+            given = _kind(action) if is_array_api_obj(action) else repr(action)
+            raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
+        if tuple(action.shape) != want:
+            raise ValueError(f"the action has shape {tuple(action.shape)}; it must be {want}: lanes, actuators")
+
+    def _check_finite(self, action: Array) -> None:
+        xp = namespace(action)
+        where = xp.nonzero(~xp.isfinite(action))
+        if len(where[0]):
+            lane, at = (int(i[0]) for i in where)
+            raise ValueError(f"the action of lane {lane} is {action[lane, at].item()} at {at}; give finite numbers")
+
+    def _now(self, field: Array | None, ahead: int = 0) -> Array | None:
+        if field is None:
+            return None
+        now = field[self.step_number + ahead]
+        return now if self._copied is None else now[self._copied]
+
+    def _exogenous(self) -> Exogenous:
+        o, now = self._outside, self._now
+        return Exogenous(
+            now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
+            now(o.compute_share), now(o.available),
+        )  # fmt: skip
+
+    def _measure(self) -> Array:
+        """Voltages as measured: of every bus where agents observe the feeder, else of the agents."""
+        true = self.state.v_pu if self.scenario.observe == "feeder" else self.state.v_agent_pu
+        noise = self._now(self._outside.noise_pu)
+        return true if noise is None else true + noise
+
+    def _observe(self) -> Array:
+        o = self._outside
+        return observation.observe(
+            self.scenario, self.state, self._placed, self._now(o.p_ref_kw, 1), self._measured[1], self._measured[0],
+            self._now(o.compute_share, 1),
+        )  # fmt: skip
+
+    def _index(self, positions: np.ndarray) -> Array:
+        """Positions as integers of the wanted kind, on the wanted device."""
+        if isinstance(self.like, np.ndarray):
+            return positions
+        return namespace(self.like).asarray(positions.copy(), device=self.like.device)
+
+
+def _is_floating_array(values: Any) -> bool:
+    """Whether it is an array of float32 or float64, and neither a number nor a masked array."""
+    if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
+        return False
+    array: Array = values
+    return str(array.dtype).rpartition(".")[2] in ("float32", "float64")
+
+
+def _fits(action: Array, like: Array) -> bool:
+    """Whether an action is an array of the kind, precision and device of ``like``; NumPy's floats all go together."""
+    if isinstance(like, np.ndarray):
+        return type(action) is np.ndarray and action.dtype.kind == "f"
+    same = (getattr(action, "dtype", None), getattr(action, "device", None)) == (like.dtype, like.device)
+    return same and is_array_api_obj(action)
+
+
+def _kind(values: Array) -> str:
+    if not isinstance(values, np.ndarray):
+        return f"a tensor of {values.dtype} on {values.device}"
+    masked = isinstance(values, np.ma.MaskedArray)
+    return f"a {'masked' if masked else 'NumPy'} array of {'floats' if values.dtype.kind == 'f' else values.dtype}"
+
+
+def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
+    """Everything from outside over the first episode of each seed, and the positions of the agents' buses."""
+    from dcgrid_env.core import random
+    from dcgrid_env.engine import episode  # bring the compiler with them, so not on import
+
+    s = scenario
+    drawn = episode.draw(s, seeds, np.zeros_like(seeds))
+    n_seen = s.feeder.n_bus if s.observe == "feeder" else s.n_agents
+    noise = np.zeros((len(seeds), s.feeder.n_bus))
+    steps, noise_pu = [], []
+    for k in range(s.horizon + 1):
+        step = np.full(len(seeds), k)
+        outside, noise = episode.exogenous(s, drawn, step, noise, episode.p_ref_kw(s, drawn, step))
+        steps.append(outside)
+        if s.voltage_noise_pu:
+            noise_pu.append(s.voltage_noise_pu * random.standard(drawn.key, random.MEASUREMENT, step, n_seen))
+    after = np.full(len(seeds), s.horizon + 1)
+
+    def stacked(name: str, last: np.ndarray | None = None) -> np.ndarray | None:
+        rows = [getattr(outside, name) for outside in steps]
+        if rows[0] is None:
+            return None
+        return np.stack(rows if last is None else [*rows, last])
+
+    found = _Outside(
+        stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
+        stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
+        stacked("available"), np.stack(noise_pu) if noise_pu else None,
+    )  # fmt: skip
+    return found, drawn.buses

@@ -1,0 +1,180 @@
+"""Gymnasium vector environment: a native batch, all lanes stepped by the same array operations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from dcgrid_env.core.seeds import as_seed
+from dcgrid_env.engine.actions import joint_action
+from dcgrid_env.envs.base import Face, joint_spaces
+from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.plain_spec import PlainSpec
+from dcgrid_env.envs.time_limit import with_horizon
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+
+AUTORESET_MODES = {mode.name.lower(): mode for mode in AutoresetMode}
+"""Gymnasium's modes by the names that ``autoreset_mode`` takes."""
+
+
+class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
+    PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
+):
+    """``num_envs`` lanes of a scenario; lane i seeded with seed + i is the single environment's episode of that seed.
+
+    Lanes whose episode has ended begin their next one as ``autoreset_mode`` has it, in each mode as gymnasium's own
+    SyncVectorEnv does:
+
+    - "same_step" (default): in the same step. The observation returned is the new episode's first, the old one's last
+      stands in ``infos["final_obs"]`` and its info in ``infos["final_info"]``. No step is lost, which is why it is the
+      default; Stable-Baselines3 and TorchRL work this way.
+    - "next_step": in the following step, which ignores the lane's action, pays 0 and returns the new episode's first
+      observation. This is the default of gymnasium's own vector environments, and what its vector observation wrappers
+      and RLlib need.
+    - "disabled": not by itself. A step is refused until ``reset`` with ``options={"reset_mask": mask}`` has begun new
+      episodes in the lanes that ended.
+
+    Parameters
+    ----------
+    num_envs
+        Lanes.
+    scenario, **overrides
+        As for :class:`dcgrid_env.DcgridEnv`.
+    render_mode
+        None, "rgb_array" (``render`` gives a tuple of images, one for each lane) or "human" (a window shows lane 0).
+    info
+        What stands in ``infos``: "full", "costs" (the cost terms and J) or "none".
+    autoreset_mode
+        "same_step", "next_step" or "disabled", or gymnasium's AutoresetMode.
+    max_episode_steps
+        Steps in an episode, another name for the horizon; None or -1 for the scenario's own.
+    """
+
+    metadata = {  # noqa: RUF012 (gymnasium declares it so)
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Scenario = "ieee123",
+        *,
+        render_mode: str | None = None,
+        info: InfoLevel = "full",
+        autoreset_mode: str | AutoresetMode = "same_step",
+        max_episode_steps: int | None = None,
+        **overrides: Any,
+    ):
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs!r}; give a whole number of at least 1")
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)
+        self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
+        overrides = with_horizon(overrides, "max_episode_steps", max_episode_steps)
+        self._setup(scenario, int(num_envs), render_mode, info, overrides, joint=True)
+        self.num_envs = int(num_envs)
+        self.single_observation_space, self.single_action_space = joint_spaces(self.scenario)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._everyone = np.ones(self.num_envs, dtype=bool)
+        self._bus_keys = [f"bus_{agent}" for agent in self.scenario.agents]
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin episodes: lane i with ``seed + i`` (or ``seed[i]``), or each lane's next one if no seed is given.
+
+        ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True.
+        """
+        if seed is None or isinstance(seed, int | np.integer):
+            first = as_seed(seed)
+            seeds = [None if first is None else first + i for i in range(self.num_envs)]
+        else:
+            seeds, first = [as_seed(s) for s in seed], None
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"{len(seeds)} seeds for num_envs = {self.num_envs}; give one for each, or one int")
+        mask = (options or {}).get("reset_mask")
+        if mask is not None:
+            if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_:
+                raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
+            if not np.any(mask):
+                raise ValueError("reset_mask is False for every lane; leave the reset out")
+            if not self._simulation.begun:
+                raise ValueError("the first reset must be of all lanes; leave reset_mask out")
+        super().reset(seed=first)
+        transition = self._reset(seeds, self.np_random, mask)
+        return transition.observation.copy(), self._infos(transition, self._everyone if mask is None else mask)
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advance every lane by one step of joint actions (num_envs, n_action); ended lanes as the mode has it."""
+        over = self._simulation.now.over
+        if not over.any():
+            transition = self._step(joint_action(self.scenario, actions, self.num_envs))
+        elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            heeded = np.where(over[:, None], 0.0, actions) if np.ndim(actions) == 2 else actions
+            transition = self._simulation.step_or_begin(joint_action(self.scenario, heeded, self.num_envs))
+            self._arrived()
+        else:
+            raise RuntimeError(
+                f"the episodes of lanes {np.flatnonzero(over).tolist()} are over; "
+                "reset them with options={'reset_mask': mask}"
+            )
+        self._last = None
+        done = transition.terminated | transition.truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and done.any():
+            begun, infos = self._begin_anew(transition, done)
+        else:
+            begun, infos = transition, self._infos(transition, self._everyone)
+        return (
+            begun.observation.copy(),
+            transition.reward.copy(),
+            transition.terminated.copy(),
+            transition.truncated.copy(),
+            infos,
+        )
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Draw the lanes: a tuple of images (height, width, 3) uint8, one for each, or for "human" lane 0's window."""
+        viewer = self._drawable()
+        if self.render_mode == "human":
+            return viewer.draw()
+        return tuple(viewer.draw(lane) for lane in range(self.num_envs))
+
+    def _begin_anew(self, transition: Transition, done: np.ndarray) -> tuple[Transition, dict[str, Any]]:
+        """The first transition of the next episode in the lanes that are done, and infos with the last of the old."""
+        final_info = self._infos(transition, done)
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(done):
+            final_obs[i] = transition.observation[i].copy()
+        begun = self._reset([None] * self.num_envs, self.np_random, done)
+        self._last = transition
+        infos = self._infos(begun, self._everyone)
+        infos |= {"final_obs": final_obs, "_final_obs": done, "final_info": final_info, "_final_info": done.copy()}
+        return begun, infos
+
+    def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
+        """Arrays over lanes, each beside its mask of valid lanes, as gymnasium's vector environments give them."""
+        figures = info_arrays(transition, self.info_level)
+        infos: dict[str, Any] = {name: values.copy() for name, values in figures.items()}
+        if self.info_level == "full":
+            infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)
+        return infos | {f"_{name}": valid.copy() for name in infos}
+
+
+def as_autoreset_mode(mode: Any) -> AutoresetMode:
+    """Gymnasium's mode, given itself or by name; ValueError for what is neither."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    found = AUTORESET_MODES.get(mode) if isinstance(mode, str) else None
+    if found is None:
+        raise ValueError(f"autoreset_mode is {mode!r}; choose one of {', '.join(AUTORESET_MODES)}")
+    return found

@@ -1,0 +1,77 @@
+"""From NumPy loads of any leading shape to the compiled kernels and back."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.powerflow.balanced import compiled
+from dcgrid_env.powerflow.solution import Solution, raise_not_finite
+
+_NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float32)}
+_KERNELS = {"distflow": compiled.distflow_lanes, "lindistflow": compiled.lindistflow_lanes}
+
+
+@cached_on_owner
+def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
+    """What the kernels know of a feeder: its depth-first order and, in that order, parent, r and x."""
+    order = feeder.depth_first.copy()
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    parent = np.concatenate(([0], place[feeder.parent[order[1:] - 1]]))
+    z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
+    return order, parent, *z
+
+
+def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:
+    """Run a kernel over all lanes, on several threads where there are many, and shape its output as a Solution.
+
+    ``rest`` is what the kernel takes beyond the loads: for DistFlow the warm start or None, tolerance and most sweeps.
+    """
+    shape, n, dtype = p_kw.shape[:-1], feeder.n_bus, p_kw.dtype
+    lanes = p_kw.size // n
+    loads = _rows(p_kw, (lanes, n)), _rows(q_kvar, (lanes, n)), _rows(v0_pu, (lanes,))
+    if rest:
+        warm = rest[0]
+        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm, (lanes, n - 1))
+        rest = (warm, *rest[1:])
+    over_branches = np.empty((3, lanes, n - 1), dtype)
+    per_lane = np.empty((2, lanes), dtype)
+    out = (
+        np.empty((lanes, n), dtype),
+        over_branches[0],
+        over_branches[1],
+        over_branches[2],
+        per_lane[0],
+        np.empty(lanes, np.bool_),
+        np.empty(lanes, np.int64),
+        per_lane[1],
+    )
+    kernel, known = _KERNELS[method], constants(feeder, dtype.type)
+    if lanes == 1:
+        failed = kernel(*known, *loads, *rest, out)
+    else:
+        failed = over_lanes(partial(_part, kernel, known, loads, rest, out), lanes)
+    if failed:
+        raise_not_finite(feeder, p_kw, q_kvar)
+    if len(shape) == 1:
+        return Solution(*out)
+    return Solution(*(a.reshape(*shape, *a.shape[1:]) if shape else a[0] for a in out))
+
+
+def _part(kernel: Any, known: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:
+    cut = slice(first, last)
+    rest = (rest[0][cut], *rest[1:]) if rest else ()
+    return kernel(*known, *(a[cut] for a in loads), *rest, tuple(a[cut] for a in out))
+
+
+def _rows(values: Any, shape: tuple[int, ...]) -> Any:
+    """Contiguous and writable: the one memory layout that the kernels are compiled for."""
+    rows = values if values.shape == shape else values.reshape(shape)
+    flags = rows.flags
+    return rows if flags.c_contiguous and flags.writeable else np.array(rows, order="C")

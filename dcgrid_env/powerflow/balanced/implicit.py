@@ -1,0 +1,72 @@
+"""DistFlow of torch tensors on the CPU by the compiled kernels, with the derivative of the solution.
+
+Several times faster than recording the sweeps of ``prefix``, which is for other devices and other array libraries.
+The one module of the physics that imports torch; it is imported when the first tensor arrives.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.powerflow.balanced import adjoint
+from dcgrid_env.powerflow.balanced.batch import constants, solve_lanes
+from dcgrid_env.powerflow.solution import Solution
+
+
+def distflow_tensors(
+    feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, warm: Any | None, tolerance: float, max_sweeps: int
+) -> Solution:
+    """Solve as ``distflow`` does. The derivative has none of its own: RuntimeError where one is recorded."""
+    figures = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
+    return Solution(*figures)  # pyright: ignore[reportGeneralTypeIssues]
+
+
+class _DistFlow(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, p_kw: Any, q_kvar: Any, v0_pu: Any, feeder: Feeder, warm: Any, *rest: Any) -> Any:
+        loads = (p_kw.detach().numpy(), q_kvar.detach().numpy(), v0_pu.detach().numpy())
+        start = None if warm is None else warm.detach().numpy()
+        solved = solve_lanes("distflow", feeder, *loads, start, *rest)
+        found = [torch.from_numpy(np.asarray(a)) for a in solved]
+        ctx.feeder = feeder
+        ctx.save_for_backward(*found[:4], found[5])
+        ctx.mark_non_differentiable(*found[5:])
+        return tuple(found)
+
+    @staticmethod
+    def backward(ctx: Any, *weights: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        if torch.is_grad_enabled():  # torch's once_differentiable lets a derivative of 0 pass under constant weights
+            raise RuntimeError(
+                "the derivative of distflow on CPU tensors has no derivative of its own; leave out create_graph=True"
+            )
+        *solved, converged = (a.detach().numpy() for a in ctx.saved_tensors)
+        n, dtype, shape = ctx.feeder.n_bus, solved[0].dtype, converged.shape
+        lanes = converged.size
+        widths = (n, n - 1, n - 1, n - 1, None)
+        known = constants(ctx.feeder, dtype.type)
+        g = [_rows(w.numpy(), lanes, width) for w, width in zip(weights, widths, strict=False)]
+        s = [_rows(a, lanes, width) for a, width in zip(solved, widths, strict=False)]
+        ok = _rows(converged, lanes, None)
+        out = (np.empty((lanes, n), dtype), np.empty((lanes, n), dtype), np.empty(lanes, dtype))
+        tolerance = adjoint.TOLERANCE[dtype.itemsize]
+        kernel: Any = adjoint.distflow_adjoint_lanes
+
+        def part(a: int, b: int) -> int:
+            cut = slice(a, b)
+            solved_part, weights_part, out_part = (tuple(x[cut] for x in arrays) for arrays in (s, g, out))
+            kernel(*known, solved_part, weights_part, ok[cut], tolerance, out_part)
+            return 0
+
+        over_lanes(part, lanes)
+        d_p, d_q = (torch.from_numpy(d.reshape(*shape, n)) for d in out[:2])
+        return d_p, d_q, torch.from_numpy(out[2].reshape(shape)), None, None, None, None
+
+
+def _rows(values: np.ndarray, lanes: int, width: int | None) -> np.ndarray:
+    """(lane, width) or (lane,), contiguous: the one memory layout that the kernel is compiled for."""
+    return np.ascontiguousarray(values.reshape((lanes,) if width is None else (lanes, width)))

@@ -1,0 +1,344 @@
+"""The one-line diagram of a feeder: where its buses go, and drawing it on any matplotlib Axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
+from matplotlib.transforms import Affine2D
+from numpy.typing import ArrayLike, NDArray
+
+from dcgrid_env.grid import Feeder
+
+FloatArray = NDArray[np.float64]
+
+# Okabe and Ito's colours less yellow: told apart under the common kinds of colour blindness, legible on white.
+AGENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+VOLTAGE_CMAP = "RdBu_r"
+INK = "#333333"
+_WIDTH_TO_HEIGHT = 1.35
+_MARGIN_PT = 28.0
+_FEW_BUSES = 40
+"""Feeders up to this size have their bus numbers written on the map."""
+_ARC = np.linspace(0.0, 1.0, 49)
+_HALO_S, _HALO_AREA = 30.0, 3600.0
+"""Backlog in s of rated power at which the halo is largest, and its area then, square points."""
+
+
+def voltage_norm(band_pu: float = 0.05) -> Normalize:
+    """Colour scale of voltages in p.u.: 1.0 in the middle, half as far again as the band to either side."""
+    reach = 1.5 * (band_pu or 0.05)
+    return Normalize(1.0 - reach, 1.0 + reach)
+
+
+def agent_colour(i: int) -> str:
+    """Colour of data centre ``i``; they repeat after seven."""
+    return AGENT_COLOURS[i % len(AGENT_COLOURS)]
+
+
+def positions(feeder: Feeder) -> FloatArray:
+    """Where each bus goes in a drawing, shape (n_bus, 2); distinct, finite and the same at each call.
+
+    The published coordinates where the feeder has them. A bus without, or on top of another, goes beside the bus that
+    it hangs on. Where fewer than half are known: a tree that grows to the right from the substation, the longest path
+    straight, laterals to either side of it and no branch across another.
+    """
+    xy = np.column_stack((feeder.x, feeder.y))
+    xy[~np.isfinite(xy).all(axis=1)] = np.nan
+    _, first = np.unique(xy, axis=0, return_index=True)
+    xy[np.setdiff1d(np.arange(feeder.n_bus), first)] = np.nan
+    known = np.isfinite(xy[:, 0])
+    if 2 * known.sum() < feeder.n_bus or known.sum() < 2:
+        return _tree(feeder)
+    return xy if known.all() else _beside(feeder, xy)
+
+
+def _beside(feeder: Feeder, xy: FloatArray) -> FloatArray:
+    """Fill in missing rows near a neighbour that is placed, in the direction with the most room."""
+    upstream = np.concatenate(([-1], feeder.parent))
+    lengths = np.linalg.norm(xy[1:] - xy[feeder.parent], axis=1)
+    reach = 0.5 * np.nanmedian(lengths) if np.isfinite(lengths).any() else 0.02 * np.nanmax(np.ptp(xy, axis=0))
+    angle = 2.0 * np.pi * np.arange(16) / 16
+    around = reach * np.column_stack((np.cos(angle), np.sin(angle)))
+    while not np.isfinite(xy).all():
+        for i in feeder.depth_first:
+            near = [upstream[i], *(np.flatnonzero(feeder.parent == i) + 1)]
+            near = [j for j in near if j >= 0 and np.isfinite(xy[j, 0])]
+            if np.isfinite(xy[i, 0]) or not near:
+                continue
+            candidates = xy[near[0]] + around
+            placed = xy[np.isfinite(xy[:, 0])]
+            room = np.linalg.norm(candidates[:, None] - placed, axis=2).min(axis=1)
+            xy[i] = candidates[np.argmax(np.round(room / reach, 6))]
+    return xy
+
+
+class _Block:
+    """A path of buses on one row with its laterals above and below; rows relative to it, columns absolute."""
+
+    def __init__(self, chain: list[int], column: int, n_columns: int):
+        self.at = {bus: (column + k, 0) for k, bus in enumerate(chain)}
+        self.low = np.full(n_columns, np.inf)
+        self.high = np.full(n_columns, -np.inf)
+        # One column more than the path has, so that paths on the same row do not read as one.
+        span = slice(column, column + len(chain) + 1)
+        self.low[span] = self.high[span] = 0
+
+    def attach(self, lateral: _Block, side: int | None) -> int:
+        """Put a lateral as near as it goes, above (side 1) or mirrored below (-1), or where it comes nearer."""
+        up = max(1.0, float((self.high - lateral.low).max()) + 1.0)
+        down = max(1.0, float((-lateral.low - self.low).max()) + 1.0)
+        if side is None:
+            side = 1 if (up, self.high.max()) <= (down, -self.low.min()) else -1
+        shift = int(up if side > 0 else down)
+        self.at |= {bus: (column, side * (row + shift)) for bus, (column, row) in lateral.at.items()}
+        edges = side * (lateral.low + shift), side * (lateral.high + shift)
+        here = np.isfinite(lateral.low)
+        self.low[here] = np.minimum(self.low, np.minimum(*edges))[here]
+        self.high[here] = np.maximum(self.high, np.maximum(*edges))[here]
+        return side
+
+
+def _tree(feeder: Feeder) -> FloatArray:
+    children: list[list[int]] = [[] for _ in range(feeder.n_bus)]
+    weight = [(1, 1)] * feeder.n_bus  # buses on the longest way down, buses in all
+    for j in feeder.depth_first[::-1].tolist():
+        below = [weight[k] for k in children[j]]
+        weight[j] = (1 + max((b[0] for b in below), default=0), 1 + sum(b[1] for b in below))
+        if j > 0:
+            children[feeder.parent[j - 1]].append(j)
+
+    def block(start: int, column: int, hanging: bool) -> _Block:
+        chain = [start]
+        while children[chain[-1]]:
+            chain.append(max(children[chain[-1]], key=lambda k: (weight[k], -k)))
+        result = _Block(chain, column, 2 * feeder.n_bus + 1)
+        # From the far end back: a lateral nearer to the root then passes outside those beyond it.
+        for k in range(len(chain) - 1, -1, -1):
+            laterals = sorted((b for b in children[chain[k]] if b not in chain), key=lambda b: (weight[b], b))
+            # One lateral can stand straight on either side of a bus, but not where the bus itself hangs on another;
+            # any more lean to the right beneath them.
+            straight = 1 if hanging and k == 0 else 2
+            for bus in laterals[:-straight]:
+                result.attach(block(bus, column + k + 1, False), None)
+            side = 1 if straight == 1 else None
+            for bus in laterals[-straight:]:
+                taken = result.attach(block(bus, column + k, True), side)
+                side = -taken
+        return result
+
+    at = block(0, 0, False).at
+    xy = np.array([at[i] for i in range(feeder.n_bus)], dtype=np.float64)
+    width, height = np.maximum(np.ptp(xy, axis=0), 1.0)
+    xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 2.5)
+    return xy
+
+
+class FeederMap:
+    """A feeder drawn on an Axes; ``place`` moves the devices and ``update`` the voltages without redrawing the rest.
+
+    See :func:`draw_feeder`.
+    """
+
+    def __init__(self, ax: Axes, feeder: Feeder, xy: FloatArray, band_pu: float, n_dc: int, n_inv: int):
+        self.ax, self.feeder, self.xy, self.band_pu = ax, feeder, xy, band_pu
+        few = feeder.n_bus <= _FEW_BUSES
+        self._bus_area, self._dc_radius_pt = (42.0, 8.5) if few else (24.0, 7.5)
+        self._frame_axes()
+        self._draw_network(few)
+        self._draw_devices(n_dc, n_inv)
+
+    @property
+    def moving(self) -> list[Artist]:
+        """What ``update`` changes, in drawing order; ``place`` also moves the names."""
+        return [self.halos, self.tracks, self.clocks, self.dots, self.substation, self.triangles, self.rings]
+
+    def _frame_axes(self) -> None:
+        """Limits that fill the box at equal scales, with room for what reaches beyond a bus."""
+        ax, (low, high) = self.ax, (self.xy.min(axis=0), self.xy.max(axis=0))
+        box = ax.get_window_extent().get_points() * 72.0 / ax.figure.dpi
+        size_pt = box[1] - box[0]
+        scale = float(np.max((high - low) / (size_pt - 2 * _MARGIN_PT)))
+        half = 0.5 * size_pt * scale
+        middle = 0.5 * (low + high)
+        ax.set_xlim(middle[0] - half[0], middle[0] + half[0])
+        ax.set_ylim(middle[1] - half[1], middle[1] + half[1])
+        ax.set_aspect("equal", adjustable="box")
+        ax.set_axis_off()
+
+    def _draw_network(self, few: bool) -> None:
+        ax, feeder, xy = self.ax, self.feeder, self.xy
+        share = feeder.path.T @ feeder.p_load_kw
+        width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
+        segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
+        ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
+        look = {"cmap": VOLTAGE_CMAP, "norm": voltage_norm(self.band_pu), "edgecolors": INK, "linewidths": 0.6}
+        ones = np.ones(feeder.n_bus)
+        self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=self._bus_area, c=ones[1:], zorder=4, **look)
+        self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=ones[:1], zorder=4, **look)
+        self.triangles = ax.scatter([], [], s=75, marker="^", c=[], zorder=5, **look)
+        self.rings = ax.scatter([], [], facecolors="none", edgecolors="black", linewidths=1.6, zorder=6)
+        self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
+
+    def _draw_devices(self, n_dc: int, n_inv: int) -> None:
+        ax = self.ax
+        self.halos = ax.scatter([], [], alpha=0.3, linewidths=0, zorder=2, clip_on=False)
+        self.halos.set_facecolor([agent_colour(i) for i in range(n_dc)])
+        look = {"marker": "o", "linestyle": "none", "markersize": 2 * self._dc_radius_pt, "markeredgewidth": 3.0}
+        (self.tracks,) = ax.plot([], [], **look, markerfacecolor="white", markeredgecolor="#C8C8C8", zorder=3)
+        # Arcs of the unit circle, in points around the buses.
+        self.clocks = LineCollection([], linewidths=3.0, colors=[agent_colour(i) for i in range(n_dc)], zorder=3.5)
+        self.clocks.set_transform(Affine2D().scale(self._dc_radius_pt / 72.0) + ax.figure.dpi_scale_trans)
+        self.clocks.set_offset_transform(ax.transData)
+        ax.add_collection(self.clocks, autolim=False)
+        self._names = {f"dc_{i}": self._label("", 10, agent_colour(i), "bold") for i in range(n_dc)}
+        self._names |= {f"inv_{i}": self._label("", 8, "#555555", "normal") for i in range(n_inv)}
+
+    def _label(self, text: str, size: float, colour: str, weight: str) -> Annotation:
+        label = self.ax.annotate(text, (0.0, 0.0), (0.0, 0.0), textcoords="offset points", ha="center", va="center")
+        label.set(fontsize=size, color=colour, fontweight=weight, zorder=7)
+        label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+        return label
+
+    def place(self, dc_buses: ArrayLike, inv_buses: ArrayLike) -> None:
+        """Move the devices to these positions in ``bus_ids``, (n_dc,) and (n_inv,), and find room for their names."""
+        self.dc = np.asarray(dc_buses, dtype=np.intp)
+        self.inv = np.asarray(inv_buses, dtype=np.intp)
+        at = self.xy[self.dc]
+        self.halos.set_offsets(at)
+        self.halos.set_sizes(np.zeros(len(at)))
+        self.tracks.set_data(at[:, 0], at[:, 1])
+        self.clocks.set_offsets(at)
+        self.triangles.set_offsets(self.xy[self.inv])
+        areas = np.full(self.feeder.n_bus, self._bus_area)
+        areas[self.inv] = 0.0  # the triangle stands in its place
+        self.dots.set_sizes(areas[1:])
+        self._ring_areas = np.where(areas > 0.0, 2.2 * self._bus_area, 190.0)
+        self._ring_areas[0] = 260.0
+        self._place_labels()
+
+    def _place_labels(self) -> None:
+        to_points = 72.0 / self.ax.figure.dpi
+        bus = self.ax.transData.transform(self.xy) * to_points
+        radius = np.sqrt(self._ring_areas / np.pi) + 1.0
+        radius[self.dc] = self._dc_radius_pt + 2.0
+        room = _Room(bus, radius, self.feeder.parent, self.ax.get_window_extent().get_points() * to_points)
+        devices = [*self.dc, *self.inv]
+        for (name, label), i in zip(self._names.items(), devices, strict=True):
+            label.set_text(f"{name} ({self.feeder.bus_ids[i]})" if self._ids else name)
+            self._write(label, i, room)
+        for i, label in enumerate(self._ids):
+            label.set_visible(i not in devices)
+            if label.get_visible():
+                self._write(label, i, room)
+
+    def _write(self, label: Annotation, i: int, room: _Room) -> None:
+        label.xy = tuple(self.xy[i])
+        label.set_position(tuple(room.take(i, len(label.get_text()), float(label.get_fontsize()))))
+
+    def outside(self, v_pu: ArrayLike) -> NDArray[np.bool_]:
+        """Which voltages, p.u., are outside the band; one held exactly at the limit, give or take rounding, is not."""
+        return np.abs(np.asarray(v_pu) - 1.0) > self.band_pu + 1e-6
+
+    def update(self, v_pu: ArrayLike, clock_share: ArrayLike | None = None, backlog_s: ArrayLike | None = None) -> None:
+        """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,)."""
+        v = np.asarray(v_pu, dtype=np.float64)
+        self.dots.set_array(v[1:])
+        self.substation.set_array(v[:1])
+        self.triangles.set_array(v[self.inv])
+        outside = self.outside(v)
+        self.rings.set_offsets(self.xy[outside])
+        self.rings.set_sizes(self._ring_areas[outside])
+        share = np.clip(np.ones(len(self.dc)) if clock_share is None else np.asarray(clock_share, np.float64), 0.0, 1.0)
+        angle = 2.0 * np.pi * share[:, None] * _ARC  # clockwise from twelve o'clock
+        self.clocks.set_segments(list(np.stack((np.sin(angle), np.cos(angle)), axis=-1)))
+        if backlog_s is not None:
+            waiting = np.minimum(np.asarray(backlog_s, dtype=np.float64), _HALO_S)
+            self.halos.set_sizes(_HALO_AREA * waiting / _HALO_S)
+
+
+class _Room:
+    """What is taken on a map, in points: buses, branches, the frame and the names placed so far."""
+
+    def __init__(self, bus: FloatArray, radius: FloatArray, parent: NDArray[np.intp], frame: FloatArray):
+        self.bus, self.radius, self.frame = bus, radius, frame
+        along = np.linspace(0.0, 1.0, 25)[:, None, None]
+        self.lines = (bus[parent] * (1.0 - along) + bus[1:] * along).reshape(-1, 2)
+        self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
+        angle = 2.0 * np.pi * (np.arange(16) / 16 + 0.25)
+        self.ways = np.tile(np.column_stack((np.cos(angle), np.sin(angle))), (3, 1))
+        self.reach = np.repeat((1.0, 6.0, 14.0), len(angle))
+
+    def take(self, i: int, n_letters: int, size: float) -> FloatArray:
+        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,)."""
+        half = np.array([0.33 * size * n_letters, 0.5 * size])
+        # As far out along each way as brings the name's box clear of the bus.
+        clear = np.min(half / np.maximum(np.abs(self.ways), 1e-9), axis=1)
+        offset = self.ways * (self.radius[i] + self.reach + clear)[:, None]
+        centre = self.bus[i] + offset
+        others = np.arange(len(self.bus)) != i
+        farthest = np.abs(offset).max(axis=0) + half + 1.0
+        lines = self.lines[np.all(np.abs(self.lines - self.bus[i]) < farthest, axis=1)]
+
+        def covered(points: FloatArray, margin: ArrayLike) -> NDArray[np.intp]:
+            return np.all(np.abs(points - centre[:, None]) < half + margin, axis=2).sum(axis=1)
+
+        crowd = 0.1 * self.reach + 0.4 * covered(lines, 1.0)
+        crowd += 20.0 * covered(self.bus[others], self.radius[others, None])
+        crowd += 40.0 * covered(self.centres, self.halves)
+        crowd += 40.0 * np.any((centre - half < self.frame[0]) | (centre + half > self.frame[1]), axis=1)
+        best = int(np.argmin(crowd))
+        self.centres = np.vstack((self.centres, centre[best]))
+        self.halves = np.vstack((self.halves, half))
+        return offset[best]
+
+
+def draw_feeder(
+    ax: Axes,
+    feeder: Feeder,
+    xy: FloatArray,
+    v_pu: ArrayLike,
+    dc_buses: Sequence[int] | NDArray[np.intp],
+    inv_buses: Sequence[int] | NDArray[np.intp] = (),
+    *,
+    band_pu: float = 0.05,
+    clock_share: ArrayLike | None = None,
+    backlog_s: ArrayLike | None = None,
+) -> FeederMap:
+    """Draw a feeder's one-line diagram, coloured by voltage, on an Axes of any figure.
+
+    Branches are lines whose width grows with the load behind them, buses dots, the substation a square, inverters
+    triangles, data centres large circles: the coloured arc around one is its clock, the halo its backlog.
+    A bus outside the band is ringed in black.
+
+    Parameters
+    ----------
+    ax
+        Its axis lines are switched off and its aspect set to equal. Its place in the figure should be final, as the
+        names of the devices are put where there is room.
+    feeder, xy
+        The feeder and the positions of its buses, (n_bus, 2), see :func:`positions`.
+    v_pu
+        Voltage at each bus, p.u., (n_bus,).
+    dc_buses, inv_buses
+        Positions in ``feeder.bus_ids`` of the data centres and inverters, (n_dc,) and (n_inv,).
+    band_pu
+        Half-width of the allowed band around 1 p.u.
+    clock_share, backlog_s
+        Clock as a share of the largest, and backlog in s at rated power, (n_dc,); a full arc and no halo if not given.
+
+    Returns
+    -------
+    FeederMap
+        Its ``update`` shows other voltages, ``place`` moves the devices; ``dots`` serves for a colour bar.
+    """
+    drawn = FeederMap(ax, feeder, xy, band_pu, len(dc_buses), len(inv_buses))
+    drawn.place(dc_buses, inv_buses)
+    drawn.update(v_pu, clock_share, backlog_s)
+    return drawn

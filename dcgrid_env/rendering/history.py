@@ -1,0 +1,54 @@
+"""What the picture remembers of the running episode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dcgrid_env.engine import episode
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Snapshot
+
+
+class History:
+    """A lane's running episode, one row a step, in arrays that are made once; float32 is plenty for a picture."""
+
+    def __init__(self, scenario: Scenario, lane: int = 0):
+        self.lane = lane
+        rows, n_dc = scenario.horizon + 1, scenario.n_datacenters
+        self.v_pu = np.empty((rows, scenario.feeder.n_bus), np.float32)
+        self.f_mhz = np.empty((rows, n_dc), np.float32)
+        self.backlog_kws = np.empty((rows, n_dc), np.float32)
+        self.p_kw = np.empty((rows, scenario.n_agents), np.float32)
+        self.q_kvar = np.empty((rows, scenario.n_agents), np.float32)
+        self.first = self.last = -1
+        self.key: Any = None
+        self.episode: Any = None
+        self.solved = True
+
+    def add(self, snapshot: Snapshot) -> None:
+        """Copy the lane: it is small, while a reference would keep the arrays of every lane alive."""
+        lane, state, drawn = self.lane, snapshot.state, snapshot.episode
+        step = int(snapshot.step[lane])
+        # A restored environment may go on from any step, of this episode or another.
+        if step == 0 or drawn.key[lane] != self.key or not self.first <= step <= self.last + 1:
+            self.first, self.key, self.episode = step, drawn.key[lane], drawn
+        self.last = step
+        self.v_pu[step] = state.v_pu[lane]
+        self.f_mhz[step] = state.f_mhz[lane]
+        self.backlog_kws[step] = state.backlog_kws[lane]
+        self.p_kw[step] = state.p_kw[lane]
+        self.q_kvar[step] = state.q_kvar[lane]
+        self.solved = snapshot.transition.converged[lane]
+
+    @property
+    def buses(self) -> np.ndarray:
+        """Position of each agent's bus, (n_agent,)."""
+        return self.episode.buses[self.lane]
+
+    def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
+        """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
+        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)

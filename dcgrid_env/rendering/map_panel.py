@@ -1,0 +1,115 @@
+"""The left half of the picture, the feeder's map, and what the halves share."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+
+from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, positions, voltage_norm
+from dcgrid_env.rendering.history import History
+from dcgrid_env.rendering.lettering import Lettering
+from dcgrid_env.scenario.scenario import Scenario
+
+MIDDLE = 0.53
+"""Where the halves meet, as a share of the width."""
+
+
+class Panel(NamedTuple):
+    """A rectangle of the picture with what seldom changes in it, which is drawn anew as a whole."""
+
+    box: tuple[float, float, float, float]
+    """Left, bottom, right and top, as shares of the figure."""
+    still: list[Artist]
+
+
+class MapPart:
+    """The left half: title, feeder, colour bar, and what the signs mean."""
+
+    def __init__(self, figure: Figure, scenario: Scenario):
+        self.scenario = scenario
+        self.time_unit = time_unit(scenario)
+        ax = figure.add_axes((0.01, 0.155, 0.52, 0.735))
+        n_dc, n_inv = scenario.n_datacenters, scenario.n_inverters
+        self.feeder = FeederMap(ax, scenario.feeder, positions(scenario.feeder), scenario.band_pu, n_dc, n_inv)
+        self.buses: np.ndarray | None = None
+        look: Any = {"family": "DejaVu Sans"}
+        self.title = Lettering(figure, (0.015, 0.955), FontProperties(**look, size=13, weight="bold"), INK)
+        self.subtitle = Lettering(figure, (0.015, 0.918), FontProperties(**look, size=10), INK)
+        self.moving: list[Artist] = [*self.feeder.moving, self.title, self.subtitle]
+        self.panels = [Panel((0.0, 0.0, MIDDLE, 1.0), [ax, self._colour_bar(figure), self._key(figure)])]
+
+    def _colour_bar(self, figure: Figure) -> Axes:
+        ax = figure.add_axes((0.06, 0.105, 0.42, 0.018))
+        bar = figure.colorbar(self.feeder.dots, cax=ax, orientation="horizontal", extend="both")
+        band, norm = self.scenario.band_pu, voltage_norm(self.scenario.band_pu)
+        ticks = [norm.vmin, 1.0 - band, 1.0, 1.0 + band, norm.vmax]
+        bar.set_ticks(ticks, labels=[f"{t:.3f}" for t in ticks])
+        bar.set_label("voltage (p.u.); thick lines: limits", labelpad=2)
+        ax.tick_params(length=3)
+        ax.grid(False)
+        for limit in (1.0 - band, 1.0 + band):
+            ax.axvline(limit, ymin=-0.35, ymax=1.35, color="black", linewidth=3, clip_on=False)
+        for k in (1, 3):
+            ax.get_xticklabels()[k].set_fontweight("bold")
+        return ax
+
+    def _key(self, figure: Figure) -> Legend:
+        def mark(marker: str, size: float, edge: str = INK, width: float = 1.0) -> Line2D:
+            handle = Line2D([], [], marker=marker, markersize=size, linestyle="none", markerfacecolor="white")
+            handle.set(markeredgecolor=edge, markeredgewidth=width)
+            return handle
+
+        entries = [
+            (mark("s", 8), "substation"),
+            (mark("^", 8), "inverter"),
+            (mark("o", 9, width=1.8), "outside limits"),
+        ]
+        if self.scenario.n_datacenters:
+            halo = mark("o", 13, width=0.0)
+            halo.set(markerfacecolor=agent_colour(0), alpha=0.3)
+            entries += [(mark("o", 10, agent_colour(0), 3.0), "data centre; arc: clock"), (halo, "halo: backlog")]
+        handles, names = zip(*entries, strict=True)
+        return figure.legend(
+            handles, names, loc="center", bbox_to_anchor=(0.27, 0.03), ncols=5, frameon=False, fontsize=9,
+            columnspacing=1.2, handletextpad=0.3,
+        )  # fmt: skip
+
+    def update(self, history: History) -> list[Panel]:
+        """Show the last step; the panels in which something moved that was thought to be still."""
+        s, step = self.scenario, history.last
+        moved = self.buses is None or not np.array_equal(self.buses, history.buses)
+        if moved:
+            self.buses = history.buses.copy()
+            self.feeder.place(self.buses[: s.n_datacenters], self.buses[s.n_datacenters :])
+        v = history.v_pu[step]
+        dc = s.datacenter
+        share = history.f_mhz[step] / dc.f_max_mhz
+        self.feeder.update(v, share, history.backlog_kws[step] / dc.p_rated_kw)
+        scale, unit = self.time_unit
+        t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
+        self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")
+        lowest = int(np.argmin(v))
+        self.subtitle.set_text(
+            f"lowest voltage {v[lowest]:.4f} p.u. at bus {s.feeder.bus_ids[lowest]};   "
+            f"{self.feeder.outside(v)[1:].sum()} of {s.feeder.n_bus - 1} buses outside {_band(s)} p.u."
+            if history.solved
+            else "the power flow has no solution (voltage collapse); these are the last solved voltages"
+        )
+        return self.panels if moved else []
+
+
+def _band(scenario: Scenario) -> str:
+    return f"{1.0 - scenario.band_pu:.4g} to {1.0 + scenario.band_pu:.4g}"
+
+
+def time_unit(scenario: Scenario) -> tuple[float, str]:
+    """Seconds in the unit in which the episode reads best, and its name."""
+    span = scenario.horizon * scenario.dt_s
+    return (1.0, "s") if span <= 1800.0 else (60.0, "min") if span <= 4 * 3600.0 else (3600.0, "h")

@@ -1,0 +1,1 @@
+"""Scenarios: what is fixed before an episode is drawn, its checks, plain form and fingerprint, and the presets."""

@@ -1,0 +1,223 @@
+"""The named scenarios; their constants and what they are for stand in README.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+from weakref import WeakValueDictionary
+
+from dcgrid_env.devices.faults import Fault
+from dcgrid_env.grid import load_feeder
+from dcgrid_env.scenario.plain import reads_files
+from dcgrid_env.scenario.scenario import CostWeights, Scenario, ScenarioError
+
+PRESETS: dict[str, str] = {
+    "toy6": "6 buses; one 2.5 MW data centre steps from idle to full at t = 20 s (the paper's Fig. 3)",
+    "ieee123": "IEEE 123-bus equivalent, 5 data centres of 280 kW at random, 7 inverters (the paper's study)",
+    "ieee33-weak": "33 buses of high r/x, 3 data centres of 1 MW at the ends; the clock must help",
+    "ieee33": "33 buses, 4 data centres of 600 kW, 6 inverters of 500 kvar; the place of an inverter matters",
+    "das69": "69 buses, 4 data centres of 1 MW at the ends, 6 inverters",
+    "khodr141": "141 buses of a city, 4 data centres of 2.5 MW, 6 inverters",
+    "bursty": "ieee33-weak under code completion: bursts of ten seconds and silence",
+    "sync": "ieee33 with 4 sites of 1 MW that all ramp together",
+    "training": "ieee33-weak with training jobs of 600 kW, near the rating and near idle in turn, dt = 0.1 s",
+    "mixed": "ieee33 with PV at the inverters under passing clouds: at noon more load helps",
+    "fault": "ieee123 with inverters of 150 kvar; an inverter or a capacitor is lost, a data centre trips and returns",
+    "robust": "ieee33 with a wrong model, noisy and late measurements and no preview",
+    "scale-32": "khodr141 with 32 data centres of 500 kW at random and 8 inverters",
+}
+
+
+def _toy6() -> Scenario:
+    return Scenario(
+        name="toy6",
+        feeder=load_feeder("toy6"),
+        v0_pu=1.0,
+        n_datacenters=1,
+        datacenter_buses=(4,),
+        p_rated_kw=2500.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=(3, 5),
+        inverter_s_kva=1000.0,
+        trace="step",
+        trace_window="start",
+        load_sigma=0.02,
+        horizon=100,
+    )
+
+
+def _ieee123() -> Scenario:
+    return Scenario(
+        name="ieee123",
+        feeder=load_feeder("ieee123"),
+        v0_pu=1.04375,
+        n_datacenters=5,
+        p_rated_kw=280.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=(2, 11, 40, 54, 87, 92, 103),
+        inverter_s_kva=50.0,
+    )
+
+
+def _ieee33_weak() -> Scenario:
+    return Scenario(
+        name="ieee33-weak",
+        feeder=load_feeder("ieee33"),
+        v0_pu=1.05,
+        n_datacenters=3,
+        datacenter_buses=(18, 33, 25),
+        p_rated_kw=1000.0,
+        s_rated_share=1.02,
+        q_max_share=0.33,
+        inverter_buses=(7, 14, 20, 30),
+        inverter_s_kva=100.0,
+    )
+
+
+def _ieee33() -> Scenario:
+    return _ieee33_weak().replace(
+        name="ieee33",
+        n_datacenters=4,
+        datacenter_buses=(18, 33, 25, 22),
+        p_rated_kw=600.0,
+        inverter_buses=(3, 7, 14, 20, 24, 30),
+        inverter_s_kva=500.0,
+    )
+
+
+def _das69() -> Scenario:
+    return _ieee33().replace(
+        name="das69",
+        feeder=load_feeder("das69"),
+        datacenter_buses=(27, 65, 35, 69),
+        p_rated_kw=1000.0,
+        inverter_buses=(5, 12, 21, 40, 50, 61),
+    )
+
+
+def _khodr141() -> Scenario:
+    return _ieee33().replace(
+        name="khodr141",
+        feeder=load_feeder("khodr141"),
+        datacenter_buses=(141, 32, 52, 87),
+        p_rated_kw=2500.0,
+        inverter_buses=(10, 40, 60, 75, 100, 120),
+        inverter_s_kva=600.0,
+    )
+
+
+def _bursty() -> Scenario:
+    return _ieee33_weak().replace(name="bursty", trace="code")
+
+
+def _sync() -> Scenario:
+    return _ieee33().replace(name="sync", p_rated_kw=1000.0, inverter_s_kva=300.0, site_correlation=1.0)
+
+
+def _training() -> Scenario:
+    # What is left costs as if it waited 30 s more, which is 300 steps here.
+    return _ieee33_weak().replace(
+        name="training", p_rated_kw=600.0, trace="training", dt_s=0.1, horizon=200, weights=CostWeights(leftover=90.0)
+    )
+
+
+def _mixed() -> Scenario:
+    return _ieee33().replace(name="mixed", inverter_s_kva=1500.0, inverter_trace="pv", trace="mixed")
+
+
+def _fault() -> Scenario:
+    lost = Fault(("inverter", "capacitor"), begin_s=(10.0, 60.0))
+    tripped = Fault(("datacenter",), begin_s=(10.0, 60.0), duration_s=(20.0, 40.0))
+    return _ieee123().replace(name="fault", inverter_s_kva=150.0, faults=(lost, tripped))
+
+
+def _robust() -> Scenario:
+    return _ieee33().replace(
+        name="robust",
+        voltage_noise_pu=0.005,
+        measurement_delay=2,
+        preview=False,
+        r_model_share=0.8,
+        x_model_share=1.2,
+    )
+
+
+def _scale_32() -> Scenario:
+    # An hour of hindsight for a hundred episodes would be too long with twice the steps.
+    return _khodr141().replace(
+        name="scale-32",
+        n_datacenters=32,
+        datacenter_buses=None,
+        p_rated_kw=500.0,
+        inverter_buses=(10, 32, 40, 52, 60, 75, 100, 120),
+        horizon=60,
+    )
+
+
+_MAKERS = {
+    "toy6": _toy6,
+    "ieee123": _ieee123,
+    "ieee33-weak": _ieee33_weak,
+    "ieee33": _ieee33,
+    "das69": _das69,
+    "khodr141": _khodr141,
+    "bursty": _bursty,
+    "sync": _sync,
+    "training": _training,
+    "mixed": _mixed,
+    "fault": _fault,
+    "robust": _robust,
+    "scale-32": _scale_32,
+}
+
+
+_ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
+"""Scenarios with overrides that somebody still holds, by what they were made of."""
+
+
+def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
+    """A preset by name, or a scenario of your own, with overrides of its fields.
+
+    Overrides are objects or plain data (``plain_data``); ``feeder`` may be a name or a folder. While somebody holds the
+    frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
+
+    Raises
+    ------
+    ScenarioError
+        For an unknown scenario, listing those that exist, or a value that cannot be.
+    TypeError
+        For an override that is no field, listing the fields.
+    """
+    if isinstance(scenario, str):
+        scenario = _preset(scenario)
+    elif not isinstance(scenario, Scenario):
+        raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
+    if not overrides:
+        return scenario
+    try:
+        key = (scenario, *((name, _key(value)) for name, value in overrides.items()))
+        known = _ALIVE.get(key)
+    except TypeError:  # an override that cannot be a key
+        return scenario.replace(**overrides)
+    if known is None:
+        known = scenario.replace(**overrides)
+        if not any(reads_files(name, value) for name, value in overrides.items()):
+            _ALIVE[key] = known
+    return known
+
+
+@cache
+def _preset(name: str) -> Scenario:
+    if name not in _MAKERS:
+        raise ScenarioError(f"unknown scenario {name!r}; there are {', '.join(PRESETS)}")
+    return _MAKERS[name]()
+
+
+def _key(value: Any) -> Any:
+    """A hashable form in which values of different types differ though they are equal, as 1, 1.0 and True are."""
+    if isinstance(value, Mapping):
+        return dict, tuple((key, _key(held)) for key, held in value.items())
+    return type(value), tuple(map(_key, value)) if isinstance(value, list | tuple) else value

@@ -1,0 +1,1 @@
+"""How fast dcgrid is, and how its power flow compares with other libraries."""

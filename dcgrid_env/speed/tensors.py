@@ -1,0 +1,100 @@
+"""How fast batches of torch tensors step, with and without the derivative: a part of ``python -m dcgrid_env.speed``.
+
+The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many lanes are
+copies of a few, so that what is measured is the steps. With the derivative, their cost is differentiated by every
+action.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterable, Iterator
+from copy import copy
+from importlib.util import find_spec
+
+from dcgrid_env.core.install import from_clone
+from dcgrid_env.envs.tensor import TensorEnv
+from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.speed.measuring import Row, rate
+
+LANES = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
+"""Batches that are measured, by the kind of device."""
+EPISODES = 256  # different ones in a batch
+WINDOW = 20  # steps in a call, and so those through which a derivative reaches back
+UNIT = "environment steps/s"
+MISSING = f"not installed ({from_clone('agents')})"
+
+
+def tensor_rows(scenario: Scenario, device: str, seconds: float) -> Iterator[Row]:
+    """Steps of ``TensorEnv`` on a device, without and with the derivative, for each size of batch that fits.
+
+    ValueError for a device that torch does not know or this machine does not have.
+    """
+    if find_spec("torch") is None:
+        return iter([Row("TensorEnv, torch", None, MISSING)])
+    return _rows(scenario, device, LANES[kind_of(device)], seconds)
+
+
+def _rows(scenario: Scenario, device: str, sizes: Iterable[int], seconds: float) -> Iterator[Row]:
+    for lanes in sizes:
+        for gradient in (False, True):
+            name = f"TensorEnv, {lanes} lanes, torch {device}" + (f", gradient over {WINDOW} steps" if gradient else "")
+            per_s = _measured(scenario, device, lanes, gradient, seconds)
+            yield Row(name, per_s, UNIT if per_s is not None else "does not fit into memory")
+
+
+def kind_of(device: str) -> str:
+    """The kind of a device, a key of ``LANES``; ValueError for one that is not there."""
+    import torch
+
+    known = f"give one of {', '.join(LANES)}"
+    try:
+        found = torch.device(device)
+    except RuntimeError:
+        raise ValueError(f"device is {device!r}, which torch does not know; {known}") from None
+    if found.type not in LANES:
+        raise ValueError(f"device is {device!r}; {known}")
+    if found.type == "cuda":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if (found.index or 0) >= count:
+            raise ValueError(f"device is {device!r}, but torch finds {count} of that kind here; give cpu")
+    return found.type
+
+
+def _measured(scenario: Scenario, device: str, lanes: int, gradient: bool, seconds: float) -> float | None:
+    """Environment steps in a second, or None where the memory does not hold the batch."""
+    import torch
+
+    try:
+        work, steps = _window(scenario, device, lanes, gradient)
+        return rate(work, steps * lanes, seconds)
+    except torch.OutOfMemoryError:
+        return None
+    finally:
+        gc.collect()
+        if torch.device(device).type == "cuda":
+            torch.cuda.empty_cache()
+
+
+def _window(scenario: Scenario, device: str, lanes: int, gradient: bool) -> tuple[Callable[[], object], int]:
+    """What drives a batch through the first window of its episodes, and the window's steps."""
+    import torch
+
+    env = TensorEnv(scenario, like=torch.empty(0, device=device))
+    steps = min(WINDOW, scenario.horizon)
+    n_action = 2 * scenario.n_datacenters + scenario.n_inverters
+    made = torch.Generator(device).manual_seed(0)
+    drawn = 2.0 * torch.rand((steps, lanes, n_action), generator=made, device=device) - 1.0
+    drawn.requires_grad_(gradient)
+    env.reset(range(min(EPISODES, lanes)), copies=-(-lanes // EPISODES))
+
+    def window() -> None:
+        again = copy(env)  # the same episodes, without drawing them
+        costs = [again.step(action).cost_j.mean() for action in drawn]
+        if gradient:
+            torch.stack(costs).sum().backward()
+            drawn.grad = None
+        if drawn.is_cuda:
+            torch.cuda.synchronize()
+
+    return window, steps

@@ -1,0 +1,126 @@
+"""Cards: what they hold, what is refused, and those of the policies that ship."""
+
+import dataclasses
+import json
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+
+from dcgrid_env import PRESETS, make_scenario, scenario_hash
+from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
+from dcgrid_env.agents.find import preset_of
+from dcgrid_env.agents.policy.card import Scored
+from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+
+SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
+CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 3, 1.5, 0.3, SCORED)
+
+
+def belongs(folder, name):
+    """A policy and the card beside it."""
+    policy, card = Policy.load(folder / f"{name}.safetensors"), Card.load(folder / f"{name}.json")
+    assert card.sha256 == policy.sha256
+    assert card.n_parameters == policy.n_parameters
+    assert card.scenario == policy.trained_on
+    return policy, card
+
+
+def test_a_card_comes_back_as_it_was_saved(tmp_path):
+    for card in (CARD, dataclasses.replace(CARD, seed=None, training_s=None, validation_J=2, scored=None)):
+        card.save(tmp_path / "new" / "card.json")
+        assert Card.load(tmp_path / "new" / "card.json") == card
+    assert [file.name for file in (tmp_path / "new").iterdir()] == ["card.json"]
+
+
+def test_the_card_of_what_was_just_made():
+    card = Card.of("a" * 64, 7, {"algorithm": "sac", "seed": 1})
+    assert (card.version, card.n_parameters, card.algorithm, card.seed) == (version("dcgrid-env"), 7, "sac", 1)
+    with pytest.raises(PolicyError, match="card: score is no field of it; give some of algorithm, scenario, seed"):
+        Card.of("a" * 64, 7, {"score": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("seed", 1.5, r"card: seed is 1.5; give int or none"),
+        ("seed", True, r"card: seed is True; give int or none"),
+        ("training_s", np.nan, "card: training_s is nan; give a finite figure"),
+        ("training_s", "2", "card: training_s is '2'; give float or none"),
+        ("algorithm", None, "card: algorithm is None; give str"),
+        ("n_parameters", 3.0, "card: n_parameters is 3.0; give int"),
+        ("sha256", "0" * 63, "card: sha256 is '0+'; give 64 hexadecimal digits"),
+    ],
+)
+def test_a_field_that_cannot_be_is_named(field, value, message):
+    with pytest.raises(PolicyError, match=message):
+        dataclasses.replace(CARD, **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("J", np.inf, "card: J is inf; give a finite figure"),
+        ("score", (0.5, 0.4), r"card: score is \(0.5, 0.4\); give 3 figures"),
+        ("seed_scores", (0.5,), r"card: seed_scores is \(0.5,\); give 2 figures"),
+        ("seeds", (0, 0.5), "card: seeds is 0.5; give int"),
+    ],
+)
+def test_a_score_that_cannot_be_is_named(field, value, message):
+    with pytest.raises(PolicyError, match=message):
+        dataclasses.replace(SCORED, **{field: value})
+
+
+def test_what_is_no_card_is_refused_by_name(tmp_path):
+    path = tmp_path / "card.json"
+    CARD.save(path)
+    whole = json.loads(path.read_text())
+    for content in ("", "[]", "{}", path.read_text()[:-20], json.dumps(whole | {"colour": 1})):
+        path.write_text(content)
+        with pytest.raises(PolicyError, match=r"card\.json: not a policy's card \(.*\); give one that Policy\.save"):
+            Card.load(path)
+    with pytest.raises(OSError, match=r"nowhere\.json"):
+        Card.load(tmp_path / "nowhere.json")
+
+
+def test_a_card_belongs_to_its_weights(tmp_path):
+    Policy({"inverter": Network([(np.zeros((7, 1)), [0.5])])}, scenario="toy6").save(tmp_path / "one")
+    belongs(tmp_path, "one")
+    Policy({"inverter": Network([(np.zeros((7, 1)), [0.25])])}, scenario="toy6").save(tmp_path / "two")
+    (tmp_path / "two.json").replace(tmp_path / "one.json")
+    with pytest.raises(AssertionError):
+        belongs(tmp_path, "one")
+
+
+def test_what_ships_is_small_and_whole():
+    files = [path for path in FOLDER.iterdir() if path.suffix in (".safetensors", ".json")]
+    assert {path.stem for path in files} == set(SHIPPED)
+    assert len(files) == 2 * len(SHIPPED)
+    assert sum(path.stat().st_size for path in files) < 5e6
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
+    _, card = belongs(FOLDER, name)
+    assert preset_of(name) in (card.scenario, None)
+    assert card.version == version("dcgrid-env")
+    assert card.seed is not None
+    assert card.training_s is not None
+    assert card.scored is not None
+    assert card.scored.scenario in PRESETS
+    assert card.scored.split == "test"
+    assert card.seed in card.scored.seeds
+    assert card.scored.score[0] == card.scored.seed_scores[card.scored.seeds.index(card.seed)]
+    assert card.scored.scenario_hash == scenario_hash(make_scenario(card.scored.scenario, split="test"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name.startswith("ieee33-weak")])  # one preset: 4 s each
+def test_what_a_card_claims_comes_out_again(name):
+    scored = Card.load(FOLDER / f"{name}.json").scored
+    assert scored is not None
+    test = make_scenario(scored.scenario, split="test")
+    found = evaluate(Policy.load(name), test, range(scored.episodes))
+    # float32 networks: the last bits are the machine's.
+    assert found.means["J"] == pytest.approx(scored.J, rel=1e-4)
+    assert found.means["delay_mean_s"] == pytest.approx(scored.delay_mean_s, abs=0.01)

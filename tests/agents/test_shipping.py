@@ -1,0 +1,83 @@
+"""From training runs to a policy that ships."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario, scenario_hash
+from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
+from dcgrid_env.agents.shipping import ship
+from dcgrid_env.baselines import make_controller
+
+
+def trained(folder, seed, q_share, validation_j, scenario="toy6", **more):
+    """A run's folder; the policy gives the same share everywhere."""
+    networks = {"datacenter": Network([(np.zeros((9, 2)), [1.0, q_share])])}
+    networks["inverter"] = Network([(np.zeros((7, 1)), [q_share])])
+    policy = Policy(networks, scenario=scenario, made_with=f"dcgrid train ppo --seed {seed}")
+    made = {"algorithm": "ppo", "seed": seed, "training_s": 2.0, "validation_J": validation_j, **more}
+    policy.save(folder / f"run{seed}" / "policy", made)
+    return folder / f"run{seed}"
+
+
+def test_the_best_on_validation_ships_with_the_scores_of_all(tmp_path):
+    shares = (0.1, 0.2, 0.3)
+    runs = [
+        trained(tmp_path, seed, share, j) for seed, share, j in zip((5, 6, 7), shares, (0.4, 0.3, 0.5), strict=True)
+    ]
+    card = ship(runs, "toy6-ppo", episodes=4, out=tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["toy6-ppo.json", "toy6-ppo.safetensors"]
+    assert Card.load(tmp_path / "out" / "toy6-ppo.json") == card
+    policy = Policy.load(tmp_path / "out" / "toy6-ppo.safetensors")
+    assert policy.sha256 == card.sha256 == Policy.load(runs[1] / "policy.safetensors").sha256
+    assert (card.seed, card.command, card.validation_J) == (6, "dcgrid train ppo --seed 6", 0.3)
+    test, scored = make_scenario("toy6", split="test"), card.scored
+    assert scored is not None
+    assert (scored.scenario, scored.split, scored.episodes) == ("toy6", "test", 4)
+    assert scored.scenario_hash == scenario_hash(test)
+    droop = evaluate(make_controller("droop-tuned", test), test, range(4))
+    own = evaluate(policy, test, range(4))
+    assert own.means["J"] == scored.J
+    assert tuple(own.score(droop).score) == scored.score
+    assert scored.seeds == (5, 6, 7)
+    assert scored.seed_scores[1] == scored.score[0]
+    assert len(set(scored.seed_scores)) == 3
+
+
+def test_a_policy_can_be_scored_on_another_scenario_than_its_own(tmp_path):
+    card = ship([trained(tmp_path, 0, 0.2, 0.4)], "any-feeder", "ieee33", episodes=2, out=tmp_path / "out")
+    assert card.scenario == "toy6"
+    assert card.scored is not None
+    assert card.scored.scenario == "ieee33"
+    mixed = trained(tmp_path, 1, 0.2, 0.4, "toy6,ieee33")
+    with pytest.raises(PolicyError, match="trained on toy6,ieee33; say on which preset it is scored"):
+        ship([mixed], "any-feeder", episodes=2, out=tmp_path / "out")
+    assert ship([mixed], "any-feeder", "toy6", episodes=2, out=tmp_path / "out").scenario == "toy6,ieee33"
+
+
+def test_what_cannot_ship_is_named_and_writes_nothing(tmp_path):
+    good = trained(tmp_path, 0, 0.2, 0.4)
+    cases = [
+        ([], "toy6-ppo", "folders is empty"),
+        ([good, good], "toy6-ppo", "seed 0 is there twice"),
+        (
+            [good, trained(tmp_path, 1, 0.2, 0.4, algorithm="sac")],
+            "toy6-ppo",
+            "algorithm is 'sac', that of .* is 'ppo'; give runs",
+        ),
+        ([trained(tmp_path, 2, 0.2, None)], "toy6-ppo", r"run2.policy\.json: validation_J is missing; train again"),
+        ([good], "ieee33-ppo", "name is 'ieee33-ppo', the policy was trained on toy6"),
+        ([good], "a/b", "name is 'a/b'; give a plain name"),
+        ([good], "", "name is ''; give a plain name"),
+    ]
+    for folders, name, message in cases:
+        with pytest.raises(PolicyError, match=message):
+            ship(folders, name, episodes=2, out=tmp_path / "out")
+    with pytest.raises(OSError, match="nowhere"):
+        ship([tmp_path / "nowhere"], "toy6-ppo", episodes=2, out=tmp_path / "out")
+    path = good / "policy.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"sha256": "0" * 64}))
+    with pytest.raises(PolicyError, match=r"policy\.json: its sha256 is that of other weights"):
+        ship([good], "toy6-ppo", episodes=2, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()

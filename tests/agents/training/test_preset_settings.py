@@ -1,0 +1,82 @@
+"""Settings that ship, and that plain `dcgrid train` uses them."""
+
+import dataclasses
+import shlex
+
+import pytest
+import tyro
+
+from dcgrid_env import PRESETS
+from dcgrid_env.agents import Card, Policy
+from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+from dcgrid_env.agents.training.preset_settings import _all, settings
+from dcgrid_env.cli.train import ALGORITHMS, configured, imported, said
+
+EVERY = [(algorithm, scenario) for algorithm, found in _all().items() for scenario in found]
+
+
+def kind(algorithm):
+    return getattr(imported(ALGORITHMS[algorithm]), ALGORITHMS[algorithm].config)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_plain_command_of_a_card_means_all_that_the_policy_was_made_with(name):
+    """The weights hold the command with every setting; the card holds the one line that is the same run."""
+    card, made_with = Card.load(FOLDER / f"{name}.json"), shlex.split(Policy.load(name).made_with)
+    assert card.command == f"dcgrid train {card.algorithm} --scenario {card.scenario} --seed {card.seed}"
+    assert made_with[:3] == ["dcgrid", "train", card.algorithm]
+    in_full = tyro.cli(kind(card.algorithm), args=made_with[3:])  # over the algorithm's own defaults
+    assert configured(card.algorithm, shlex.split(card.command)[3:]) == in_full
+    assert kind(card.algorithm).for_scenario(card.scenario, seed=card.seed) == in_full
+
+
+@pytest.mark.parametrize(("algorithm", "scenario"), EVERY)
+def test_settings_are_fields_that_differ_from_the_defaults(algorithm, scenario):
+    assert scenario in PRESETS
+    plain, found = kind(algorithm)(), settings(algorithm, scenario)
+    assert found
+    for field, value in found.items():
+        assert type(value) is type(getattr(plain, field))
+        assert value != getattr(plain, field)
+
+
+def test_options_stand_before_what_ships_and_the_line_names_the_rest():
+    found = configured("ppo", ["--scenario", "ieee33-weak", "--gamma", "0.9", "--no-nameplate", "--epochs", "5"])
+    assert (found.gamma, found.nameplate, found.epochs, found.wait, found.steps) == (0.9, False, 5, 150.0, 4_000_000)
+    assert said(found) == (
+        "settings that ship for ppo on ieee33-weak: outputs droop, wait 150, log_std -1, steps 4000000 "
+        "(options stand before them)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [
+        ("ppo", ["--scenario=ieee33-weak", "--view=centralised"]),
+        ("ppo", ["--scenario", "mine"]),
+        ("analytic", ["--scenario", "mixed,das69"]),
+        ("sac", ["--scenario", "ieee33-weak"]),
+    ],
+)
+def test_elsewhere_are_the_algorithms_own_defaults_and_nothing_is_said(algorithm, options):
+    found = configured(algorithm, options)
+    assert found == dataclasses.replace(kind(algorithm)(), scenario=found.scenario, view=found.view)
+    assert said(found) == ""
+
+
+def test_help_shows_them(capsys):
+    with pytest.raises(SystemExit):
+        configured("ppo", ["--help", "--scenario", "mixed"])
+    assert "(default: 3000000)" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_an_option_without_its_value_is_told(capsys):
+    with pytest.raises(SystemExit) as ended:
+        configured("ppo", ["--scenario"])
+    assert ended.value.code == 2
+    assert "--scenario" in capsys.readouterr().err
+
+
+def test_a_field_that_there_is_not_is_named():
+    with pytest.raises(TypeError, match="'gama'"):
+        kind("ppo").for_scenario("toy6", gama=0.5)

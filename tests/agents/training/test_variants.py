@@ -1,0 +1,48 @@
+"""Scenarios by name, and variants of them."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import DcgridVectorEnv, ScenarioError, scenario_hash
+from dcgrid_env.agents.training.variants import scenarios, variant
+
+
+def test_names_are_separated_by_commas():
+    found = scenarios(" toy6, ieee123 ,", split="train", observe="feeder")
+    assert [s.name for s in found] == ["toy6", "ieee123"]
+    assert {(s.split, s.observe) for s in found} == {("train", "feeder")}
+
+
+@pytest.mark.parametrize("names", ["", " , "])
+def test_no_name(names):
+    with pytest.raises(ValueError, match=r"name at least one \(dcgrid list\)"):
+        scenarios(names)
+
+
+def test_an_unknown_name():
+    with pytest.raises(ScenarioError, match="unknown scenario 'ieee124'"):
+        scenarios("toy6,ieee124")
+
+
+@pytest.mark.parametrize("name", ["toy6", "ieee123", "ieee33-weak", "fault", "scale-32"])
+def test_a_variant_has_other_places_and_ratings_and_the_same_widths(name):
+    (base,) = scenarios(name, split="train", horizon=3)
+    one, again = (variant(base, np.random.default_rng(5)) for _ in range(2))
+    other = variant(base, np.random.default_rng(6))
+    assert scenario_hash(one) == scenario_hash(again) != scenario_hash(other)
+    assert (one.n_datacenters, one.n_inverters, one.split) == (base.n_datacenters, base.n_inverters, "train")
+    assert one.datacenter_buses is None
+    sites = one.datacenter.p_rated_kw / base.datacenter.p_rated_kw
+    others = one.inverter.s_rated_kva / base.inverter.s_rated_kva
+    for share, low, high in ((sites, 0.5, 1.1), (others, 0.5, 2.0)):
+        assert low <= share.min() <= share.max() <= high
+        assert len(set(share)) == len(share)
+    assert 0.0 < abs(one.v0_pu - base.v0_pu) <= 0.01
+    loads = dict(zip(base.feeder.bus_ids, base.feeder.p_load_kw, strict=True))
+    assert len(set(one.inverter_buses)) == base.n_inverters
+    assert all(loads[bus] > 0.0 for bus in one.inverter_buses)
+    env = DcgridVectorEnv(2, one)
+    seen, _ = env.reset(seed=0)
+    _, rewards, *_ = env.step(np.zeros(env.action_space.shape or (), np.float32))
+    assert np.isfinite(seen).all()
+    assert np.isfinite(rewards).all()

@@ -1,0 +1,53 @@
+"""The load of the study: recorded where it is at hand, generated otherwise, and the table says which."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.baselines.reproduction.load import choose_load
+from dcgrid_env.baselines.reproduction.study_runs import Setting
+from dcgrid_env.traces import TraceError
+
+RECORDING = Path(__file__).resolve().parents[4] / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
+needs_recording = pytest.mark.skipif(
+    not RECORDING.exists(), reason=f"the recording {RECORDING.name} is not in ../shared/traces beside the checkout"
+)
+
+
+def test_auto_is_the_generator_where_nothing_has_been_fetched(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCGRID_CACHE", str(tmp_path))
+    load = choose_load("auto")
+    assert load.kind == "generated"
+    assert load.fields == {"trace": "inference", "split": "test"}
+    with pytest.raises(TraceError, match="dcgrid traces fetch chen-zhang-2025-inference"):
+        choose_load("recorded")
+
+
+@needs_recording
+def test_auto_is_the_recording_once_it_is_in_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCGRID_CACHE", str(tmp_path))
+    shutil.copy(RECORDING, tmp_path / "chen-zhang-2025-inference.csv")
+    load = choose_load("auto")
+    assert load.kind == "recorded"
+    assert "sha256 c0c15af80a91" in load.description
+    assert "MIT" in load.description
+
+
+@needs_recording
+def test_the_whole_recording_is_drawn_from():
+    load = choose_load(str(RECORDING))
+    assert load.kind == "recorded"
+    run = rollout(Setting(load, episodes=20).scenario(5), NoControl(), range(20))
+    starts = np.concatenate([run.lane(i).trace_start for i in range(20)])
+    # 555 s less the 122 s of a window, not the 333 s or 111 s of a split's part.
+    assert starts.min() < 60
+    assert 380 < starts.max() <= 555 - 122
+
+
+def test_a_generator_by_name_and_something_unknown():
+    assert choose_load("code").fields["trace"] == "code"
+    with pytest.raises(TraceError, match="neither a file nor known"):
+        choose_load("no-such-trace")

@@ -1,0 +1,109 @@
+"""Tuning: it finds what a plain search finds, says the same twice, and what ships is what it found."""
+
+import json
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from dcgrid_env import PRESETS, make_scenario
+from dcgrid_env.baselines import CONTROLLERS, ConstantQ, Droop, NoControl, make_controller, rollout
+from dcgrid_env.baselines.tuning.search import TUNABLE, mean_cost, tune
+from dcgrid_env.baselines.tuning.tuned import tuned_parameters
+
+EPISODES = 20
+SHIPPED = json.loads((files("dcgrid_env.baselines.data") / "tuned.json").read_text(encoding="utf-8"))
+
+
+def test_mean_cost_is_the_records_mean():
+    scenario = make_scenario("ieee33-weak", split="validation", horizon=20)
+    recorder = rollout(scenario, Droop(), range(3))
+    j = [metrics["J"] for metrics in recorder.metrics()]
+    np.testing.assert_allclose(recorder.costs(), j)
+    assert mean_cost(scenario, Droop(), 3) == pytest.approx(np.mean(j))
+
+
+def test_costs_hold_where_the_power_flow_ends_an_episode():
+    scenario = make_scenario("toy6", p_rated_kw=20_000.0, split="validation")
+    recorder = rollout(scenario, NoControl(), range(2))
+    assert recorder.metrics()[0]["power_flow_converged"] == 0.0
+    np.testing.assert_allclose(recorder.costs(), [metrics["J"] for metrics in recorder.metrics()])
+
+
+def test_one_gain_against_a_plain_search():
+    scenario = make_scenario("toy6", split="validation", horizon=40)
+    found = tune("droop-q", [scenario], episodes=2)
+    grid = [mean_cost(scenario, Droop(0.0, k_q), 2) for k_q in np.geomspace(0.01, 60.0, 60)]
+    assert found.score <= min(grid) + 1e-3
+    assert mean_cost(scenario, Droop(**found.parameters), 2) == pytest.approx(found.score)
+    assert tune("droop-q", [scenario], episodes=2) == found
+
+
+def test_one_share_for_several_scenarios_and_one_for_each_agent_of_one():
+    toy, weak = (make_scenario(name, split="validation", horizon=5) for name in ("toy6", "ieee33-weak"))
+    together = tune("constant-q", [toy, weak], episodes=2)
+    assert isinstance(together.parameters["q_share"], float)
+
+    def share_of_none(q):
+        return np.mean([mean_cost(s, ConstantQ(q), 2) / mean_cost(s, NoControl(), 2) for s in (toy, weak)])
+
+    assert together.score == pytest.approx(share_of_none(together.parameters["q_share"]))
+    assert together.score <= min(share_of_none(q) for q in np.linspace(-1, 1, 21)) + 0.01
+    alone = tune("constant-q", [toy], episodes=2)
+    assert len(alone.parameters["q_share"]) == 3
+    assert alone.score <= mean_cost(toy, ConstantQ(together.parameters["q_share"]), 2)
+    # Sites that are drawn anew are alike beforehand.
+    drawn = tune("constant-q", [make_scenario("ieee123", split="validation", horizon=1)], episodes=1).parameters
+    assert len(drawn["q_share"]) == 12
+    assert len(set(drawn["q_share"][:5])) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("volt-var", ["toy6"], 2), "'volt-var' cannot be tuned; there are droop, droop-q"),
+        (("droop", [], 2), "0 scenarios and 2 episodes"),
+        (("droop", ["toy6"], 0), "1 scenarios and 0 episodes"),
+    ],
+)
+def test_what_cannot_be_tuned(arguments, message):
+    name, scenarios, episodes = arguments
+    with pytest.raises(ValueError, match=message):
+        tune(name, [make_scenario(s) for s in scenarios], episodes)
+
+
+def test_every_preset_ships_every_law():
+    assert set(SHIPPED["laws"]) == set(TUNABLE)
+    for law, of_scenario in SHIPPED["laws"].items():
+        assert set(of_scenario) == set(PRESETS), law
+        for name, record in of_scenario.items():
+            assert record["command"] == f"dcgrid tune --laws {law} --scenarios {name} --episodes {EPISODES}"
+
+
+@pytest.mark.parametrize("law", TUNABLE)
+@pytest.mark.parametrize("preset", ["toy6", "ieee33", "robust"])
+def test_what_ships_scores_here_as_it_did_when_found(law, preset):
+    scenario = make_scenario(preset, split="validation")
+    shipped = SHIPPED["laws"][law][preset]
+    assert mean_cost(scenario, make_controller(f"{law}-tuned", scenario), EPISODES) == pytest.approx(shipped["J"])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_tuning_did_no_harm(preset):
+    """On the episodes it was tuned on, a tuned law costs no more than as it stands."""
+    scenario = make_scenario(preset, split="validation")
+    untuned = mean_cost(scenario, CONTROLLERS["droop"][1](), EPISODES)
+    assert SHIPPED["laws"]["droop"][preset]["J"] <= untuned
+
+
+def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
+    own = make_scenario("toy6", name="mine")
+    with pytest.raises(
+        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
+    ):
+        make_controller("droop-tuned", own)
+    with pytest.raises(ValueError, match="'droop-tuned' is tuned for each scenario; say which"):
+        make_controller("droop-tuned")
+    with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
+        make_controller("pid-tuned", own)
+    assert isinstance(tuned_parameters("constant-q", make_scenario("ieee33")).parameters["q_share"], tuple)

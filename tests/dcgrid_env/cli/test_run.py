@@ -1,0 +1,179 @@
+"""The command line, as a user runs it."""
+
+import json
+import math
+import os
+
+import pytest
+
+from dcgrid_env import PRESETS, make_scenario, scenario_hash
+from dcgrid_env.baselines import CONTROLLERS, Droop
+from dcgrid_env.cli.main import main
+
+
+def run(tmp_path, *arguments):
+    main(["run", "--out", str(tmp_path), *arguments])
+    return json.loads((tmp_path / "results.json").read_text())
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
+    results = run(tmp_path, "--scenario", scenario, "--episodes", "2", "--seed", "3", "--controllers", "none, droop")
+    printed = capsys.readouterr().out
+    assert "mean |V-1|" in printed
+    assert "2 episodes" in printed
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert results["meta"]["versions"]["numpy"]
+    assert results["meta"]["machine"]["cores"] >= 1
+    keys = [(r["scenario"], r["controller"], r["episode"], r["seed"]) for r in results["episodes"]]
+    assert keys == [(scenario, c, i, 3 + i) for c in ("none", "droop") for i in range(2)]
+    for record in results["episodes"]:
+        numbers = {k: v for k, v in record.items() if k not in ("scenario", "controller")}
+        assert all(math.isfinite(v) for v in numbers.values())
+        assert record["J"] == pytest.approx(sum(v for k, v in record.items() if k.startswith("cost_")))
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_same_command_gives_the_same_records(tmp_path):
+    first = run(tmp_path / "a", "--episodes", "1", "--controllers", "droop")
+    again = run(tmp_path / "b", "--episodes", "1", "--controllers", "droop")
+    assert first["episodes"] == again["episodes"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "ieee124"], "unknown scenario 'ieee124'; there are toy6, ieee123, ieee33-weak"),
+        (["--controllers", "none,pid"], "unknown controller 'pid'; there are"),
+        (["--controllers", " , "], "name at least one"),
+        (["--episodes", "0"], "episodes is 0"),
+        (["--split", "exam"], "split is 'exam'; choose one of train, validation, test"),
+        (["--set", "horizn=3"], "horizn"),
+        (["--set", "horizon"], "set: 'horizon' is no field with its value"),
+        (["--set", "horizon=0"], "horizon is 0; give a whole number of at least 1"),
+        (
+            ["--set", "dvfs=prefill-decode", "--dvfs", "linear"],
+            "set: dvfs is an option of its own here; give --dvfs instead",
+        ),
+        (["--controllers", "droop-tuned", "--set", "v0_pu=1.0"], "differs in v0_pu; find its own with `dcgrid tune"),
+        (["--controllers", "droop-tuned", "--tuned", "none.json"], "tuned is 'none.json', which is no file"),
+        (["--controllers", "own.py:Law(", "--scenario", "toy6"], "opens a bracket and does not close it"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", *arguments)
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("dcgrid: ")
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("where", ["__init__(self)", "reset(self, env_info)", "act(self, observations)"])
+def test_a_controller_that_ends_the_program_does_not_end_it_as_if_all_were_well(where, tmp_path, capsys):
+    own = tmp_path / "own.py"
+    law = "class Exit:\n    def reset(self, env_info): ...\n    def act(self, observations): ...\n"
+    own.write_text(f"import sys\n{law}    def {where}:\n        sys.exit()\n")
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", "--episodes", "1", "--scenario", "toy6", "--controllers", f"none,{own}:Exit")
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"dcgrid: controller '{own}:Exit'")
+    assert "SystemExit" in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_list_shows_everything(capsys):
+    main(["list"])
+    printed = capsys.readouterr().out
+    for name in (*PRESETS, *CONTROLLERS, "khodr141", "inference", "training", "dcgrid/IEEE123-v0"):
+        assert name in printed
+
+
+def test_gains_beyond_the_bound_are_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.setitem(CONTROLLERS, "steep", ("too steep", lambda: Droop(k_p_mw_per_pu=20.0)))
+    run(tmp_path, "--episodes", "1", "--controllers", "droop,steep")
+    printed = capsys.readouterr().out
+    assert "steep: droop's gains are beyond the linear stability bound on ieee123" in printed
+    assert "\ndroop: " not in printed
+
+
+OWN = """
+import numpy as np
+from dcgrid_env import make_scenario
+
+print("imported")
+
+def make():
+    return make_scenario("toy6", name="[/]", horizon=10)
+
+class Law:
+    def __init__(self, q=0.0, mode="none"):
+        print("made with", q, mode)
+        self.q = q
+
+    def reset(self, env_info):
+        self.n = env_info.n_datacenters * 2 + env_info.n_inverters
+
+    def act(self, observations):
+        return np.full((len(observations), self.n), self.q)
+
+class Fails(Law):
+    def act(self, observations):
+        return {}["k"]
+"""
+
+
+def test_ones_own_scenario_with_overrides_and_arguments(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN)
+    out = tmp_path / "[/]"
+    specs = "own.py:Law(q=0.5, mode=fast),own.py:Law(0.25),none"
+    results = run(out, "--scenario", "own.py:make", "--set", "horizon=7", "load_sigma=0.1", "--controllers", specs)
+    printed = capsys.readouterr().out
+    assert printed.count("imported") == 1
+    assert "made with 0.5 fast" in printed
+    assert "made with 0.25 none" in printed
+    assert "[/], test split, 8 episodes of 7 s" in printed
+    assert list(dict.fromkeys(r["controller"] for r in results["episodes"])) == [
+        "own.py:Law(q=0.5, mode=fast)", "own.py:Law(0.25)", "none",
+    ]  # fmt: skip
+    expected = make_scenario("toy6", name="[/]", horizon=7, load_sigma=0.1, split="test")
+    assert results["meta"]["scenario_hash"] == scenario_hash(expected)
+    assert "'own.py:Law(q=0.5, mode=fast),own.py:Law(0.25),none'" in results["meta"]["command"] or "[" in str(out)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_a_termination_while_a_controller_acts_is_no_failure_of_the_controller(tmp_path, capsys):
+    own = tmp_path / "own.py"
+    terminated = "import signal; signal.raise_signal(signal.SIGTERM)"
+    own.write_text(OWN.replace('return {}["k"]', terminated))
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", "--scenario", "toy6", "--controllers", f"{own}:Fails", "--episodes", "1")
+    assert stopped.value.code == 143
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("where", [0, 1, 3])
+def test_a_controller_that_fails_is_one_line_and_whole_where_that_is_asked_for(where, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN.replace('print("imported")', ""))
+    arguments = ["run", "--scenario", "toy6", "--controllers", "own.py:Fails", "--episodes", "1"]
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error == (
+        "dcgrid: controller 'own.py:Fails' fails in act, own.py line 23: KeyError: 'k'; --traceback shows all of it\n"
+    )
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments[:where], "--traceback", *arguments[where:]])
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert 'return {}["k"]' in error
+    assert "Traceback (most recent call last):" in error
+    assert not (tmp_path / "results").exists()

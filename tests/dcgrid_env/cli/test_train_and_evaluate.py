@@ -1,0 +1,304 @@
+"""dcgrid train, evaluate, ship and the list of policies, as a user runs them."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import dcgrid_env.agents.policy.policy as policies
+from dcgrid_env import make_scenario, scenario_hash
+from dcgrid_env.agents import Network, Policy, evaluate, find
+from dcgrid_env.agents.training.config import Training
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.tuning.tuned import identity
+from dcgrid_env.cli import train
+from dcgrid_env.cli.main import main
+from dcgrid_env.cli.train import ALGORITHMS
+
+
+@dataclass(frozen=True)
+class Ppo(Training):
+    """Nothing more."""
+
+    gamma: float = 0.9
+    outputs: str = "setpoint"
+    nameplate: bool = False
+    wait: float = 10.0
+    log_std: float = -0.7
+    learning_rate: float = 3e-3
+    steps: int = 10
+
+
+@pytest.fixture
+def module(monkeypatch):
+    """A stand-in for an algorithm."""
+    made = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in.")
+    made.Ppo = Ppo  # type: ignore[attr-defined]
+    made.main = lambda cfg: seen.append(cfg)  # type: ignore[attr-defined]
+    made.seen = seen = []  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    return made
+
+
+def stopped(capsys, *arguments):
+    """Status and standard error of a command that ends with an error."""
+    with pytest.raises(SystemExit) as raised:
+        main(list(arguments))
+    return raised.value.code, capsys.readouterr().err
+
+
+def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
+    networks = {"datacenter": Network([(np.zeros((9, 2)), dc)]), "inverter": Network([(np.zeros((7, 1)), [inv])])}
+    return Policy(networks, scenario=scenario, made_with="dcgrid train ppo")
+
+
+def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys):
+    main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
+    assert module.seen == [Ppo.for_scenario("toy6", seed=3)]
+    assert "settings that ship for ppo on toy6: outputs droop, " in capsys.readouterr().out
+
+
+def test_bad_training_is_one_line(module, capsys):
+    from dcgrid_env.agents.training.run import TrainingError
+
+    code, said = stopped(capsys, "train", "dqn", "--seed", "3")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert said.startswith("dcgrid: unknown algorithm 'dqn'; there are ppo: ")
+    assert all(name in said for name in ALGORITHMS)
+
+    def diverges(cfg):
+        raise TrainingError("training diverged at step 7")
+
+    module.main = diverges
+    assert stopped(capsys, "train", "ppo") == (2, "dcgrid: training diverged at step 7\n")
+
+    def interrupted(cfg):
+        raise KeyboardInterrupt
+
+    module.main = interrupted
+    code, said = stopped(capsys, "train", "ppo")
+    assert (code, said) == (130, "dcgrid: interrupted; the same command with --resume goes on\n")
+    assert stopped(capsys, "train", "ppo", "--colour", "1")[0] == 2
+
+
+def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
+    for missing in ("torch", "stable_baselines3"):
+        with monkeypatch.context() as context:
+            context.setitem(sys.modules, missing, None)
+            for name in ("ppo", "sb3", "lanes", "training", "view"):
+                context.delitem(sys.modules, f"dcgrid_env.agents.{name}", raising=False)
+            code, said = stopped(capsys, "train", "ppo")
+        assert code == 2
+        assert missing in said
+        assert "in a clone of the repository: pip install -e '.[agents]'" in said
+
+
+def test_help_lists_the_algorithms_without_torch():
+    code = (
+        "import sys\nfrom dcgrid_env.cli.main import main\n"
+        "try:\n    main(['train', '--help'])\nexcept SystemExit:\n    pass\n"
+        "print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert all(f"{name}: " in done.stdout for name in ALGORITHMS)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_is_there_with_its_configuration(name):
+    algorithm = ALGORITHMS[name]
+    module = train.imported(algorithm)
+    settings = getattr(module, algorithm.config)()
+    assert {"scenario", "seed", "out", "device", "resume"} <= set(vars(settings))
+    assert callable(module.main)
+
+
+def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
+    path = policy(dc=(-0.9, 0.3)).save(tmp_path / "run" / "policy")
+    for named in (str(path), str(path.parent)):
+        main(["evaluate", named, "--episodes", "3"])
+        printed = " ".join(capsys.readouterr().out.split())
+        assert "toy6, test split, 3 episodes" in printed
+        assert "work waits longer than under the tuned droop: mean delay" in printed
+        assert "is above that of constant-q-tuned" in printed
+        test = make_scenario("toy6", split="test")
+        own, droop = (evaluate(c, test, range(3)) for c in (Policy.load(path), make_controller("droop-tuned", test)))
+        assert f"J {own.means['J']:.4f} {droop.means['J']:.4f}" in printed
+        assert f"score {own.score(droop).score.value:.3f} 0.000" in printed
+
+
+def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
+    path = policy().save(tmp_path / "mine")
+    main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert (
+        "no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves" in printed
+    )
+    assert "95 %" not in printed
+    assert "waits longer" not in printed
+
+
+def test_bad_evaluations_are_one_line(tmp_path, capsys):
+    path = str(policy(scenario="elsewhere").save(tmp_path / "mine"))
+    joint = Policy({"joint": Network([(np.zeros((23, 4)), [0.0] * 4)])}, scenario="toy6").save(tmp_path / "joint")
+    (tmp_path / "cut.safetensors").write_bytes(joint.read_bytes()[:-9])
+    for arguments, message in (
+        ([path], "is of no preset of its own; say on which --scenario"),
+        (["mpc"], "say on which --scenario"),
+        ([path, "--scenario", "ieee124"], "unknown scenario 'ieee124'"),
+        ([path, "--scenario", "toy6", "--episodes", "0"], "episodes is 0; give at least 1"),
+        ([path, "--scenario", "toy6", "--split", "exam"], "split is 'exam'"),
+        (
+            [str(joint), "--scenario", "ieee123"],
+            "takes 23 figures and gives 4, on ieee123 (5 data centres, 7 inverters",
+        ),
+        ([str(tmp_path / "cut.safetensors")], "not a policy file"),
+        (["pid", "--scenario", "toy6"], "unknown controller 'pid'"),
+    ):
+        code, said = stopped(capsys, "evaluate", *arguments)
+        assert code == 2
+        assert said.startswith("dcgrid: ")
+        assert message in said
+        assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, monkeypatch):
+    made = {"algorithm": "ppo", "seed": 0, "training_s": 1.0, "validation_J": 0.3}
+    policy().save(tmp_path / "run" / "policy", made)
+    main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
+    assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    for module, name, value in (
+        (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)), (find, "SHIPPED", ("toy6-ppo",)),
+        (find, "TRAINED", {"ppo": ("toy6",)}), (find, "NAMES", (*find.NAMES, "ppo")),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    main(["list"])
+    assert "ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    main(["evaluate", "toy6-ppo", "--episodes", "2"])
+    assert "toy6, test split, 2 episodes" in capsys.readouterr().out
+    run = ["--scenario", "toy6", "--controllers", "toy6-ppo,ppo", "--episodes", "2", "--out", str(tmp_path / "r")]
+    main(["run", *run])
+    bench = ["--scenarios", "toy6,ieee33", "--controllers", "ppo", "--episodes", "2", "--jobs", "1"]
+    main(["benchmark", *bench, "--out", str(tmp_path / "b")])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "ieee33, ppo: does not apply: controller 'ppo': none ships for 'ieee33', but for toy6" in printed
+
+
+def test_bad_shipping_is_one_line(tmp_path, capsys):
+    code, said = stopped(capsys, "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
+    assert (code, len(said.strip().splitlines())) == (2, 1)
+    assert "nowhere" in said
+    assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
+
+
+OWN = """
+from dcgrid_env import load_feeder, make_scenario
+
+def make():
+    weak = {"datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)}
+    return make_scenario("ieee33-weak", name="[/]", feeder=load_feeder("das69"), horizon=10, **weak)
+"""
+GAINS = {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": 1.0, "alpha_per_s": 0.3}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder with a scenario of the user's own and gains of a droop for it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
+    (tmp_path / "own.py").write_text(OWN)
+    entry = {"parameters": GAINS} | identity(ScenarioSpec("own.py:make").make("validation"))
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "tuned.json").write_text(json.dumps({"laws": {"droop": {"[/]": entry}}}))
+    return tmp_path
+
+
+def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, capsys):
+    command = ["evaluate", "none", "--scenario", "own.py:make", "--episodes", "2", "--jobs", "1"]
+    main(command)
+    printed = capsys.readouterr().out
+    assert "[/], test split, 2 episodes" in printed
+    said = (
+        r"no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves them, in "
+    )
+    assert re.search(said + r"about \S+ s to \S+ s \(one linear program took \S+ s, an episode takes 2 to 6", printed)
+    assert "constant-q-tuned is left out: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
+    assert "dcgrid tune --laws constant-q --scenarios own.py:make" in printed
+    assert "droop-tuned: gains of [/] from results/tuned.json" in printed
+    assert not (here / "results" / "hindsight").exists()
+    main([*command, "--hindsight"])
+    assert "\n score " in capsys.readouterr().out
+    (path,) = (here / "results" / "hindsight").iterdir()
+    assert [e["seed"] for e in json.loads(path.read_text())["episodes"]] == [0, 1]
+    # What is there is found again, and only what is missing is solved.
+    before = path.read_text()
+    main(command)
+    assert "\n score " in capsys.readouterr().out
+    assert path.read_text() == before
+    main([*command, "--hindsight", "--seed", "1"])
+    assert "[/], test split, 2 episodes, seeds from 1" in capsys.readouterr().out
+    assert [e["seed"] for e in json.loads(path.read_text())["episodes"]] == [0, 1, 2]
+
+
+def test_episodes_beyond_those_that_ship_are_solved(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["evaluate", "none", "--scenario", "toy6", "--seed", "98", "--episodes", "3", "--hindsight", "--jobs", "1"])
+    assert "\n score " in capsys.readouterr().out
+    kept = json.loads((tmp_path / "results" / "hindsight" / "toy6.json").read_text())
+    assert [e["seed"] for e in kept["episodes"]] == [100]
+
+
+def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, capsys):
+    folder = here / "results" / "hindsight"
+    folder.mkdir()
+    (folder / "toy6.json").write_text(json.dumps({"scenario_hash": "0" * 16, "episodes": []}))
+    command = ["evaluate", "none", "--scenario", "toy6", "--split", "validation", "--episodes", "2"]
+    code, said = stopped(capsys, *command, "--hindsight")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert "toy6.json is of another toy6; move it away" in said
+
+
+def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
+    main(["evaluate", "none", "--scenario", "toy6", "--set", "voltage_cost=l2", "--episodes", "2"])
+    assert "no score: hindsight minimises the l1 voltage cost only, not 'l2'" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("analytic", "--updates", "2", "--lanes", "4"),
+        ("ppo", "--steps", "240", "--lanes", "8", "--outputs", "droop", "--minibatches", "2"),
+    ],
+)
+def test_training_on_ones_own_scenario(options, here, capsys):
+    command = ["train", *options, "--scenario", "own.py:make", "--validation-episodes", "2", "--set", "load_sigma=0.1"]
+    main(command)
+    (folder,) = (here / "results" / "train").iterdir()
+    about = json.loads((folder / "config.json").read_text())
+    scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("validation")
+    assert (about["scenario"], about["set"]) == ("own.py:make", ["load_sigma=0.1"])
+    assert about["scenario_hashes"] == [scenario_hash(scenario)]
+    assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set load_sigma=0.1"
+    capsys.readouterr()
+    main(["evaluate", str(folder), "--episodes", "2"])
+    assert "[/], test split, 2 episodes" in capsys.readouterr().out
+    # Another content of the file is another scenario.
+    (here / "own.py").write_text(OWN.replace("horizon=10", "horizon=11"))
+    code, said = stopped(capsys, *command, "--resume")
+    assert code == 2
+    assert "scenario_hashes was" in said
+
+
+def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
+    for algorithm in ("ppo", "analytic"):
+        code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "v0_pu=1.0")
+        assert (code, len(said.splitlines())) == (2, 1)
+        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
+    assert not (here / "results" / "train").exists()

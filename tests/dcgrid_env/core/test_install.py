@@ -1,0 +1,38 @@
+"""Hints of how to install what is optional work: the package is on no registry, a clone is what everybody has."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from dcgrid_env.core.install import from_clone
+
+ROOT = Path(__file__).parents[3]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+
+def sources():
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for path in filter(None, listed.split("\0")):
+        if path.endswith((".py", ".md", ".toml", ".ipynb")) and path != Path(__file__).relative_to(ROOT).as_posix():
+            yield path, (ROOT / path).read_text()
+
+
+@pytest.mark.parametrize("extra", ["agents", "frameworks", "record", "bench", "video"])
+def test_the_hint_names_an_extra_that_there_is(extra):
+    assert extra in EXTRAS
+    assert from_clone(extra).endswith(f"pip install -e '.[{extra}]'")
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: git does not say which files there are")
+def test_no_hint_asks_a_registry_and_every_extra_named_is_there():
+    named = set()
+    for path, text in sources():
+        assert not re.search(r"pip install [^\n`]*dcgrid[-_]env", text), path
+        for extras in re.findall(r"pip install [^\n`]*?\.\[([\w,]+)\]", text):
+            named |= set(extras.split(","))
+        named |= set(re.findall(r"from_clone\(['\"](\w+)['\"]\)", text))
+    assert named <= set(EXTRAS)
+    assert {"agents", "test", "bench", "record", "frameworks", "video", "dev"} <= named

@@ -1,0 +1,48 @@
+"""Tasks over processes: results, deaths, errors, and what a process is started with."""
+
+import math
+import os
+import signal
+from multiprocessing import active_children
+
+import pytest
+
+from dcgrid_env.core.processes import THREADS, Died, each
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_task_has_its_result(jobs):
+    assert sorted(each(math.sqrt, [9.0, 16.0, 25.0], jobs)) == [(9.0, 3.0), (16.0, 4.0), (25.0, 5.0)]
+    assert list(each(math.sqrt, [], jobs)) == []
+
+
+def test_a_process_that_dies_costs_its_task_alone():
+    codes = dict(each(os._exit, [3, 4, 5], 2))
+    assert codes == {3: Died(3), 4: Died(4), 5: Died(5)}
+    assert not active_children()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_task_raises_is_raised_and_nothing_is_left_running(jobs):
+    with pytest.raises(ValueError, match=r"math domain|nonnegative"):
+        list(each(math.sqrt, [-1.0, 4.0, 9.0], jobs))
+    assert not active_children()
+
+
+def test_processes_have_one_thread_and_leave_no_trace_here():
+    before = dict(os.environ), signal.getsignal(signal.SIGINT)
+    assert dict(each(os.getenv, THREADS, 2)) == dict.fromkeys(THREADS, "1")
+    assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
+
+
+def test_ctrl_c_is_the_parents():
+    found = dict(each(signal.getsignal, [signal.SIGINT, signal.SIGTERM], 2))
+    assert found[signal.SIGINT] == signal.SIG_IGN
+
+
+def test_leaving_early_ends_the_processes():
+    results = each(math.sqrt, [float(i) for i in range(50)], 2)
+    next(results)
+    assert active_children()
+    results.close()  # pyright: ignore[reportAttributeAccessIssue]
+    assert not active_children()

@@ -1,0 +1,246 @@
+"""Every field of a scenario as plain data, through JSON and back."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from dcgrid_env import (
+    CostWeights,
+    Fault,
+    Feeder,
+    LinearDvfs,
+    PrefillDecodeDvfs,
+    Scenario,
+    ScenarioError,
+    load_feeder,
+    make_scenario,
+)
+from dcgrid_env.grid import FeederError
+from dcgrid_env.scenario.plain import to_plain
+from dcgrid_env.traces import PowerTrace, generate_inference
+
+FAULT = {"among": ["inverter", "dc_0"], "begin_s": [1.0, 2.0], "duration_s": [3.0, float("inf")]}
+PLAIN = {
+    "name": "mine",
+    "feeder": "das69",
+    "v0_pu": 1.02,
+    "capacitors": False,
+    "n_datacenters": 2,
+    "datacenter_buses": [10, 22, 32],
+    "p_rated_kw": [100.0, 200, 300.0],
+    "idle_share": 0.3,
+    "f_min_mhz": 300,
+    "f_max_mhz": 1400.0,
+    "s_rated_share": 1.2,
+    "q_max_share": 0.2,
+    "dvfs": {"law": "prefill-decode", "decode_clock_share": 0.03},
+    "boost_share": 1.1,
+    "inverter_buses": [4, 5],
+    "inverter_s_kva": [10.0, 20.0, 30.0, 40.0],
+    "inverter_trace": [0.5] * 121,
+    "faults": [{**FAULT, "duration_s": [3.0, 9.0]}, FAULT | {"duration_s": [float("inf")] * 2}],
+    "trace": "training",
+    "recording_split": "recording",
+    "trace_window": "together",
+    "site_correlation": 0.5,
+    "compute_share": 0.5,
+    "load_sigma": 0.1,
+    "load_rho": 0.5,
+    "voltage_noise_pu": 0.001,
+    "measurement_delay": 2,
+    "start_hour": 6.5,
+    "horizon": 60,
+    "dt_s": 2.0,
+    "power_flow": "lindistflow",
+    "split": "test",
+    "weights": {"backlog": 1, "loss": 0.5},
+    "band_pu": 0.03,
+    "voltage_cost": "l2",
+    "reward": "local",
+    "observe": "neighbours",
+    "preview": False,
+    "r_model_share": 0.9,
+    "x_model_share": 1.1,
+}
+"""A plain value of every field, other than that of ieee33-weak."""
+WITH = {
+    "n_datacenters": {"datacenter_buses": None},
+    "feeder": {"datacenter_buses": [27, 65, 35]},
+    "recording_split": {},
+}
+"""What a field's value needs besides."""
+
+
+def test_every_field_has_its_plain_value_here():
+    assert set(PLAIN) == {field.name for field in dataclasses.fields(Scenario)}
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_a_field_goes_through_json_and_back(name):
+    overrides = {name: PLAIN[name], **WITH.get(name, {})}
+    scenario = make_scenario("ieee33-weak", **overrides)
+    assert scenario.difference(make_scenario("ieee33-weak")) is not None
+    assert scenario.difference(make_scenario("ieee33-weak", **json.loads(json.dumps(overrides)))) is None
+    again = json.loads(json.dumps({key: to_plain(getattr(scenario, key)) for key in overrides}))
+    assert scenario.difference(make_scenario("ieee33-weak", **again)) is None
+
+
+@pytest.mark.parametrize("name", [name for name in PLAIN if name != "reward"])  # which pays each agent alone
+def test_a_field_goes_through_the_spec_of_an_environment(name):
+    overrides = {name: PLAIN[name], **WITH.get(name, {})}
+    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", **overrides)
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
+    env.close()
+    again.close()
+
+
+def test_objects_go_through_the_spec_of_an_environment_too():
+    fault = Fault(("dc_0",), (1.0, 2.0))
+    objects = {
+        "weights": CostWeights(backlog=1),
+        "faults": (fault,),
+        "dvfs": PrefillDecodeDvfs(),
+        "feeder": load_feeder("ieee33"),
+    }
+    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", max_episode_steps=30, p_rated_kw=np.float64(900.0), **objects)
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
+    assert again.unwrapped.scenario.faults == (fault,)
+    assert again.unwrapped.scenario.horizon == 30
+    batch: Any = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, **objects)
+    assert batch.spec.kwargs["dvfs"]["law"] == "prefill-decode"
+    assert batch.spec.kwargs["weights"]["backlog"] == 1
+    for made in (env, again, batch):
+        made.close()
+
+
+def test_weights_that_a_mapping_leaves_out_keep_their_value():
+    assert make_scenario("training", weights={"backlog": 1}).weights == CostWeights(backlog=1, leftover=90.0)
+    assert make_scenario("ieee33").replace(weights={"loss": 2.0}).weights == CostWeights(loss=2.0)
+    with pytest.raises(ScenarioError, match=r"there is no weight 'volts'; there are voltage, .* loss"):
+        make_scenario("ieee33", weights={"volts": 1})
+    with pytest.raises(ScenarioError, match=r"weights.backlog is 'dear'; give a finite number"):
+        make_scenario("ieee33", weights={"backlog": "dear"})
+    with pytest.raises(ScenarioError, match=r"weights is \(1.0, 2.0\); give CostWeights"):
+        make_scenario("ieee33", weights=[1.0, 2.0])
+
+
+def test_clock_laws_by_name():
+    assert make_scenario("ieee33", dvfs="prefill-decode").dvfs == PrefillDecodeDvfs()
+    assert make_scenario("ieee33", dvfs="linear").dvfs == LinearDvfs()
+    assert make_scenario("ieee33", dvfs={"law": "linear"}).dvfs == LinearDvfs()
+    assert to_plain(LinearDvfs()) == "linear"
+    with pytest.raises(ScenarioError, match=r"dvfs is \{'law': 'fast'\}; give 'linear', 'prefill-decode'"):
+        make_scenario("ieee33", dvfs={"law": "fast"})
+    with pytest.raises(ScenarioError, match="'prefill-decode' has no parameter 'share'; there are decode_clock_share"):
+        make_scenario("ieee33", dvfs={"law": "prefill-decode", "share": 1})
+    with pytest.raises(ScenarioError, match="decode_clock_share is 2; give a share"):
+        make_scenario("ieee33", dvfs={"law": "prefill-decode", "decode_clock_share": 2})
+
+
+def test_faults_as_mappings():
+    one = make_scenario("ieee33", faults={"among": ["dc_1"], "begin_s": [1, 2]})
+    assert one.faults == (Fault(("dc_1",), (1, 2)),)
+    for fault, message in (
+        ({"among": ["dc_1"]}, r"faults\[0\]: 'begin_s' is missing"),
+        ({"among": ["dc_1"], "begin": [1, 2]}, r"faults\[0\]: 'begin' is no key; give among, begin_s, duration_s"),
+        ({"among": ["dc_1"], "begin_s": 3}, r"faults\[0\]: fault: begin_s is 3; give a pair of numbers"),
+        ({"among": ["dc_1"], "begin_s": [2, 1]}, r"faults\[0\]: fault: begin_s is \(2, 1\)"),
+        ({"among": "dc_1", "begin_s": [1, 2]}, r"faults\[0\]: fault: among is 'dc_1'"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            make_scenario("ieee33", faults=[fault])
+
+
+def test_recordings_and_feeders_by_path(tmp_path):
+    trace = generate_inference(700.0, 3)
+    path = tmp_path / "site.csv"
+    rows = zip(trace.time_s.tolist(), (1e3 * trace.power_kw).tolist(), strict=True)
+    path.write_text("time_s,site_w\n" + "".join(f"{t},{w}\n" for t, w in rows))
+    wanted = PowerTrace.from_csv(path)
+    for given in (str(path), path, [str(path)], (str(path),)):
+        scenario = make_scenario("ieee33-weak", trace=given)
+        assert isinstance(scenario.trace, tuple)
+        np.testing.assert_array_equal(scenario.trace[0].power_kw, wanted.power_kw)
+    sun = make_scenario("ieee33-weak", inverter_trace=str(path)).inverter_trace
+    assert isinstance(sun, PowerTrace)
+    with pytest.raises(ScenarioError, match=r"trace is '.*none.csv'"):
+        make_scenario("ieee33-weak", trace=[str(tmp_path / "none.csv")])
+    with pytest.raises(ScenarioError, match=r"trace is 'none\.csv'; choose one of inference"):
+        make_scenario("ieee33-weak", trace="none.csv")
+    cases = Path(__file__).parents[2] / "cases" / "ieee33"
+    if (cases / "feeder.toml").exists():
+        assert isinstance(make_scenario("ieee33-weak", feeder=str(cases)).feeder, Feeder)
+
+
+def test_a_file_that_has_changed_is_read_again(tmp_path):
+    path = tmp_path / "site.csv"
+    scenarios = []
+    for watts in (100, 200, 300):
+        path.write_text("time_s,site_w\n" + "".join(f"{t},{watts + t % 2}\n" for t in range(900)))
+        given = str(path) if watts == 100 else (str(path),)
+        scenarios.append(make_scenario("ieee33-weak", trace=given))
+    assert [s.trace[0].power_kw[0] for s in scenarios] == [0.1, 0.2, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        ({"horizon": 5}, {"horizon": 5.0}),
+        ({"horizon": 1}, {"horizon": True}),
+        ({"preview": True}, {"preview": 1}),
+        ({"measurement_delay": 1}, {"measurement_delay": True}),
+        ({"v0_pu": 1}, {"v0_pu": True}),
+        ({"p_rated_kw": (1, 1.0, 1)}, {"p_rated_kw": (True, 1.0, 1)}),
+        ({"weights": {"backlog": 1}}, {"weights": {"backlog": True}}),
+    ],
+)
+def test_what_is_refused_does_not_depend_on_what_was_made_before(good, bad):
+    made = make_scenario("ieee33-weak", **good)
+    with pytest.raises(ScenarioError):
+        make_scenario("ieee33-weak", **bad)
+    assert make_scenario("ieee33-weak", **good) is made
+
+
+def test_an_hour_that_there_is_not():
+    for hour in (24, -1, "noon", True, float("nan")):
+        with pytest.raises(ScenarioError, match=r"start_hour is .*; give an hour from 0 to less than 24, 'random', or"):
+            make_scenario("ieee33", start_hour=hour)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"name": None}, "name is None; give a text that is not empty"),
+        ({"name": ""}, "name is ''; give a text"),
+        ({"horizon": 10**12}, "horizon is 1000000000000; give a whole number of at least 1 and at most 100,000,000"),
+        ({"measurement_delay": 10**20}, "measurement_delay is .*; give a whole number of at least 0 and at most"),
+        ({"p_rated_kw": 10**400}, "p_rated_kw is 1000.*; give one positive number of at most"),
+        ({"f_max_mhz": 10**400}, "f_max_mhz is 1000.*; give a finite number"),
+        ({"inverter_buses": [[1]]}, r"bus \[1\] is no number or text"),
+        ({"inverter_buses": [7.0, 14]}, r"bus 7\.0 is no number or text"),
+        ({"dvfs": {"law": ["x"]}}, "dvfs is .*; give 'linear'"),
+        ({"dvfs": PrefillDecodeDvfs}, "dvfs is .*; give 'linear'"),
+        ({"trace": "x" * 5000}, "trace is .*; choose one of inference"),
+        ({"feeder": "x" * 5000}, "unknown feeder"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_nonsense_is_one_clear_error(override, message):
+    with pytest.raises((ScenarioError, FeederError), match=message):
+        make_scenario("ieee33-weak", **override)
+
+
+def test_arrays_without_dimension_and_durations_of_null_are_taken():
+    assert make_scenario("ieee33-weak", horizon=np.array(3)).horizon == 3
+    fault = Fault(("dc_0",), (0, 1))
+    given = {"among": ["dc_0"], "begin_s": np.array([0, 1]), "duration_s": None}
+    assert make_scenario("ieee33-weak", faults=[given]).faults == (fault,)
+    assert to_plain(fault) == {"among": ["dc_0"], "begin_s": [0, 1]}

@@ -1,0 +1,213 @@
+"""The named scenarios: every constant of the design's table."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dcgrid_env import (
+    IDS,
+    PRESETS,
+    CostWeights,
+    Fault,
+    FeederError,
+    Scenario,
+    ScenarioError,
+    field_names,
+    forecast,
+    load_feeder,
+    make_scenario,
+)
+from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.engine.simulation import Simulation
+
+WEAK, ENDS = (7, 14, 20, 30), (18, 33, 25, 22)
+I33 = (3, 7, 14, 20, 24, 30)
+I123 = (2, 11, 40, 54, 87, 92, 103)
+
+# name: feeder, v0, sites, rating, s, buses, inverters, kvar each, trace, sigma, horizon
+TABLE = {
+    "toy6": ("toy6", 1.0, 1, 2500.0, 1.1, (4,), (3, 5), 1000.0, "step", 0.02, 100),
+    "ieee123": ("ieee123", 1.04375, 5, 280.0, 1.1, None, I123, 50.0, "inference", 0.05, 120),
+    "ieee33-weak": ("ieee33", 1.05, 3, 1000.0, 1.02, (18, 33, 25), WEAK, 100.0, "inference", 0.05, 120),
+    "ieee33": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 500.0, "inference", 0.05, 120),
+    "das69": (
+        "das69", 1.05, 4, 1000.0, 1.02, (27, 65, 35, 69), (5, 12, 21, 40, 50, 61), 500.0, "inference", 0.05, 120,
+    ),
+    "khodr141": (
+        "khodr141", 1.05, 4, 2500.0, 1.02, (141, 32, 52, 87), (10, 40, 60, 75, 100, 120), 600.0, "inference", 0.05, 120,
+    ),
+    "bursty": ("ieee33", 1.05, 3, 1000.0, 1.02, (18, 33, 25), WEAK, 100.0, "code", 0.05, 120),
+    "sync": ("ieee33", 1.05, 4, 1000.0, 1.02, ENDS, I33, 300.0, "inference", 0.05, 120),
+    "training": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 200),
+    "mixed": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 1500.0, "mixed", 0.05, 120),
+    "fault": ("ieee123", 1.04375, 5, 280.0, 1.1, None, I123, 150.0, "inference", 0.05, 120),
+    "robust": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 500.0, "inference", 0.05, 120),
+    "scale-32": (
+        "khodr141", 1.05, 32, 500.0, 1.02, None, (10, 32, 40, 52, 60, 75, 100, 120), 600.0, "inference", 0.05, 60,
+    ),
+}  # fmt: skip
+# What a preset has beyond that; all else is the same in all.
+BEYOND = {
+    "toy6": {"trace_window": "start"},
+    "sync": {"site_correlation": 1.0},
+    "training": {"dt_s": 0.1, "weights": CostWeights(leftover=90.0)},
+    "mixed": {"inverter_trace": "pv"},
+    "fault": {
+        "faults": (
+            Fault(("inverter", "capacitor"), (10.0, 60.0)),
+            Fault(("datacenter",), (10.0, 60.0), (20.0, 40.0)),
+        )
+    },
+    "robust": {
+        "voltage_noise_pu": 0.005,
+        "measurement_delay": 2,
+        "preview": False,
+        "r_model_share": 0.8,
+        "x_model_share": 1.2,
+    },
+}
+COMMON = {
+    "capacitors": True, "idle_share": 0.23, "f_min_mhz": 210.0, "f_max_mhz": 1410.0, "q_max_share": 0.33,
+    "boost_share": 1.0, "trace_window": "random", "site_correlation": 0.0, "inverter_trace": None, "faults": (),
+    "load_rho": 0.9, "voltage_noise_pu": 0.0, "measurement_delay": 0, "dt_s": 1.0, "power_flow": "distflow",
+    "split": "train", "weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "band_pu": 0.05,
+    "voltage_cost": "l1", "reward": "shared", "observe": "local", "preview": True, "r_model_share": 1.0,
+    "x_model_share": 1.0,
+}  # fmt: skip
+
+
+def test_every_preset_is_in_the_table():
+    assert set(PRESETS) == set(TABLE)
+    assert all(PRESETS.values())
+    assert set(IDS.values()) == set(PRESETS)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_constants_of_a_preset(name):
+    feeder, v0, n, rating, s_share, buses, inverters, kvar, trace, sigma, horizon = TABLE[name]
+    s = make_scenario(name)
+    assert s.name == name
+    assert s.feeder is load_feeder(feeder)
+    assert s.v0_pu == v0
+    assert (s.n_datacenters, s.p_rated_kw, s.datacenter_buses) == (n, rating, buses)
+    assert (s.inverter_buses, s.inverter_s_kva) == (inverters, kvar)
+    assert (s.trace, s.load_sigma, s.horizon) == (trace, sigma, horizon)
+    for field, value in (COMMON | BEYOND.get(name, {})).items():
+        assert getattr(s, field) == value, field
+    # What follows from them, in kW and kvar.
+    np.testing.assert_allclose(s.datacenter.p_rated_kw, [rating] * n)
+    np.testing.assert_allclose(s.datacenter.p_idle_kw, [0.23 * rating] * n)
+    np.testing.assert_allclose(s.datacenter.s_rated_kva, [s_share * rating] * n)
+    np.testing.assert_allclose(s.datacenter.q_max_kvar, [0.33 * rating] * n)
+    np.testing.assert_allclose(s.inverter.s_rated_kva, [kvar] * len(inverters))
+
+
+def test_in_sync_all_sites_draw_alike_and_with_pv_more_load_helps_at_noon():
+    known = forecast(make_scenario("sync", split="test"), 0)
+    np.testing.assert_array_equal(known.p_ref_kw, known.p_ref_kw[:, :1] * np.ones(4))
+    # Under PV the mean voltage is above 1 p.u., and a site's load brings it nearer.
+    calm = make_scenario("mixed", split="test")
+    apart = [
+        rollout(scenario, NoControl(), range(20)).costs().mean()
+        for scenario in (calm, calm.replace(p_rated_kw=400.0), calm.replace(inverter_trace=None))
+    ]
+    assert apart[0] < apart[1]  # a third less load, a higher cost
+    assert apart[2] < apart[0]  # without PV there is less to do
+
+
+def test_what_controllers_know_of_a_robust_feeder_is_wrong():
+    s = make_scenario("robust")
+    np.testing.assert_allclose(s.model.r_ohm, 0.8 * s.feeder.r_ohm)
+    np.testing.assert_allclose(s.model.x_ohm, 1.2 * s.feeder.x_ohm)
+    assert make_scenario("ieee33").model is s.feeder
+    true, believed = (make_scenario(name) for name in ("ieee33", "robust"))
+    one, two = (Simulation(x, 1).reset([0]).observation[0] for x in (true, believed))
+    at = [i for i, name in enumerate(field_names(true)["dc_0"]) if name in ("r", "x")]
+    np.testing.assert_allclose(two[at], one[at] * [0.8, 1.2], rtol=1e-6)
+
+
+def test_ieee123_is_regulated_and_compensated():
+    s = make_scenario("ieee123")
+    assert s.v0_pu == 1.0 + 7 * 0.00625  # tap +7 of a regulator of 32 steps over 10 %
+    assert s.feeder.capacitor_kvar.sum() > 0
+    assert s.feeder.n_bus == 123
+    # 1 to 5 sites by option.
+    for n in range(1, 6):
+        assert make_scenario("ieee123", n_datacenters=n).n_agents == n + 7
+
+
+def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep_it():
+    # Voltages under full sites: no control, all the reactive power there is, and the lowest clocks with it.
+    from dcgrid_env.engine import dynamics, episode
+
+    s = make_scenario("ieee33-weak", load_sigma=0.0)
+    zero = np.zeros(1, np.uint64)
+    drawn = episode.draw(s, zero, zero)
+    outside, _ = episode.exogenous(s, drawn, np.zeros(1, int), np.zeros((1, 33)), np.full((1, 3), 1000.0))
+    start, solution = dynamics.initial_state(s, outside)
+    assert solution.converged.all()
+    lowest = {
+        name: float(dynamics.step(s, start, np.array([[clock, q] * 3 + [q] * 4]), outside)[0].v_pu.min())
+        for name, clock, q in (("nothing", 1.0, 0.0), ("reactive", 1.0, 1.0), ("both", -1.0, 1.0))
+    }
+    assert lowest["nothing"] < lowest["reactive"] < 0.95 < lowest["both"]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_every_preset_and_split_plays(name, split):
+    simulation = Simulation(make_scenario(name, split=split, horizon=3), 2)
+    simulation.reset([0, 1])
+    n = 2 * simulation.scenario.n_datacenters + simulation.scenario.n_inverters
+    transition = [simulation.step(np.zeros((2, n))) for _ in range(3)][-1]
+    assert transition.truncated.all()
+    assert np.isfinite(transition.reward).all()
+
+
+def test_overrides_reach_the_scenario_and_leave_the_preset():
+    s = make_scenario("toy6", horizon=5, feeder="ieee33", datacenter_buses=(18,), inverter_buses=(7, 14), v0_pu=1.05)
+    assert s.horizon == 5
+    assert s.feeder is load_feeder("ieee33")
+    assert make_scenario("toy6").horizon == 100
+    assert make_scenario("toy6").feeder.name == "toy6"
+
+
+def test_a_scenario_is_taken_as_it_is():
+    s = make_scenario("toy6")
+    assert make_scenario(s) is s
+    assert make_scenario(s, horizon=9).horizon == 9
+    assert make_scenario(s, horizon=9).name == "toy6"
+
+
+@pytest.mark.parametrize("name", ["ieee321", "", "IEEE123"])
+def test_an_unknown_scenario_lists_those_there_are(name):
+    with pytest.raises(
+        ScenarioError, match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32$"
+    ):
+        make_scenario(name)
+
+
+def test_what_is_no_scenario_is_refused():
+    wrong: object = {"name": "toy6"}
+    with pytest.raises(ScenarioError, match=r"scenario is \{'name': 'toy6'\}; give a name \(toy6.*or a Scenario"):
+        make_scenario(wrong)  # type: ignore[arg-type]
+
+
+def test_an_unknown_override_lists_those_there_are():
+    with pytest.raises(TypeError, match=r"'ieee123' got an unexpected keyword argument 'n_data_centers'.*horizon"):
+        make_scenario("ieee123", n_data_centers=3)
+
+
+def test_an_unknown_feeder_lists_those_there_are():
+    with pytest.raises(FeederError, match=r"'ieee34'.*toy6.*ieee33"):
+        make_scenario("toy6", feeder="ieee34")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_made_anew_but_alike(name):
+    one, two = make_scenario(name), make_scenario(name)
+    assert isinstance(one, Scenario)
+    assert one.feeder is two.feeder
+    assert one.agents == two.agents
+    assert math.isfinite(one.v0_pu)

@@ -1,0 +1,364 @@
+"""A scenario: its derived figures, and every refusal with the field, the value and what would do."""
+
+import copy
+import dataclasses
+import pickle
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dcgrid_env import (
+    CostWeights,
+    Feeder,
+    LinearDvfs,
+    PrefillDecodeDvfs,
+    Scenario,
+    ScenarioError,
+    load_feeder,
+    make_scenario,
+)
+from dcgrid_env.engine.simulation import Simulation
+from dcgrid_env.grid import FeederError
+
+
+def scenario_of_ones_own(**changes: Any) -> Scenario:
+    fields: dict[str, Any] = {
+        "name": "mine",
+        "feeder": load_feeder("toy6"),
+        "v0_pu": 1.02,
+        "n_datacenters": 2,
+        "p_rated_kw": (300.0, 100.0),
+        "s_rated_share": 1.1,
+        "q_max_share": 0.5,
+        "inverter_buses": (3,),
+        "inverter_s_kva": 50.0,
+        **changes,
+    }
+    return Scenario(**fields)
+
+
+# --- what follows from the fields ------------------------------------------------------------------
+
+
+def test_defaults_are_the_designs():
+    s = scenario_of_ones_own()
+    assert (s.idle_share, s.f_min_mhz, s.f_max_mhz) == (0.23, 210.0, 1410.0)
+    assert (s.horizon, s.dt_s, s.split, s.power_flow) == (120, 1.0, "train", "distflow")
+    assert (s.load_sigma, s.load_rho, s.band_pu) == (0.05, 0.9, 0.05)
+    assert (s.voltage_cost, s.reward, s.observe, s.preview) == ("l1", "shared", "local", True)
+    assert (s.voltage_noise_pu, s.measurement_delay, s.capacitors) == (0.0, 0, True)
+    assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0)
+    assert s.weights._fields == ("voltage", "violation", "backlog", "effort", "leftover", "clock", "step", "loss")
+    assert isinstance(s.dvfs, LinearDvfs)
+    assert s.work_classes == 1
+    assert (s.boost_share, s.site_correlation, s.compute_share, s.recording_split) == (1.0, 0.0, 1.0, "time")
+    assert s.datacenter_buses is None
+    assert s.inverter_trace is None
+
+
+def test_ratings_of_the_devices():
+    s = scenario_of_ones_own(inverter_buses=(3, 1), inverter_s_kva=(50.0, 80.0), idle_share=0.2, f_min_mhz=300.0)
+    dc = s.datacenter
+    np.testing.assert_allclose(dc.p_rated_kw, [300.0, 100.0])
+    np.testing.assert_allclose(dc.p_idle_kw, [60.0, 20.0])
+    np.testing.assert_allclose(dc.p_dynamic_kw, [240.0, 80.0])
+    np.testing.assert_allclose(dc.f_min_mhz, [300.0, 300.0])
+    np.testing.assert_allclose(dc.f_max_mhz, [1410.0, 1410.0])
+    np.testing.assert_allclose(dc.s_rated_kva, [330.0, 110.0])
+    np.testing.assert_allclose(dc.q_max_kvar, [150.0, 50.0])
+    np.testing.assert_allclose(s.inverter.s_rated_kva, [50.0, 80.0])
+    np.testing.assert_allclose(scenario_of_ones_own(p_rated_kw=70.0).datacenter.p_rated_kw, [70.0, 70.0])
+
+
+def test_agents_are_slots():
+    s = scenario_of_ones_own(inverter_buses=(3, 1), inverter_s_kva=50.0)
+    assert s.agents == ("dc_0", "dc_1", "inv_0", "inv_1")
+    assert (s.n_agents, s.n_datacenters, s.n_inverters) == (4, 2, 2)
+    assert scenario_of_ones_own(inverter_buses=()).agents == ("dc_0", "dc_1")
+    assert scenario_of_ones_own(n_datacenters=0, p_rated_kw=1.0).agents == ("inv_0",)
+
+
+def test_candidates_are_load_buses_without_a_device():
+    # toy6 has load at 2, 3 and 5; the substation and the buses without load are out.
+    assert scenario_of_ones_own().candidates.tolist() == [2, 5]
+    assert scenario_of_ones_own(inverter_buses=(), n_datacenters=3, p_rated_kw=1.0).candidates.tolist() == [2, 3, 5]
+
+
+def test_a_load_at_the_substation_makes_it_no_candidate():
+    feeder = Feeder.from_tables(
+        name="three", base_kv=1.0, substation="s", v0_pu=1.0, bus_ids=["a", "s", "b"], p_load_kw=[10.0, 10.0, 10.0],
+        q_load_kvar=[0.0, 0.0, 0.0], from_bus=["s", "a"], to_bus=["a", "b"], r_ohm=[0.01, 0.01], x_ohm=[0.01, 0.01],
+    )  # fmt: skip
+    s = scenario_of_ones_own(feeder=feeder, inverter_buses=("b",), n_datacenters=1, p_rated_kw=5.0)
+    assert [feeder.bus_ids[i] for i in s.candidates] == ["a"]
+
+
+def test_a_scenario_is_frozen():
+    s = scenario_of_ones_own()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(s, "horizon", 5)  # noqa: B010  (the type checker refuses the assignment)
+
+
+def test_replace_makes_another_and_checks_it():
+    s = scenario_of_ones_own()
+    other = s.replace(horizon=7, band_pu=0.03)
+    assert (other.horizon, other.band_pu, other.name) == (7, 0.03, "mine")
+    assert (s.horizon, s.band_pu) == (120, 0.05)
+    assert other.feeder is s.feeder
+    with pytest.raises(ScenarioError, match="horizon is 0"):
+        s.replace(horizon=0)
+
+
+def test_an_unknown_field_lists_those_there_are():
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'horizont'") as caught:
+        scenario_of_ones_own().replace(horizont=7)
+    message = str(caught.value)
+    assert "'mine'" in message
+    assert "'horizont'" in message
+    for field in dataclasses.fields(Scenario):
+        assert field.name in message
+
+
+def test_a_copy_is_the_scenario_itself():
+    s = scenario_of_ones_own()
+    assert copy.deepcopy(s) is s
+    assert copy.deepcopy({"inside": [s]})["inside"][0] is s
+
+
+@pytest.mark.parametrize("used", [False, True])
+def test_pickle_round_trip(used):
+    s = make_scenario("ieee33-weak", horizon=4)
+    if used:  # with everything that is remembered along the way
+        assert s.datacenter
+        assert s.inverter
+        assert s.agents
+        assert len(s.candidates)
+    other = pickle.loads(pickle.dumps(s))
+    for field in dataclasses.fields(Scenario):
+        if field.name != "feeder":
+            assert getattr(other, field.name) == getattr(s, field.name)
+    assert other.feeder.bus_ids == s.feeder.bus_ids
+    np.testing.assert_array_equal(other.feeder.r_ohm, s.feeder.r_ohm)
+    np.testing.assert_array_equal(other.candidates, s.candidates)
+    course = []
+    for scenario in (s, other):
+        simulation = Simulation(scenario, 2)
+        simulation.reset([3, 4])
+        course.append(simulation.step(np.full((2, 10), 0.3)))
+    np.testing.assert_array_equal(course[0].observation, course[1].observation)
+    np.testing.assert_array_equal(course[0].reward, course[1].reward)
+
+
+# --- refusals --------------------------------------------------------------------------------------
+
+RANGES = {
+    # field: values that will not do, and the range that the message must name
+    "v0_pu": ((0.4, 1.6, -1.0, "1"), "0.5, 1.5"),
+    "idle_share": ((-0.01, 1.0), "0, 0.99"),
+    "s_rated_share": ((0.99, float("inf"), None), "1, inf"),
+    "q_max_share": ((-0.1, 1.11), "0, s_rated_share = 1.1"),
+    "f_min_mhz": ((0.0, -1.0, 1411.0), "1e-09, f_max_mhz = 1410"),
+    "f_max_mhz": ((float("inf"),), "1e-09, inf"),
+    "boost_share": ((0.99, 2.1, None), "1, 2"),
+    "site_correlation": ((-0.1, 1.1), "0, 1"),
+    "compute_share": ((-0.1, 1.1, True), "0, 1"),
+    "load_sigma": ((-0.01, 0.31), "0, 0.3"),
+    "load_rho": ((-0.1, 1.5), "0, 0.999999"),
+    "voltage_noise_pu": ((-0.001, 2.0), "0, 1"),
+    "dt_s": ((0.0, -1.0, 1e-4, 3601.0), "0.001, 3600"),
+    "band_pu": ((-0.05, 1.5), "0, 1"),
+}
+OUT_OF_RANGE = [(field, value, text) for field, (values, text) in RANGES.items() for value in values]
+
+
+@pytest.mark.parametrize(("field", "value", "text"), OUT_OF_RANGE)
+def test_a_number_out_of_range_is_refused(field, value, text):
+    wanted = f"scenario 'mine': {field} is {value!r}; give a finite number in [{text}]"
+    with pytest.raises(ScenarioError, match=f"^{re.escape(wanted)}$"):
+        scenario_of_ones_own(**{field: value})
+
+
+@pytest.mark.parametrize("field", sorted(set(RANGES) - {"f_max_mhz"}))
+def test_not_a_number_is_refused(field):
+    with pytest.raises(ScenarioError, match=f"'mine': {field} is nan; give a finite number"):
+        scenario_of_ones_own(**{field: float("nan")})
+
+
+def test_a_load_that_never_changes_is_refused():
+    with pytest.raises(ScenarioError, match=r"'mine': load_rho is 1\.0; give a finite number"):
+        scenario_of_ones_own(load_rho=1.0)  # the noise would have no stationary state of its own
+
+
+@pytest.mark.parametrize("field", ["v0_pu", "load_sigma", "dt_s", "band_pu", "idle_share"])
+def test_the_ends_of_a_range_will_do(field):
+    ends = {
+        "v0_pu": (0.5, 1.5),
+        "load_sigma": (0, 0.3),
+        "dt_s": (1e-3, 3600),
+        "band_pu": (0, 1),
+        "idle_share": (0, 0.99),
+    }
+    for value in ends[field]:
+        assert getattr(scenario_of_ones_own(**{field: value}), field) == value
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "low"),
+    [
+        ("n_datacenters", -1, 0), ("n_datacenters", 1.5, 0), ("n_datacenters", "2", 0), ("n_datacenters", True, 0),
+        ("horizon", 0, 1), ("horizon", 120.0, 1), ("horizon", None, 1), ("horizon", True, 1),
+        ("measurement_delay", -1, 0), ("measurement_delay", 0.5, 0),
+    ],
+)  # fmt: skip
+def test_what_is_no_count_is_refused(field, value, low):
+    wanted = rf"scenario 'mine': {field} is {value!r}; give a whole number of at least {low}"
+    with pytest.raises(ScenarioError, match=wanted):
+        scenario_of_ones_own(**{field: value})
+
+
+def test_a_numpy_integer_is_a_count():
+    assert scenario_of_ones_own(horizon=np.int64(5)).horizon == 5
+
+
+@pytest.mark.parametrize(
+    ("field", "choices"),
+    [
+        ("power_flow", ["distflow", "lindistflow"]),
+        ("voltage_cost", ["l1", "l2", "bowl", "courant_beltrami", "bump"]),
+        ("reward", ["shared", "local"]),
+        ("observe", ["local", "neighbours", "feeder"]),
+        ("trace_window", ["random", "start", "together"]),
+        ("recording_split", ["time", "recording"]),
+        ("split", ["train", "validation", "test", "ood"]),
+    ],
+)
+def test_an_unknown_choice_lists_those_there_are(field, choices):
+    for choice in choices:
+        assert getattr(scenario_of_ones_own(**{field: choice}), field) == choice
+    for value in ("other", None, 1):
+        wanted = rf"scenario 'mine': {field} is {value!r}; choose one of {', '.join(choices)}$"
+        with pytest.raises(ScenarioError, match=wanted):
+            scenario_of_ones_own(**{field: value})
+
+
+@pytest.mark.parametrize("field", CostWeights._fields)
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf"), None, "1"])
+def test_a_weight_that_cannot_be_is_refused(field, value):
+    with pytest.raises(ScenarioError, match=rf"'mine': weights\.{field} is {value!r}; give a finite number >= 0"):
+        scenario_of_ones_own(weights=CostWeights()._replace(**{field: value}))
+
+
+@pytest.mark.parametrize("field", ["p_rated_kw", "inverter_s_kva"])
+@pytest.mark.parametrize("value", [0.0, -5.0, float("nan"), float("inf"), (), (1.0, 2.0, 3.0), (1.0, 0.0), (1.0, -2.0)])
+def test_ratings_that_cannot_be_are_refused(field, value):
+    with pytest.raises(
+        ScenarioError,
+        match=rf"'mine': {field} is .*; give one positive number of at most 1e\+09, or one for each of",
+    ):
+        scenario_of_ones_own(inverter_buses=(3, 1), **{field: value})
+
+
+class _ThreeClasses(LinearDvfs):
+    work_classes = 3
+
+    def __repr__(self) -> str:
+        return "three"
+
+
+class _OldLaw:
+    """A law written when work classes were called phases."""
+
+    phases = 2
+
+    def serve(self, params, f_mhz, work_kw):
+        return work_kw, work_kw.sum(-1)
+
+    def __repr__(self) -> str:
+        return "old"
+
+
+class _NobodysLaw:
+    """A law of one's own that says nothing of work classes."""
+
+    def serve(self, params, f_mhz, work_kw):
+        return work_kw, work_kw
+
+
+def test_a_clock_law_has_one_work_class_or_two():
+    assert scenario_of_ones_own(dvfs=_NobodysLaw()).work_classes == 1
+    assert scenario_of_ones_own(dvfs=PrefillDecodeDvfs()).work_classes == 2
+    with pytest.raises(ScenarioError, match=r"'mine': dvfs is old; the law says 'phases'; name that.*'work_classes'"):
+        scenario_of_ones_own(dvfs=_OldLaw())
+    with pytest.raises(ScenarioError, match=r"'mine': dvfs is three; give a clock law of 1 or 2 work classes, not 3"):
+        scenario_of_ones_own(dvfs=_ThreeClasses())
+    with pytest.raises(
+        ScenarioError, match=r"dvfs is 'fast'; give 'linear', 'prefill-decode', or a mapping with the key 'law'"
+    ):
+        scenario_of_ones_own(dvfs="fast")
+
+
+def test_clock_laws_are_told_apart():
+    s = scenario_of_ones_own(dvfs=PrefillDecodeDvfs())
+    assert s.difference(scenario_of_ones_own(dvfs=PrefillDecodeDvfs())) is None
+    assert s.difference(scenario_of_ones_own(dvfs=PrefillDecodeDvfs(decode_clock_share=0.1))) == "dvfs"
+    assert s.difference(scenario_of_ones_own()) == "dvfs"
+    assert pickle.loads(pickle.dumps(s)).dvfs == PrefillDecodeDvfs()
+
+
+def test_a_feeder_must_be_one():
+    with pytest.raises(ScenarioError, match=r"'mine': feeder is 6; give a Feeder \(load_feeder"):
+        scenario_of_ones_own(feeder=6)
+    with pytest.raises(FeederError, match=r"unknown feeder 'no/such'; there are toy6, .*; or give a folder"):
+        scenario_of_ones_own(feeder="no/such")
+
+
+@pytest.mark.parametrize("field", ["inverter_buses", "datacenter_buses"])
+def test_an_unknown_bus_lists_those_there_are(field):
+    buses = (77,) if field == "inverter_buses" else (2, 77)
+    with pytest.raises(ScenarioError, match=r"'mine'.*no bus 77; its buses are \[0, 1, 2, 3, 4, 5\]"):
+        scenario_of_ones_own(**{field: buses})
+
+
+@pytest.mark.parametrize("field", ["inverter_buses", "datacenter_buses"])
+def test_no_device_at_the_substation(field):
+    buses = (0,) if field == "inverter_buses" else (2, 0)
+    with pytest.raises(ScenarioError, match=r"'mine'.*device at the substation 0"):
+        scenario_of_ones_own(**{field: buses})
+
+
+@pytest.mark.parametrize(
+    "changes", [{"datacenter_buses": (2, 2)}, {"datacenter_buses": (2, 3)}, {"inverter_buses": (4, 4)}]
+)
+def test_one_device_a_bus(changes):
+    bus = {"(2, 2)": 2, "(2, 3)": 3, "(4, 4)": 4}[str(next(iter(changes.values())))]
+    with pytest.raises(ScenarioError, match=rf"more than one device at bus {bus}; give each its own"):
+        scenario_of_ones_own(**changes)
+
+
+def test_as_many_buses_as_datacenters():
+    with pytest.raises(ScenarioError, match=r"n_datacenters is 2, but datacenter_buses is \(2,\); give both"):
+        scenario_of_ones_own(datacenter_buses=(2,))
+
+
+def test_no_more_datacenters_than_free_load_buses():
+    with pytest.raises(ScenarioError, match="n_datacenters is 3, but only 2 load buses have no device"):
+        scenario_of_ones_own(n_datacenters=3, p_rated_kw=1.0)
+
+
+def test_somebody_must_act():
+    with pytest.raises(ScenarioError, match="'mine': no data centre and no inverter"):
+        scenario_of_ones_own(n_datacenters=0, p_rated_kw=1.0, inverter_buses=())
+
+
+def test_a_refusal_is_a_value_error():
+    with pytest.raises(ValueError, match="horizon"):
+        scenario_of_ones_own(horizon=0)
+
+
+def test_nobody_who_is_handed_a_scenario_can_change_its_ratings():
+    s = make_scenario("fault")
+    for array in (*s.datacenter, *s.inverter, s.q_scale_kvar, s.candidates, *s.fault_targets, s.feeder.r_ohm):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
