@@ -17,13 +17,14 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 from dcgrid_env import PRESETS, Scenario, ScenarioError, make_scenario
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 
-FORMS = "path/to/file.py:function or package.module:function for one of your own"
+FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
 _specs: WeakKeyDictionary[Scenario, ScenarioSpec] = WeakKeyDictionary()
 """What the scenarios that were made here were named by."""
 
@@ -138,6 +139,9 @@ def _base(where: str) -> str | Scenario:
     """The name of a preset, or the user's own scenario."""
     if where in PRESETS:
         return where
+    if where.endswith(".toml"):
+        status = Path(where).stat() if Path(where).is_file() else None
+        return _read(where, status and (status.st_mtime_ns, status.st_size))
     if where.endswith(".py"):
         raise ValueError(f"scenario {where!r}: say which function of it makes the scenario, {where}:make for instance")
     named = parse(where)
@@ -150,6 +154,12 @@ def _base(where: str) -> str | Scenario:
             f"scenario {where!r} is of type {type(made).__name__}; it must be a Scenario, or a function that gives one"
         )
     return made
+
+
+@lru_cache(maxsize=64)
+def _read(where: str, status: tuple[int, int] | None) -> Scenario:
+    """A scenario file, read again where it has changed."""
+    return make_scenario(where)
 
 
 @lru_cache(maxsize=64)

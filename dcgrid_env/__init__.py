@@ -3,7 +3,7 @@
 import gymnasium as _gymnasium
 import pettingzoo as _pettingzoo
 
-from dcgrid_env.devices import LinearDvfs, PrefillDecodeDvfs
+from dcgrid_env.devices import DataCenters, Inverters, LinearDvfs, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
@@ -15,9 +15,14 @@ from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDERS, Feeder, FeederError, load_feeder
 from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
+from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.cost import Cost, CostWeights
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.presets import PRESETS, make_scenario
-from dcgrid_env.scenario.scenario import CostWeights, Scenario, ScenarioError
+from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.sensing import Sensing
+from dcgrid_env.scenario.workload import Workload
 
 __version__ = "0.1.0"
 
@@ -26,7 +31,10 @@ __all__ = [
     "IDS",
     "PRESETS",
     "ActionError",
+    "Background",
+    "Cost",
     "CostWeights",
+    "DataCenters",
     "DcgridEnv",
     "DcgridParallelEnv",
     "DcgridVectorEnv",
@@ -34,16 +42,19 @@ __all__ = [
     "Feeder",
     "FeederError",
     "Forecast",
+    "Inverters",
     "LinearDvfs",
     "PowerFlowError",
     "PrefillDecodeDvfs",
     "Recorder",
     "Scenario",
     "ScenarioError",
+    "Sensing",
     "Series",
     "Solution",
     "TensorEnv",
     "TensorStep",
+    "Workload",
     "distflow",
     "env",
     "episode_hash",

@@ -4,6 +4,7 @@ A scenario draws from `library(source, split, dt_s, duration_s)` or `from_record
 power as a share of the site's rating, of which an episode takes a window.
 """
 
+from dcgrid_env.traces.by_name import is_recording, recorded_trace
 from dcgrid_env.traces.day_course import load_share, sun_share
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
@@ -75,6 +76,7 @@ __all__ = [
     "generate_sites",
     "generate_step",
     "generate_training",
+    "is_recording",
     "library",
     "load_power",
     "load_requests",
@@ -83,6 +85,7 @@ __all__ = [
     "read_gpu_log",
     "read_request_log",
     "record",
+    "recorded_trace",
     "replica",
     "requests",
     "require_window",

@@ -47,6 +47,16 @@ def recorded_trace(name: str) -> PowerTrace:
     return PowerTrace.from_csv(path)
 
 
+def is_recording(value: object) -> bool:
+    """Whether a value names a recording, or a file that is there."""
+    if isinstance(value, Path):
+        return True
+    try:
+        return isinstance(value, str) and (value in RECORDINGS or Path(value).is_file())
+    except (OSError, ValueError):  # a name too long, or with a null character
+        return False
+
+
 def served(requests: Requests) -> PowerTrace:
     """Draw of a site that answers requests, as a share of its rating."""
     unit = replica("H100", "llama3-70b")

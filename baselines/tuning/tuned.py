@@ -14,7 +14,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dcgrid_env import PRESETS, Scenario, make_scenario, scenario_hash
+from dcgrid_env import (
+    PRESETS,
+    Background,
+    Cost,
+    Scenario,
+    Sensing,
+    Workload,
+    make_scenario,
+    scenario_hash,
+)
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.search import TUNABLE
@@ -115,14 +124,13 @@ def grid_difference(scenario: Scenario, other: Scenario) -> str | None:
 
 def _grid(scenario: Scenario) -> Scenario:
     """A scenario with the same grid and all else as by default; a number is a float, a rating one for each device."""
-    plain = {f.name: _default(f) for f in dataclasses.fields(scenario) if f.name not in (*GRID, "name")}
+    plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
+    parts = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
+    parts["background"] = Background(capacitors=scenario.capacitors)
     numbers = {name: float(getattr(scenario, name)) for name in NUMBERS}
     p_rated_kw, s_kva = (tuple(of.tolist()) for of in (scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
-    return scenario.replace(name="grid", p_rated_kw=p_rated_kw, inverter_s_kva=s_kva, **plain, **numbers)
-
-
-def _default(field: dataclasses.Field[Any]) -> Any:
-    return field.default_factory() if field.default is dataclasses.MISSING else field.default  # pyright: ignore
+    ratings = {"p_rated_kw": p_rated_kw, "inverter_s_kva": s_kva, "inverter_trace": None}
+    return scenario.replace(name="grid", **(plain | parts | ratings | numbers))
 
 
 @cache

@@ -50,3 +50,14 @@ def cached_on_owner(
 def fields_alone(instance: Any) -> dict[str, Any]:
     """The fields of a dataclass instance without what is cached beside them, for pickling."""
     return {field.name: getattr(instance, field.name) for field in dataclasses.fields(instance)}
+
+
+class PickledByFields:
+    """Mixed into frozen dataclasses that keep answers on themselves: a pickle holds their fields alone."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_alone(self)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)

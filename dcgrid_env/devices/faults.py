@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-KINDS = ("inverter", "datacenter", "capacitor")
+CAPACITOR = "capacitor"
+"""A kind of what a fault may strike, beside the kinds of devices."""
+KINDS = ("inverter", "datacenter", CAPACITOR)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.checked import is_number, refuse
+
+Rating = float | tuple[float, ...]
+"""One number for all devices of a kind, or one for each."""
+LARGEST_RATING = 1e9
+"""Largest rating of a device, kW or kVA: a thousand gigawatts."""
 
 
 class DataCenterParams(NamedTuple):
@@ -34,3 +42,23 @@ class InverterParams(NamedTuple):
     """Ratings of the inverters, each of shape (n_inv,)."""
 
     s_rated_kva: Array
+
+
+def check_rating(owner: Any, name: str, n: int) -> None:
+    """Raise FieldError unless a field of a dataclass instance is a rating of ``n`` devices."""
+    value = getattr(owner, name)
+    values = value if isinstance(value, tuple) else (value,) * n
+    if len(values) != n or not all(is_number(v) and 0 < v <= LARGEST_RATING for v in values):
+        remedy = f"give one positive number of at most {LARGEST_RATING:g}, or one for each of the {n} devices"
+        raise refuse(owner, name, remedy)
+
+
+def per_device(value: Rating, n: int) -> np.ndarray:
+    """A rating as an array over ``n`` devices."""
+    return np.array(value, dtype=np.float64) if isinstance(value, tuple) else np.full(n, float(value))
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The array itself, no longer writable: controllers are handed it, and must not change the physics."""
+    array.setflags(write=False)
+    return array

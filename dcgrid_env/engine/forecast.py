@@ -8,7 +8,8 @@ import numpy as np
 
 from dcgrid_env.core.digest import digest
 from dcgrid_env.core.seeds import whole_seed
-from dcgrid_env.scenario.scenario import Scenario, ScenarioError
+from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.scenario import Scenario
 
 
 class Forecast(NamedTuple):

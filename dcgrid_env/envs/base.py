@@ -9,8 +9,9 @@ from gymnasium import spaces
 
 from dcgrid_env.engine import actions, observation
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.presets import make_scenario
-from dcgrid_env.scenario.scenario import Scenario, ScenarioError
+from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition

@@ -14,7 +14,7 @@ from typing import Any
 
 from gymnasium.wrappers import TimeLimit
 
-from dcgrid_env.scenario.scenario import ScenarioError
+from dcgrid_env.scenario.errors import ScenarioError
 
 
 def max_episode_steps_of_make(env: Any) -> int | None:

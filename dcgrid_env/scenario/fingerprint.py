@@ -9,16 +9,19 @@ published figures are made anew.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
 from itertools import chain
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
-from dcgrid_env.devices import PrefillDecodeDvfs
+from dcgrid_env.devices import DEVICES, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import Feeder
-from dcgrid_env.scenario.scenario import CostWeights, Scenario
+from dcgrid_env.scenario.assembly import PARTS
+from dcgrid_env.scenario.cost import CostWeights
+from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.scenario import Scenario
 
 
 class Kind(NamedTuple):
@@ -34,9 +37,11 @@ class Kind(NamedTuple):
 _SCENARIO = """
     name feeder v0_pu capacitors n_datacenters datacenter_buses p_rated_kw idle_share f_min_mhz f_max_mhz s_rated_share
     q_max_share dvfs boost_share inverter_buses inverter_s_kva inverter_trace faults trace recording_split trace_window
-    site_correlation compute_share load_sigma load_rho voltage_noise_pu measurement_delay horizon dt_s power_flow split
+    site_correlation compute_share load_sigma load_rho voltage_noise_pu measurement_delay start_hour? horizon dt_s
+    power_flow split
     weights band_pu voltage_cost reward observe preview r_model_share x_model_share
 """
+_OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in DEVICES}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
 
@@ -62,10 +67,46 @@ def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     kind = SCHEMA_1.get(type(value))
     if kind is None:
         return None
-    always = ((name if kind.named else "", getattr(value, name)) for name in kind.fields)
+    always = _published(value, kind)
+    if isinstance(value, Scenario):
+        return kind.name, chain(always, _later_of_parts(value))
     later = {name: default for name, default in _defaults(type(value)).items() if name not in kind.fields}
-    changed = ((name, getattr(value, name)) for name, default in later.items() if getattr(value, name) != default)
-    return kind.name, chain(always, changed)
+    return kind.name, chain(always, ((n, getattr(value, n)) for n, d in later.items() if getattr(value, n) != d))
+
+
+def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
+    """The fields that the schema lists; one marked with ? is left out where it is None."""
+    for listed in kind.fields:
+        name = listed.removesuffix("?")
+        if name in _OF_DEVICES and not _has_two_groups(value):
+            continue
+        held = getattr(value, name)
+        if name == listed or held is not None:
+            yield name if kind.named else "", held
+
+
+def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
+    """Fields of a scenario and its parts that are in no list, and not at their default."""
+    listed = {FLAT[name] for name in (field.removesuffix("?") for field in SCHEMA_1[Scenario].fields) if name in FLAT}
+    listed |= {("", name) for name in SCHEMA_1[Scenario].fields}
+    parts: dict[str, Any] = {"": scenario} | {name: scenario.part(name) for name in PARTS}
+    if _has_two_groups(scenario):
+        parts |= {device.kind: device for device in scenario.devices}
+    else:
+        yield "devices", scenario.devices
+    for path, part in parts.items():
+        for name, default in _defaults(type(part)).items():
+            is_part = not path and name in (*PARTS, "devices")
+            if (path, name) not in listed and not is_part and getattr(part, name) != default:
+                yield f"{path}.{name}", getattr(part, name)
+
+
+def _has_two_groups(scenario: Any) -> bool:
+    """Whether the devices are data centres and inverters, a group of each, which the listed names speak of."""
+    return not isinstance(scenario, Scenario) or [device.kind for device in scenario.devices] == [
+        "datacenter",
+        "inverter",
+    ]
 
 
 def _defaults(kind: type[Any]) -> dict[str, Any]:

@@ -1,13 +1,15 @@
-"""A scenario's fields as plain data: what JSON, YAML, TOML and ``gymnasium.EnvSpec.to_json`` can hold.
+"""Plain data for a scenario's fields: what JSON, YAML, TOML and ``gymnasium.EnvSpec.to_json`` can hold.
 
 | field | plain form | object |
 |---|---|---|
 | feeder | a shipped feeder's name, or the path of a folder | Feeder |
+| devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
+| workload, background, sensing, cost | a mapping of their fields | Workload, Background, Sensing, Cost |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
-| dvfs | "linear", "prefill-decode", or ``{"law": "prefill-decode", "decode_clock_share": 0.03, ..}`` | a clock law |
+| dvfs, clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
-| inverter_trace | "pv", a list of shares, or a recording's name or file | PowerTrace |
+| inverter_trace, injection | "pv", a list of shares, or a recording's name or file | PowerTrace |
 | other sequences | a list | a tuple |
 """
 
@@ -22,42 +24,16 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices import LinearDvfs, PrefillDecodeDvfs
+from dcgrid_env.devices import DEVICES
+from dcgrid_env.devices.datacenter.named_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import FEEDERS, Feeder, FeederError, load_feeder
-from dcgrid_env.scenario.field_checks import CostWeights, ScenarioError
-from dcgrid_env.traces import RECORDINGS, SUN, TRACE_SOURCES, PowerTrace, TraceError
-from dcgrid_env.traces.by_name import recorded_trace
-
-DVFS_LAWS = {"linear": LinearDvfs, "prefill-decode": PrefillDecodeDvfs}
-"""Clock laws by the name that stands for them."""
-
-
-def from_plain(name: str, value: Any, weights: CostWeights) -> Any:
-    """The object that a plain value of a field stands for; any other value as it is, to be checked afterwards.
-
-    Parameters
-    ----------
-    name, value
-        Field and value.
-    weights
-        What the weights are that a mapping of them leaves out.
-
-    Raises
-    ------
-    ScenarioError
-        For a name, key or file that there is not, naming the field, the value and the remedy.
-    """
-    if name == "weights" and isinstance(value, Mapping):
-        return _weights(value, weights)
-    convert = _CONVERSIONS.get(name)
-    if convert is not None:
-        value = convert(value)
-    if isinstance(value, np.ndarray):
-        value = value.tolist()  # a number where it has no dimension
-    if isinstance(value, list):
-        return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
-    return value.item() if isinstance(value, np.generic) else value
+from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.cost import Cost, CostWeights
+from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.sensing import Sensing
+from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.traces import SUN, TRACE_SOURCES
 
 
 def to_plain(value: Any) -> Any:
@@ -67,13 +43,16 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Fault):
         held = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: to_plain(v) for key, v in held.items() if v != (math.inf, math.inf)}
+    if isinstance(value, Workload | Background | Sensing | Cost):
+        return _fields_to_plain(value)
+    if type(value) in DEVICES.values():
+        return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, Feeder):
         return value.name if value.name in FEEDERS and load_feeder(value.name) is value else value
-    for law, kind in DVFS_LAWS.items():
-        if type(value) is kind:
-            return {"law": law, **dataclasses.asdict(value)} if dataclasses.fields(kind) else law
+    if type(value) in CLOCK_LAWS.values():
+        return plain_law(value)
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if isinstance(value, Mapping):
@@ -83,23 +62,25 @@ def to_plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def _fields_to_plain(part: Any) -> dict[str, Any]:
+    return {field.name: to_plain(getattr(part, field.name)) for field in dataclasses.fields(part)}
+
+
 def reads_files(name: str, value: Any) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
+    if isinstance(value, Mapping):
+        return any(reads_files(key, held) for key, held in value.items())
+    if name == "devices" and isinstance(value, list | tuple):
+        return any(reads_files("device", held) for held in value)
     if name == "feeder":
         return isinstance(value, str | Path) and value not in FEEDERS
     if name == "trace":
         return isinstance(value, Path | list | tuple) or (isinstance(value, str) and value not in TRACE_SOURCES)
-    return name == "inverter_trace" and isinstance(value, str | Path) and value != SUN
+    return name in ("inverter_trace", "injection") and isinstance(value, str | Path) and value != SUN
 
 
-def _weights(given: Mapping[str, Any], weights: CostWeights) -> CostWeights:
-    for key in given:
-        if key not in CostWeights._fields:
-            raise ScenarioError(f"weights: there is no weight {key!r}; there are {', '.join(CostWeights._fields)}")
-    return weights._replace(**given)
-
-
-def _feeder(value: Any) -> Any:
+def feeder_from_plain(value: Any) -> Any:
+    """A feeder by its name or folder; any other value as it is. FeederError for one that there is not."""
     if not isinstance(value, str | Path) or value in FEEDERS:
         return load_feeder(value) if isinstance(value, str) else value
     if _is_there(value, Path.is_dir):
@@ -107,7 +88,8 @@ def _feeder(value: Any) -> Any:
     raise FeederError(f"unknown feeder {str(value)!r}; there are {', '.join(FEEDERS)}; or give a folder of your own")
 
 
-def _faults(value: Any) -> Any:
+def faults_from_plain(value: Any) -> Any:
+    """Faults, those given as mappings made; any other value as it is. ScenarioError for one that cannot be."""
     if isinstance(value, Fault | Mapping):
         value = (value,)
     if not isinstance(value, list | tuple):
@@ -130,66 +112,8 @@ def _faults(value: Any) -> Any:
     return tuple(found)
 
 
-def _dvfs(value: Any) -> Any:
-    law, parameters = value, {}
-    if isinstance(value, Mapping):
-        parameters = dict(value)
-        law = parameters.pop("law", None)
-    elif not isinstance(value, str):
-        return value
-    if not isinstance(law, str) or law not in DVFS_LAWS:
-        names = ", ".join(map(repr, DVFS_LAWS))
-        raise ScenarioError(f"dvfs is {value!r}; give {names}, or a mapping with the key 'law' that is one of them")
-    known = [field.name for field in dataclasses.fields(DVFS_LAWS[law])]
-    for key in parameters:
-        if key not in known:
-            raise ScenarioError(f"dvfs: law {law!r} has no parameter {key!r}; there are {', '.join(known) or 'none'}")
-    try:
-        return DVFS_LAWS[law](**parameters)
-    except ValueError as error:
-        raise ScenarioError(f"dvfs: {error}") from None
-
-
 def _is_there(path: str | Path, kind: Callable[[Path], bool]) -> bool:
     try:
         return kind(Path(path))
     except (OSError, ValueError):  # a name too long, or with a null character
         return False
-
-
-def _recording(field: str, value: Any) -> Any:
-    try:
-        return recorded_trace(str(value))
-    except (TraceError, OSError) as error:
-        raise ScenarioError(f"{field} is {str(value)!r}: {error}") from None
-
-
-def _names_recording(value: Any) -> bool:
-    """Whether a value names a recording, or a file that is there."""
-    return isinstance(value, Path) or (
-        isinstance(value, str) and (value in RECORDINGS or _is_there(value, Path.is_file))
-    )
-
-
-def _trace(value: Any) -> Any:
-    if isinstance(value, PowerTrace):
-        return (value,)
-    if _names_recording(value):
-        return (_recording("trace", value),)
-    if isinstance(value, list | tuple):
-        named = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
-        return tuple(_recording("trace", v) if is_named else v for v, is_named in zip(value, named, strict=True))
-    return value
-
-
-def _inverter_trace(value: Any) -> Any:
-    return _recording("inverter_trace", value) if _names_recording(value) else value
-
-
-_CONVERSIONS: dict[str, Callable[[Any], Any]] = {
-    "feeder": _feeder,
-    "faults": _faults,
-    "dvfs": _dvfs,
-    "trace": _trace,
-    "inverter_trace": _inverter_trace,
-}

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
 
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import load_feeder
+from dcgrid_env.scenario.cost import CostWeights
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import reads_files
-from dcgrid_env.scenario.scenario import CostWeights, Scenario, ScenarioError
+from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.toml import SUFFIX, read_toml
 
 PRESETS: dict[str, str] = {
     "toy6": "6 buses; one 2.5 MW data centre steps from idle to full at t = 20 s (the paper's Fig. 3)",
@@ -178,8 +182,8 @@ _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
 """Scenarios with overrides that somebody still holds, by what they were made of."""
 
 
-def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
-    """A preset by name, or a scenario of your own, with overrides of its fields.
+def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario:
+    """A preset by name, a scenario file (``my.toml``), or a scenario of your own, with overrides of its fields.
 
     Overrides are objects or plain data (``plain_data``); ``feeder`` may be a name or a folder. While somebody holds the
     frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
@@ -191,7 +195,9 @@ def make_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     TypeError
         For an override that is no field, listing the fields.
     """
-    if isinstance(scenario, str):
+    if isinstance(scenario, Path) or (isinstance(scenario, str) and scenario.endswith(SUFFIX)):
+        scenario = read_toml(scenario, make_scenario, Scenario)
+    elif isinstance(scenario, str):
         scenario = _preset(scenario)
     elif not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")

@@ -1,0 +1,114 @@
+"""Dataclass fields that say which values they take, and the error that names field, value and remedy.
+
+    noise_pu: float = number(0.0, 1.0, default=0.0)
+
+A class calls :func:`check_fields` in its ``__post_init__``; whoever puts it into something larger adds the path.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import MISSING, field
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+
+class FieldError(ValueError):
+    """A value that a field cannot take.
+
+    Parameters
+    ----------
+    owner
+        The class that the field belongs to, or the path that leads to it.
+    name, value
+        Field and value.
+    remedy
+        What would do, or all that is to be said of it where ``value`` is left out.
+    """
+
+    def __init__(self, owner: str, name: str, value: Any, remedy: str):
+        self.owner, self.name, self.value, self.remedy = owner, name, value, remedy
+        super().__init__(f"{owner}: {self.said(name)}")
+
+    def said(self, name: str) -> str:
+        """The message under another name of the field."""
+        return f"{name} is {self.value!r}; {self.remedy}"
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a real number and no bool."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def number(low: float, high: float | str, default: Any = MISSING) -> Any:
+    """A finite number in [low, high]; ``high`` may name another field of the class."""
+    return field(default=default, metadata={"check": _check_number, "bounds": (low, high)})
+
+
+def count(low: int, high: int, default: Any = MISSING) -> Any:
+    """A whole number from ``low`` to ``high``."""
+    return field(default=default, metadata={"check": _check_count, "bounds": (low, high)})
+
+
+def choice(*options: Any, default: Any = MISSING) -> Any:
+    """One of some values, of their type."""
+    return field(default=default, metadata={"check": _check_choice, "options": options})
+
+
+def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
+    """Make lists and arrays in the fields of a frozen dataclass instance tuples, NumPy's scalars Python's own, and
+    plain data what they stand for: ``conversions`` gives a function for each field that has a plain form."""
+    for f in dataclasses.fields(owner):
+        given = getattr(owner, f.name)
+        value = conversions[f.name](given) if f.name in conversions else given
+        if isinstance(value, np.ndarray):
+            value = value.tolist()  # a number where it has no dimension
+        if isinstance(value, list):
+            value = tuple(item.item() if isinstance(item, np.generic) else item for item in value)
+        value = value.item() if isinstance(value, np.generic) else value
+        if value is not given:
+            object.__setattr__(owner, f.name, value)
+
+
+def check_fields(owner: Any) -> None:
+    """Raise FieldError at the first field of a dataclass instance that was made with one of the above and is wrong."""
+    for f in dataclasses.fields(owner):
+        if check := f.metadata.get("check"):
+            check(owner, f)
+
+
+def refuse(owner: Any, name: str, remedy: str) -> FieldError:
+    """The error of a field of a dataclass instance, to be raised."""
+    return FieldError(type(owner).__name__, name, getattr(owner, name), remedy)
+
+
+def _check_number(owner: Any, f: dataclasses.Field[Any]) -> None:
+    low, bound = f.metadata["bounds"]
+    high = getattr(owner, bound) if isinstance(bound, str) else bound
+    value = getattr(owner, f.name)
+    if not (is_number(value) and is_number(high) and low <= value <= min(high, 1e300)):
+        upper = f"{bound} = {high:g}" if isinstance(bound, str) and is_number(high) else f"{high:g}"
+        raise refuse(owner, f.name, f"give a finite number in [{low:g}, {upper}]")
+
+
+def _check_count(owner: Any, f: dataclasses.Field[Any]) -> None:
+    low, high = f.metadata["bounds"]
+    value = getattr(owner, f.name)
+    if not isinstance(value, Integral) or isinstance(value, bool) or not low <= int(value) <= high:
+        raise refuse(owner, f.name, f"give a whole number of at least {low} and at most {high:,}")
+
+
+def _check_choice(owner: Any, f: dataclasses.Field[Any]) -> None:
+    options = f.metadata["options"]
+    value = getattr(owner, f.name)
+    if type(value) is not type(options[0]) or value not in options:
+        raise refuse(owner, f.name, f"choose one of {', '.join(map(str, options))}")
+
+
+def finite(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
+    """Whether it is a finite number within bounds."""
+    return is_number(value) and math.isfinite(value) and low <= value <= high

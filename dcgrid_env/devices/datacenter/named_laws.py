@@ -1,0 +1,42 @@
+"""Clock laws as plain data: a name, or a mapping with the key ``law`` and the law's parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
+from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
+
+CLOCK_LAWS: dict[str, type[Any]] = {"linear": LinearDvfs, "prefill-decode": PrefillDecodeDvfs}
+"""Clock laws by the name that stands for them."""
+
+
+def clock_law(value: Any) -> Any:
+    """The law that plain data stand for; any other value as it is.
+
+    ValueError, saying what would do, for a law or parameter that there is not, or a value that cannot be.
+    """
+    law, parameters = value, {}
+    if isinstance(value, Mapping):
+        parameters = dict(value)
+        law = parameters.pop("law", None)
+    elif not isinstance(value, str):
+        return value
+    if not isinstance(law, str) or law not in CLOCK_LAWS:
+        names = ", ".join(map(repr, CLOCK_LAWS))
+        raise ValueError(f"give {names}, or a mapping with the key 'law' that is one of them")
+    known = [field.name for field in dataclasses.fields(CLOCK_LAWS[law])]
+    for key in parameters:
+        if key not in known:
+            raise ValueError(f"law {law!r} has no parameter {key!r}; there are {', '.join(known) or 'none'}")
+    return CLOCK_LAWS[law](**parameters)
+
+
+def plain_law(law: Any) -> Any:
+    """The plain form of a law; one of the user's own as it is."""
+    for name, kind in CLOCK_LAWS.items():
+        if type(law) is kind:
+            return {"law": name, **dataclasses.asdict(law)} if dataclasses.fields(kind) else name
+    return law

@@ -1,0 +1,141 @@
+"""A scenario's parts out of what it is given: objects, mappings of plain data, and fields by their flat names."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING
+from typing import Any
+
+from dcgrid_env.devices import DEVICES
+from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.cost import Cost, changed_weights
+from dcgrid_env.scenario.errors import ScenarioError, located
+from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
+from dcgrid_env.scenario.sensing import Sensing
+from dcgrid_env.scenario.workload import Workload
+
+PARTS: dict[str, type[Any]] = {"workload": Workload, "background": Background, "sensing": Sensing, "cost": Cost}
+_PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain}
+FLAT_OF = {where: name for name, where in FLAT.items()}
+_ORDER = ("datacenter", "inverter")
+"""Kinds of devices that have flat names, in the order in which a scenario made of flat names has them."""
+
+
+def assembled(base: Any, known: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a scenario: those of ``base`` (None for a new one) with what is given put in.
+
+    Parameters
+    ----------
+    base
+        A scenario, or None.
+    known
+        Names of a scenario's own fields.
+    given
+        Values by the name of a field, of a part or of a part's field (``flat_names``). A mapping for a part changes
+        the fields that it names and leaves the others.
+
+    Raises
+    ------
+    TypeError
+        For a name that is none of these, listing them; in the words that Python has for it, by which clients that try
+        out arguments know it.
+    ScenarioError
+        For a value that cannot be.
+    """
+    own = list(known)
+    for key in given:
+        if key not in own and key not in FLAT:
+            whose = f"scenario {base.name!r}" if base is not None else "Scenario"
+            raise TypeError(
+                f"{whose} got an unexpected keyword argument {key!r}; its fields are {', '.join((*own, *FLAT))}"
+            )
+    made = {} if base is None else {name: getattr(base, name) for name in own}
+    made |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
+    flat: dict[str, dict[str, tuple[str, Any]]] = {}
+    for key, value in given.items():
+        if key in FLAT:
+            part, field = FLAT[key]
+            flat.setdefault(part, {})[field] = (key, value)
+    name = made.get("name")
+    for field, (key, value) in flat.pop("", {}).items():
+        if field in given:
+            raise ScenarioError(f"scenario {name!r}: {field} and {key} are one field; give one of them")
+        made[field] = value
+    for part, kind in PARTS.items():
+        if part in given or part in flat or part not in made:
+            start = getattr(base, part, None)
+            made[part] = _part(name, part, kind, start, given.get(part), flat.get(part, {}))
+    by_kind = {kind: flat[kind] for kind in _ORDER if kind in flat}
+    made["devices"] = _devices(name, base, given.get("devices"), by_kind)
+    return made
+
+
+def _part(
+    scenario: Any, path: str, kind: type[Any], start: Any, given: Any, flat: Mapping[str, tuple[str, Any]]
+) -> Any:
+    """One part: ``start`` changed by what is given, or a new one."""
+    changes = {field: value for field, (_, value) in flat.items()}
+    names = {field: name for field, (name, _) in flat.items()}
+    if isinstance(given, Mapping):
+        from dcgrid_env.scenario.plain_parts import checked_mapping  # brings the library of types, so not on import
+
+        by_path = checked_mapping(scenario, path, kind, given)
+        for field in by_path:
+            if field in changes:
+                raise ScenarioError(f"scenario {scenario!r}: {path}.{field} and {names[field]} are one field; give one")
+        changes |= by_path
+    elif given is not None:
+        if not isinstance(given, kind):
+            raise ScenarioError(
+                f"scenario {scenario!r}: {path} is {given!r}; give {kind.__name__}(...) or a mapping of its fields"
+            )
+        start = given
+    with located(scenario, path, names):
+        if start is not None and isinstance(changes.get("weights"), Mapping):
+            changes["weights"] = changed_weights(start.weights, changes["weights"])
+        if start is None:
+            for field in dataclasses.fields(kind):
+                if field.default is MISSING and field.default_factory is MISSING and field.name not in changes:
+                    where = FLAT_OF.get((path, field.name), f"{path}.{field.name}")
+                    raise ScenarioError(f"scenario {scenario!r}: {where} is missing; give it")
+            return kind(**changes)
+        return dataclasses.replace(start, **changes) if changes else start
+
+
+def _devices(
+    scenario: Any, base: Any, given: Any, flat: Mapping[str, Mapping[str, tuple[str, Any]]]
+) -> tuple[Any, ...]:
+    """The groups of devices, those of flat names made or changed."""
+    if given is None:
+        found = [] if base is None else list(base.devices)
+    else:
+        listed = given if isinstance(given, list | tuple) else (given,)
+        found = [_device(scenario, f"devices[{i}]", device) for i, device in enumerate(listed)]
+    for place, kind in enumerate(_ORDER):
+        if kind not in flat and not (base is None and given is None):
+            continue
+        at = [i for i, device in enumerate(found) if device.kind == kind]
+        if len(at) > 1:
+            name = next(iter(flat[kind].values()))[0]
+            raise ScenarioError(
+                f"scenario {scenario!r} has {len(at)} groups of kind {kind!r}; give devices, not {name}"
+            )
+        start = found[at[0]] if at else None
+        made = _part(scenario, kind, DEVICES[kind], start, None, flat.get(kind, {}))
+        found[at[0] if at else min(place, len(found)) : (at[0] + 1 if at else min(place, len(found)))] = [made]
+    return tuple(found)
+
+
+def _device(scenario: Any, path: str, given: Any) -> Any:
+    if not isinstance(given, Mapping):
+        if not hasattr(given, "kind") or not hasattr(given, "count"):
+            kinds = ", ".join(kind.__name__ for kind in DEVICES.values())
+            raise ScenarioError(f"scenario {scenario!r}: {path} is {given!r}; give a device ({kinds}) or a mapping")
+        return given
+    fields = dict(given)
+    kind = fields.pop("kind", None)
+    if not isinstance(kind, str) or kind not in DEVICES:
+        raise ScenarioError(f"scenario {scenario!r}: {path}.kind is {kind!r}; choose one of {', '.join(DEVICES)}")
+    return _part(scenario, path, DEVICES[kind], None, fields, {})

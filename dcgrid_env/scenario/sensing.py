@@ -1,0 +1,32 @@
+"""What agents and controllers are told of the grid: scope, noise, delay, preview, and how wrong their model is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from dcgrid_env.core.checked import check_fields, choice, count, number, settle
+
+ObservationScope = Literal["local", "neighbours", "feeder"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensing:
+    """What is measured and known."""
+
+    noise_pu: float = number(0.0, 1.0, default=0.0)
+    """Standard deviation of the voltage measurement, p.u."""
+    delay_steps: int = count(0, 10_000, default=0)
+    """Age of the measured voltage, steps."""
+    observe: ObservationScope = choice("local", "neighbours", "feeder", default="local")
+    """Whose figures an agent observes: its own, those of its nearest agents too, or every bus of the feeder."""
+    preview: bool = choice(True, False, default=True)
+    """Whether a data centre observes its p_ref over the coming interval."""
+    r_model_share: float = number(0.0, 10.0, default=1.0)
+    """Resistance of every branch as agents and controllers believe it, as a share of the true one."""
+    x_model_share: float = number(0.0, 10.0, default=1.0)
+    """Reactance of every branch as agents and controllers believe it, as a share of the true one."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)

@@ -1,0 +1,153 @@
+"""Scenario files: a scenario as TOML, whole or as what differs from a preset.
+
+    base = "ieee33-weak"
+    horizon = 60
+    feeder = "my_feeder"            # a shipped feeder's name, or a folder, found from where the file stands
+
+    [sensing]
+    noise_pu = 0.005
+
+    [[devices]]                     # all of them, where there are any
+    kind = "datacenter"
+    buses = ["18", "33"]
+    p_rated_kw = 800.0
+
+Fields and parts are those of ``Scenario``; fields of parts may also stand at the top by their flat names.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.core.files import write_text
+from dcgrid_env.grid import FEEDERS
+from dcgrid_env.scenario.assembly import PARTS
+from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.plain import to_plain
+
+SUFFIX = ".toml"
+"""Ending of a scenario file's name."""
+
+
+def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[..., Any]) -> Any:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path
+        The file; relative paths in it begin where it stands.
+    preset, new
+        What gives the scenario that ``base`` names, and what makes one without a base: the class.
+
+    Raises
+    ------
+    ScenarioError
+        For a file that is not there or no TOML, or a field that cannot be, naming file, field, value and remedy.
+    """
+    path = Path(path)
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise ScenarioError(f"{path} is no file; give a scenario file, see Scenario.to_toml") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    base = given.pop("base", None)
+    if base is not None and not isinstance(base, str):
+        raise ScenarioError(f"{path}: base is {base!r}; give the name of a preset")
+    given = {name: _from_here(path.parent, name, value) for name, value in given.items()}
+    given = {name: _none_in(value) for name, value in given.items()}
+    try:
+        if base is None:
+            return new(**{"name": path.stem, **given})
+        return preset(base).replace(**{"name": path.stem, **given})
+    except (TypeError, ValueError) as error:
+        said = str(error).replace("got an unexpected keyword argument", "has no field")
+        raise ScenarioError(f"{path}: {said}") from None
+
+
+def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> str:
+    """A scenario as TOML, and into a file if a path is given.
+
+    Parameters
+    ----------
+    scenario, path
+        What is written, and where to.
+    base
+        A preset: only what differs from it is written, with its name as ``base``.
+
+    Raises
+    ------
+    ScenarioError
+        For a recording, a feeder or a clock law that exists in memory alone: give files or names instead.
+    """
+    import tomli_w  # for who writes alone
+
+    table: dict[str, Any] = {} if base is None else {"base": base.name}
+    tables: dict[str, Any] = {}
+    for field in dataclasses.fields(scenario):
+        value = getattr(scenario, field.name)
+        if base is not None and value == getattr(base, field.name):
+            continue
+        plain = to_plain(value)
+        if field.name in PARTS and base is not None:
+            before = to_plain(getattr(base, field.name))
+            plain = {name: now for name, now in plain.items() if now != before[name]}
+        _refuse_objects(scenario, field.name, plain)
+        if field.name == "devices":
+            plain = [{name: held for name, held in device.items() if held is not None} for device in plain]
+        (tables if field.name in (*PARTS, "devices", "faults") else table)[field.name] = _without_none(plain)
+    text = tomli_w.dumps(table | {name: held for name, held in tables.items() if held or base is not None})
+    if path is not None:
+        write_text(Path(path), text)
+    return text
+
+
+def _from_here(folder: Path, name: str, value: Any) -> Any:
+    """Paths as they are from the folder of the file."""
+    if isinstance(value, dict):
+        return {key: _from_here(folder, key, held) for key, held in value.items()}
+    if isinstance(value, list) and name in ("devices", "trace"):
+        return [_from_here(folder, name, held) for held in value]
+    if isinstance(value, str) and name in ("feeder", "trace", "injection", "inverter_trace") and value not in FEEDERS:
+        there = folder / value
+        return str(there) if there.exists() else value
+    return value
+
+
+NONE = "none"
+"""Text that stands for None, of which TOML has no word."""
+
+
+def _none_in(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _none_in(held) for key, held in value.items()}
+    if isinstance(value, list):
+        return [_none_in(held) for held in value]
+    return None if value == NONE else value
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(held) for key, held in value.items()}
+    if isinstance(value, list):
+        return [_without_none(held) for held in value]
+    return NONE if value is None else value
+
+
+def _refuse_objects(scenario: Any, path: str, value: Any) -> None:
+    """Raise ScenarioError where something has no plain form."""
+    if isinstance(value, dict):
+        for key, held in value.items():
+            _refuse_objects(scenario, f"{path}.{key}", held)
+    elif isinstance(value, list):
+        for i, held in enumerate(value):
+            _refuse_objects(scenario, f"{path}[{i}]", held)
+    elif not isinstance(value, bool | int | float | str | None):
+        raise ScenarioError(
+            f"scenario {scenario.name!r}: {path} is a {type(value).__name__} that is in no file; name a shipped one, "
+            "or save it and give the file or folder"
+        )

@@ -1,0 +1,65 @@
+"""The work that data centres are asked to do: where its power traces come from, and how episodes draw from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
+
+TraceWindow = Literal["random", "start", "together"]
+RecordingSplit = Literal["time", "recording"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workload:
+    """The power that data centres would draw at the top clock with nothing queued."""
+
+    trace: str | tuple[PowerTrace, ...] = "inference"
+    """Source: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
+
+    The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
+    long as an episode. Plain form: a generator's name, a recording's name or file, or a list of recordings."""
+    recording_split: RecordingSplit = choice("time", "recording", default="time")
+    """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
+    window: TraceWindow = choice("random", "start", "together", default="random")
+    """Where in a trace an episode begins: anywhere for each site, at its start, or anywhere but at the same time for
+    all sites of an episode (``together``: what was recorded or generated side by side stays so)."""
+    site_correlation: float = number(0.0, 1.0, default=0.0)
+    """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
+    compute_share: float = number(0.0, 1.0, default=1.0)
+    """Compute-bound share of the work where the trace does not tell (recordings), for a law of two work classes."""
+
+    def __post_init__(self) -> None:
+        settle(self, trace=_trace)
+        check_fields(self)
+        if isinstance(self.trace, str):
+            if self.trace not in TRACE_SOURCES:
+                raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings")
+        elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
+            raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
+
+
+def _are_traces(values: tuple[Any, ...]) -> bool:
+    return all(isinstance(value, PowerTrace) for value in values)
+
+
+def _trace(value: Any) -> Any:
+    """Recordings that names and files stand for; any other value as it is."""
+    if isinstance(value, PowerTrace):
+        return (value,)
+    if is_recording(value):
+        return (_recording(value),)
+    if isinstance(value, list | tuple):
+        named = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
+        return tuple(_recording(v) if is_named else v for v, is_named in zip(value, named, strict=True))
+    return value
+
+
+def _recording(value: Any) -> PowerTrace:
+    try:
+        return recorded_trace(str(value))
+    except (TraceError, OSError) as error:
+        raise FieldError("Workload", "trace", str(value), str(error)) from None

@@ -1,0 +1,127 @@
+"""Scenario files: written, read again the same, and refused with file, field, value and remedy."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dcgrid_env import (
+    PRESETS,
+    Fault,
+    PrefillDecodeDvfs,
+    ScenarioError,
+    episode_hash,
+    make_scenario,
+    scenario_hash,
+)
+from dcgrid_env.traces import PowerTrace
+
+CHANGES = {
+    "noise": {"voltage_noise_pu": 0.005, "measurement_delay": 1},
+    "devices": {"datacenter_buses": (7, 18, 25), "inverter_buses": (3,), "p_rated_kw": (100.0, 200.0, 300.0)},
+    "drawn": {"datacenter_buses": None},
+    "law": {"dvfs": PrefillDecodeDvfs(decode_clock_share=0.03)},
+    "faults": {"faults": (Fault(("dc_0",), (1.0, 2.0)), Fault(("inverter",), (1.0, 2.0), (3.0, 4.0)))},
+    "hour": {"start_hour": 6.5, "weights": {"loss": 1.0}},
+    "pv": {"inverter_trace": "pv", "feeder": "ieee33", "horizon": 30},
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_preset_comes_back_the_same(preset, tmp_path):
+    path = tmp_path / f"{preset}.toml"
+    scenario = make_scenario(preset)
+    scenario.to_toml(path)
+    again = make_scenario(path)
+    assert again.difference(scenario) is None
+    assert scenario_hash(again) == scenario_hash(scenario)
+    assert episode_hash(again, 3) == episode_hash(scenario, 3)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_differs_from_a_preset_comes_back_the_same(name, tmp_path):
+    base = make_scenario("ieee33-weak")
+    scenario = base.replace(name="mine", **CHANGES[name])
+    text = scenario.to_toml(tmp_path / "a.toml", base=base)
+    assert 'base = "ieee33-weak"' in text
+    assert ("feeder" in text) == (scenario.feeder is not base.feeder)
+    assert make_scenario(str(tmp_path / "a.toml")).difference(scenario) is None
+    scenario.to_toml(tmp_path / "b.toml")
+    assert make_scenario(tmp_path / "b.toml").difference(scenario) is None
+
+
+def test_an_hour_taken_back_is_written_as_none(tmp_path):
+    base = make_scenario("ieee33", start_hour=3.0)
+    text = base.replace(name="still", start_hour=None).to_toml(base=base)
+    assert 'start_hour = "none"' in text
+
+
+def test_paths_begin_where_the_file_stands(tmp_path):
+    (tmp_path / "site.csv").write_text("time_s,site_w\n" + "".join(f"{t},{100 + t % 7}\n" for t in range(900)))
+    feeder = tmp_path / "own"
+    feeder.mkdir()
+    (feeder / "feeder.toml").write_text('name = "own"\nbase_kv = 10.0\nsubstation = "s"\nv0_pu = 1.0\n')
+    (feeder / "buses.csv").write_text("bus,p_kw,q_kvar\ns,0,0\na,10,3\nb,10,3\n")
+    (feeder / "branches.csv").write_text("from_bus,to_bus,r_ohm,x_ohm\ns,a,0.1,0.1\na,b,0.1,0.1\n")
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'feeder = "own"\nsource_voltage_pu = 1.0\nhorizon = 60\n[workload]\ntrace = "site.csv"\n'
+        '[[devices]]\nkind = "datacenter"\ncount = 1\nbuses = ["a"]\np_rated_kw = 50.0\ns_rated_share = 1.1\n'
+        'q_max_share = 0.3\n[[devices]]\nkind = "inverter"\nbuses = ["b"]\ns_rated_kva = 20.0\n'
+    )
+    scenario = make_scenario(path)
+    assert (scenario.name, scenario.feeder.name, scenario.agents) == ("mine", "own", ("dc_0", "inv_0"))
+    assert isinstance(scenario.trace[0], PowerTrace)
+    np.testing.assert_allclose(scenario.datacenter.p_rated_kw, [50.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("horizon = ", "Invalid value"),
+        ("base = 3", "base is 3; give the name of a preset"),
+        ('base = "ieee34"', "unknown scenario 'ieee34'; there are toy6"),
+        ('base = "ieee33"\nhorizont = 3', "has no field 'horizont'; its fields are name"),
+        ('base = "ieee33"\n[sensing]\nnoise = 3', "sensing.noise is no field; there are noise_pu, delay_steps"),
+        ('base = "ieee33"\n[sensing]\nnoise_pu = "high"', "sensing.noise_pu is 'high'; input should be a valid number"),
+        ('base = "ieee33"\n[sensing]\nnoise_pu = -1.0', r"sensing.noise_pu is -1.0; give a finite number in \[0, 1\]"),
+        ('base = "ieee33"\n[cost]\nreward = "mine"', "cost.reward is 'mine'; input should be 'shared' or 'local'"),
+        ('base = "ieee33"\n[cost.weights]\nvolts = 1', "there is no weight 'volts'; there are voltage"),
+        ('base = "ieee33"\nsensing = 3', r"sensing is 3; give Sensing\(...\) or a mapping of its fields"),
+        ('base = "ieee33"\nvoltage_noise_pu = 0.1\n[sensing]\nnoise_pu = 0.1', "are one field; give one"),
+        ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind is 'wind'; choose one of data"),
+        ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["99"]\ns_rated_kva = 1', "has no bus '?99'?; its"),
+        ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["3"]', r"devices\[0\].s_rated_kva is 0.0; give"),
+        ('base = "ieee33"\n[[devices]]\nkind = "datacenter"\ncount = 1', r"devices\[0\].p_rated_kw is missing"),
+        ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', "a fault among 'dc_9'; choose"),
+        ('base = "ieee33"\nfeeder = "nowhere"', "unknown feeder 'nowhere'"),
+        ('feeder = "toy6"', "missing"),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text, message, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=message) as caught:
+        make_scenario(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_stands_in_no_file_is_refused():
+    trace = PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own")
+    with pytest.raises(ScenarioError, match=r"workload.trace\[0\] is a PowerTrace that is in no file; name a shipped"):
+        make_scenario("ieee33", trace=(trace,)).to_toml()
+
+
+def test_the_command_line_takes_a_file(tmp_path):
+    (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 5\n')
+    line = [sys.executable, "-m", "dcgrid_env.cli", "run", "--scenario", "mine.toml", "--episodes", "1"]
+    done = subprocess.run([*line, "--controllers", "none"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "mine, " in done.stdout
+    (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = -5\n')
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in done.stderr
