@@ -5,7 +5,7 @@ import pettingzoo as _pettingzoo
 
 from dcgrid_env.devices import DataCenters, Inverters, LinearDvfs, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.engine.actions import ActionError
+from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
@@ -31,6 +31,7 @@ __all__ = [
     "IDS",
     "PRESETS",
     "ActionError",
+    "ActionLayout",
     "Background",
     "Cost",
     "CostWeights",
@@ -55,6 +56,7 @@ __all__ = [
     "TensorEnv",
     "TensorStep",
     "Workload",
+    "action_layout",
     "distflow",
     "env",
     "episode_hash",

@@ -27,7 +27,7 @@ class FieldError(ValueError):
     name, value
         Field and value.
     remedy
-        What would do, or all that is to be said of it where ``value`` is left out.
+        What would do; all that is to be said of the field where ``value`` is ``...``.
     """
 
     def __init__(self, owner: str, name: str, value: Any, remedy: str):
@@ -36,7 +36,7 @@ class FieldError(ValueError):
 
     def said(self, name: str) -> str:
         """The message under another name of the field."""
-        return f"{name} is {self.value!r}; {self.remedy}"
+        return f"{name} {self.remedy}" if self.value is ... else f"{name} is {self.value!r}; {self.remedy}"
 
 
 def is_number(value: Any) -> bool:

@@ -1,23 +1,30 @@
 """Devices: groups of them with parameters, a state and a pure step."""
 
+from dcgrid_env.devices import converter
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
-from dcgrid_env.devices.device import Device
+from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, Q, Work
 from dcgrid_env.devices.inverter import Inverters
 from dcgrid_env.devices.ratings import DataCenterParams, InverterParams
 from dcgrid_env.devices.registry import DEVICES, register_device
 
 __all__ = [
     "DEVICES",
+    "Channel",
+    "CostTerm",
     "DataCenterParams",
     "DataCenters",
     "Device",
     "Dvfs",
+    "Field",
     "InverterParams",
     "Inverters",
     "LinearDvfs",
     "PrefillDecodeDvfs",
+    "Q",
+    "Work",
+    "converter",
     "register_device",
     "speed_share",
     "work_classes_of",

@@ -1,7 +1,190 @@
-"""What a group of devices is: its parameters, its state and a pure step, and what it says of itself."""
+"""What a group of devices is: frozen parameters, a state, and a pure step; and what it says of itself.
+
+Parameters are arrays over the group's slots, a state is a NamedTuple of arrays (lane, slot), and functions run on NumPy
+arrays and tensors alike, writing nothing in place. Every device meets the grid through a converter of its own: it says
+what active power it draws, and the engine cuts the reactive setpoint at what the converter has left (``converter``).
+The engine loops over a scenario's devices; nothing above this folder knows a kind, but a controller made for it.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
-Device = Any
+import numpy as np
+
+from dcgrid_env.core.arrays import Array
+
+Q = "q"
+"""Name of the channel that is the converter's reactive setpoint, kvar, injection positive."""
+
+
+class Channel(NamedTuple):
+    """One of the setpoints of a device; an agent's action is its device's channels in order, each in [-1, 1]."""
+
+    name: str
+    unit: str
+    lowest: np.ndarray
+    """What -1 stands for, (slot,)."""
+    highest: np.ndarray
+    """What 1 stands for, (slot,)."""
+    rest: np.ndarray
+    """Setpoint at t = 0, (slot,)."""
+
+
+class Field(NamedTuple):
+    """A figure that an agent observes beside what all agents see of the grid."""
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+    share_of: np.ndarray
+    """What the raw figure is divided by, (slot,)."""
+    of_preview: bool = False
+    """Whether it is 0 unless the scenario grants the preview."""
+
+
+class CostTerm(NamedTuple):
+    """A term of the cost that a device brings."""
+
+    name: str
+    amount: str
+    """Field of the device's state that is charged, or a name that its ``amount`` understands."""
+    own_scale: np.ndarray
+    """What an agent's amount is divided by in its own cost, (slot,)."""
+    team_scale: float
+    """What the sum of the amounts is divided by in the team's."""
+    largest: float
+    """Upper bound of the share in a step: charged once the power flow has no solution."""
+    at_end: bool = False
+    """Whether it is charged after the last step alone."""
+    weight: float | None = None
+    """Weight of a term that ``CostWeights`` does not have."""
+
+
+class Work(NamedTuple):
+    """What a device is asked to do over one interval, where ``Device.input`` is "workload"."""
+
+    p_ref_kw: Array
+    """Draw at the top clock with nothing queued, kW, (lane, slot)."""
+    compute_share: Array | None
+    """Compute-bound share of the work that arrives, (lane, slot); None under a clock law of one work class."""
+
+
+@runtime_checkable
+class Device(Protocol):
+    """A group of devices of one kind."""
+
+    kind: ClassVar[str]
+    """Its name in scenario files, faults and messages."""
+    prefix: ClassVar[str]
+    """What its agents' ids begin with."""
+    input: ClassVar[str | None]
+    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (lane, slot)), or None."""
+    levels: ClassVar[tuple[str, ...]]
+    """Fields of the state that are amounts at an instant, and so have a value at t = 0; the others are of a step."""
+
+    @property
+    def count(self) -> int:
+        """Number of slots."""
+        ...
+
+    @property
+    def buses(self) -> tuple[int | str, ...] | None:
+        """Buses of the slots, or None: drawn in each episode."""
+        ...
+
+    @property
+    def parameters(self) -> Any:
+        """NamedTuple of arrays (slot,)."""
+        ...
+
+    @property
+    def p_scale_kw(self) -> np.ndarray:
+        """Rating that a draw is a share of, kW, (slot,)."""
+        ...
+
+    @property
+    def converter_kva(self) -> np.ndarray:
+        """Apparent-power rating of the converter, kVA, (slot,)."""
+        ...
+
+    @property
+    def q_limit_kvar(self) -> np.ndarray:
+        """Reactive limit at zero active power, kvar, (slot,); 0 for a device without a reactive channel."""
+        ...
+
+    @property
+    def largest_draw_share(self) -> float:
+        """Highest draw as a share of ``p_scale_kw``."""
+        ...
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What controls it."""
+        ...
+
+    def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """What it observes, in the order of ``observe``."""
+        ...
+
+    def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """What it is charged for."""
+        ...
+
+    def check_episode(self, horizon: int) -> None:
+        """Raise FieldError for what cannot serve an episode of so many steps."""
+        ...
+
+    def initial(self, parameters: Any, zero: Array) -> Any:
+        """State before t = 0; ``zero`` is 0, (lane, slot)."""
+        ...
+
+    def step(
+        self, parameters: Any, state: Any, setpoints: tuple[Array, ...], given: Any, dt_s: float
+    ) -> tuple[Any, Array]:
+        """Advance by one interval.
+
+        Parameters
+        ----------
+        parameters, state
+            Those of before, arrays of one kind.
+        setpoints
+            Of the channels in their order but the reactive one, in their units, (lane, slot) each.
+        given
+            What comes from outside, see ``input``.
+        dt_s
+            Length of the interval, s.
+
+        Returns
+        -------
+        state, p_kw
+            State at the end, and the draw from the grid, kW, (lane, slot), an injection negative.
+        """
+        ...
+
+    def observe(self, parameters: Any, state: Any, given_next: Any) -> tuple[Array, ...]:
+        """Raw figures of the fields, (lane, slot) each; ``given_next`` is what comes over the coming interval."""
+        ...
+
+    def amount(self, name: str, parameters: Any, state: Any) -> Array:
+        """What a cost term charges, (lane, slot)."""
+        ...
+
+    def totals(self, state: Any) -> dict[str, Array]:
+        """Figures of all slots together that stand in ``info``, (lane,) each."""
+        ...
+
+    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+        """Figures of an episode.
+
+        Parameters
+        ----------
+        history
+            The state's fields over time, (T + 1, slot) each, from the reset on.
+        dt_s
+            Length of a step, s.
+        requests
+            Of each slot the requests behind its work and when the episode begins among them, s; None without any.
+        """
+        ...

@@ -8,8 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
+from dcgrid_env.devices.device import Channel, CostTerm, Field, Q
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
 
@@ -20,6 +22,8 @@ class Inverters(PickledByFields):
 
     kind: ClassVar[str] = "inverter"
     prefix: ClassVar[str] = "inv"
+    input: ClassVar[str | None] = "injection"
+    levels: ClassVar[tuple[str, ...]] = ()
 
     buses: tuple[int | str, ...] = ()
     """Their buses, one each."""
@@ -42,17 +46,18 @@ class Inverters(PickledByFields):
         if isinstance(self.injection, tuple):
             wrong = [share for share in self.injection if not is_number(share) or not -1 <= share <= 1]
             if wrong:
-                raise FieldError(
-                    "Inverters", "injection", wrong[0], "give numbers from -1 to 1, one for t = 0 and each step"
-                )
+                given = f"has {len(self.injection)} shares, {wrong[0]!r} among them"
+                remedy = "give numbers from -1 to 1, for t = 0 and each step"
+                raise FieldError("Inverters", "injection", ..., f"{given}; {remedy}")
         elif not (self.injection is None or self.injection == SUN):
             if not isinstance(self.injection, PowerTrace):
                 remedy = f"give {SUN!r}, a PowerTrace as a share of the rating, shares for each step, or None"
                 raise refuse(self, "injection", remedy)
             highest = float(np.max(self.injection.power_kw))
             if highest > 1.0:
-                remedy = "it is a share of the inverter's rating; scale it, for instance trace.scaled_to(1.0)"
-                raise FieldError("Inverters", "injection", f"a trace that rises to {highest:g}", remedy)
+                wrong = f"rises to {highest:g}, but it is a share of the inverter's rating"
+                remedy = "scale it, for instance trace.scaled_to(1.0)"
+                raise FieldError("Inverters", "injection", ..., f"{wrong}; {remedy}")
 
     @property
     def count(self) -> int:
@@ -69,13 +74,66 @@ class Inverters(PickledByFields):
         """Reactive limit of each inverter at zero active power, kvar."""
         return self.parameters.s_rated_kva
 
+    @property
+    def p_scale_kw(self) -> np.ndarray:
+        """Rating that a draw is a share of, kVA."""
+        return self.parameters.s_rated_kva
+
+    @property
+    def converter_kva(self) -> np.ndarray:
+        """Apparent-power rating as an array, kVA."""
+        return self.parameters.s_rated_kva
+
+    @property
+    def largest_draw_share(self) -> float:
+        """An inverter that charges draws its rating at most."""
+        return 1.0
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """Reactive power alone."""
+        q = self.q_limit_kvar
+        return (Channel(Q, "kvar", -q, q, rest=0.0 * q),)
+
+    def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """Nothing beside what every agent observes."""
+        return ()
+
+    def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """Nothing beside what every agent is charged."""
+        return ()
+
+    def initial(self, parameters: InverterParams, zero: Array) -> tuple[()]:
+        """An inverter has no state."""
+        return ()
+
+    def step(
+        self, parameters: InverterParams, state: tuple[()], setpoints: tuple[Array, ...], given: Array, dt_s: float
+    ) -> tuple[tuple[()], Array]:
+        """Inject what the schedule says."""
+        return (), -given
+
+    def observe(self, parameters: InverterParams, state: tuple[()], given_next: Array) -> tuple[Array, ...]:
+        """Nothing, see ``fields``."""
+        return ()
+
+    def amount(self, name: str, parameters: InverterParams, state: tuple[()]) -> Array:
+        """KeyError: an inverter has no cost term of its own."""
+        raise KeyError(name)
+
+    def totals(self, state: tuple[()]) -> dict[str, Array]:
+        """Nothing to add to ``info``."""
+        return {}
+
+    def metrics(self, history: tuple[()], dt_s: float, requests: Any) -> dict[str, float]:
+        """Nothing beside what is measured of every agent."""
+        return {}
+
     def check_episode(self, horizon: int) -> None:
         """Raise FieldError unless a schedule is as long as an episode."""
         if isinstance(self.injection, tuple) and len(self.injection) < horizon + 1:
-            given = f"a schedule of {len(self.injection)} shares"
-            raise FieldError(
-                "Inverters", "injection", given, f"give {horizon + 1} numbers from -1 to 1, for t = 0 and each step"
-            )
+            remedy = f"give {horizon + 1} numbers from -1 to 1, for t = 0 and each step"
+            raise FieldError("Inverters", "injection", ..., f"has {len(self.injection)} shares; {remedy}")
 
 
 def _injection(value: Any) -> Any:

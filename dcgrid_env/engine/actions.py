@@ -1,13 +1,19 @@
-"""Checks of the actions that come in through the interfaces. Values beyond [-1, 1] are cut by the physics."""
+"""The joint action: which entry is which agent's which channel, and checks of the actions that come in.
+
+Values beyond [-1, 1] are cut by the physics.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import Q
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -15,50 +21,102 @@ class ActionError(ValueError):
     """An action of the wrong shape or kind, or not finite; the message names the agent."""
 
 
+class ActionLayout:
+    """Where each channel of each agent stands in the joint action; made once for a scenario.
+
+    Agents follow one another, each with the channels of its device in their order.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self.names: tuple[tuple[str, str], ...]
+        """(agent, channel) of each entry."""
+        names, self._cuts, self._columns, self._reactive = [], [0], [], []
+        agents = iter(scenario.agents)
+        for device in scenario.devices:
+            first, width = len(names), len(device.channels)
+            for _ in range(device.count):
+                agent = next(agents)
+                names += [(agent, channel.name) for channel in device.channels]
+                self._cuts.append(len(names))
+            columns = [slice(first + i, len(names), width) for i in range(width)]
+            called = [channel.name for channel in device.channels]
+            self._columns.append(tuple(c for c, name in zip(columns, called, strict=True) if name != Q))
+            self._reactive.append(columns[called.index(Q)] if Q in called else None)
+        self.names = tuple(names)
+        self.agents = scenario.agents
+        self.widths = dict(zip(self.agents, np.diff(self._cuts).tolist(), strict=True))
+        """Number of channels of each agent."""
+        self.slices = {agent: slice(a, b) for agent, a, b in zip(self.agents, self._cuts, self._cuts[1:], strict=False)}
+        """Where each agent's action stands."""
+        self._counts = [device.count for device in scenario.devices]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def is_channel(self, name: str) -> np.ndarray:
+        """Whether an entry is of the channel of this name, bool, (n_action,)."""
+        return np.array([channel == name for _, channel in self.names], dtype=bool)
+
+    def channels(self, joint: Array, device: int) -> tuple[Array, ...]:
+        """Entries of a device's channels but the reactive one, (..., slot) each."""
+        return tuple(joint[..., columns] for columns in self._columns[device])
+
+    def reactive(self, joint: Array) -> Array:
+        """Reactive entries of all agents, 0 for one without, (..., n_agent)."""
+        parts = [
+            0.0 * joint[..., [0] * n] if at is None else joint[..., at]
+            for at, n in zip(self._reactive, self._counts, strict=True)
+        ]
+        return parts[0] if len(parts) == 1 else namespace(joint).concat(parts, axis=-1)
+
+    def split(self, joint: Any) -> dict[str, Any]:
+        """Each agent's action, views of the joint one, (..., n) each."""
+        return {agent: joint[..., cut] for agent, cut in self.slices.items()}
+
+    def join(self, actions: Mapping[str, Any]) -> np.ndarray:
+        """The joint action of a mapping from agent to its action, each (..., n)."""
+        return np.concatenate([actions[agent] for agent in self.agents], axis=-1)
+
+
 @cached_on_owner
-def action_names(scenario: Scenario) -> tuple[tuple[str, str], ...]:
-    """(agent, actuator) of each entry of the joint action."""
-    return tuple(
-        (agent, name) for agent in scenario.agents for name in (("clock", "q") if agent.startswith("dc_") else ("q",))
-    )
+def action_layout(scenario: Scenario) -> ActionLayout:
+    """The layout of a scenario's joint action."""
+    return ActionLayout(scenario)
 
 
-def joint_action(scenario: Scenario, action: Any, lanes: int | None = None) -> np.ndarray:
-    """The joint action as float64, (lane, n_action); one lane if ``lanes`` is None, given without that dimension."""
-    n = len(action_names(scenario))
-    want = (n,) if lanes is None else (lanes, n)
+def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -> np.ndarray:
+    """The joint action as float64, (lane, n_action); one lane if ``num_envs`` is None, given without that dimension."""
+    layout = action_layout(scenario)
+    n = len(layout)
+    want = (n,) if num_envs is None else (num_envs, n)
     try:
         array = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ActionError(f"the action is no array of numbers: {error}; give shape {want}") from None
     if array.shape != want:
-        raise ActionError(f"the action has shape {array.shape}; it must be {want}: {_listing(scenario)}")
+        listing = ", ".join(f"{agent} {name}" for agent, name in layout.names)
+        raise ActionError(f"the action has shape {array.shape}; it must be {want}: {listing}")
     array = array.reshape(-1, n)
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():  # the sum alone is cheap, but may overflow
         lane, at = np.argwhere(~np.isfinite(array))[0]
-        where = "" if lanes is None else f" in lane {lane}"
-        agent, name = action_names(scenario)[at]
+        where = "" if num_envs is None else f" in lane {lane}"
+        agent, name = layout.names[at]
         raise ActionError(f"action of {agent}: {name} is {array[lane, at]}{where}; give a finite number in [-1, 1]")
     return array
 
 
 def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
     """One action an agent, a mapping, as a joint action of one lane."""
+    layout = action_layout(scenario)
     try:
-        parts = [actions[agent] for agent in scenario.agents]
+        parts = [actions[agent] for agent in layout.agents]
     except (KeyError, TypeError, IndexError):
         given = list(actions) if hasattr(actions, "keys") else type(actions).__name__
-        raise ActionError(f"actions must map each of {list(scenario.agents)} to its action; got {given}") from None
+        raise ActionError(f"actions must map each of {list(layout.agents)} to its action; got {given}") from None
     if len(actions) != len(parts):
-        extra = sorted(set(actions) - set(scenario.agents))
-        raise ActionError(f"actions for unknown agents {extra}; the agents are {list(scenario.agents)}")
-    n_dc = scenario.n_datacenters
-    for i, (agent, part) in enumerate(zip(scenario.agents, parts, strict=True)):
-        want = (2,) if i < n_dc else (1,)
-        if np.shape(part) != want:
-            raise ActionError(f"action of {agent} has shape {np.shape(part)}; it must be {want}")
+        extra = sorted(set(actions) - set(layout.agents))
+        raise ActionError(f"actions for unknown agents {extra}; the agents are {list(layout.agents)}")
+    for (agent, width), part in zip(layout.widths.items(), parts, strict=True):
+        if np.shape(part) != (width,):
+            raise ActionError(f"action of {agent} has shape {np.shape(part)}; it must be {(width,)}")
     return joint_action(scenario, np.concatenate(parts))
-
-
-def _listing(scenario: Scenario) -> str:
-    return ", ".join(f"{agent} {name}" for agent, name in action_names(scenario))

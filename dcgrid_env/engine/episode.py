@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
-from dcgrid_env.engine.dynamics import Exogenous
+from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
@@ -29,7 +30,7 @@ class Episode(NamedTuple):
     """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
     placed: observation.Placement
     start: np.ndarray
-    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_dc)."""
+    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_site)."""
     sun: np.ndarray
     """The same of generated PV, (lane,); 0 where there is none."""
     begin_h: np.ndarray
@@ -80,14 +81,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     """
     salt = np.uint64(zlib.crc32(scenario.split.encode()))
     key = random.keys(salt, seeds, numbers)
-    lanes, n_dc = len(key), scenario.n_datacenters
-    fixed = [scenario.feeder.index(b) for b in scenario.inverter_buses]
-    if scenario.datacenter_buses is None:
-        order = np.argsort(random.bits(key, random.PLACEMENT, len(scenario.candidates)), axis=1, kind="stable")
-        at = scenario.candidates[order[:, :n_dc]]
-    else:
-        at = np.tile([scenario.feeder.index(b) for b in scenario.datacenter_buses], (lanes, 1)).astype(np.int64)
-    buses = np.concatenate((at, np.tile(np.array(fixed, dtype=np.int64), (lanes, 1))), axis=1)
+    buses = _buses(scenario, key)
     begin_h = _begin_h(scenario, key)
     sun_row, sun_start = random.bits(key, random.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
@@ -96,6 +90,23 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     episode = assemble(scenario, key, buses, *drawn)
     prepare(scenario, episode)
     return episode
+
+
+def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """Position of each agent's bus, (lane, n_agent): as fixed, or drawn evenly among the free load buses."""
+    order = None
+    parts, taken = [], 0
+    for device in scenario.devices:
+        if device.buses is not None:
+            fixed = np.array([scenario.feeder.index(bus) for bus in device.buses], dtype=np.int64)
+            parts.append(np.tile(fixed, (len(key), 1)))
+            continue
+        if order is None:
+            drawn = random.bits(key, random.PLACEMENT, len(scenario.candidates))
+            order = np.argsort(drawn, axis=1, kind="stable")
+        parts.append(scenario.candidates[order[:, taken : taken + device.count]])
+        taken += device.count
+    return np.concatenate(parts, axis=1)
 
 
 def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
@@ -107,14 +118,14 @@ def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.ndarray:
     """Where each data centre's trace window begins, see ``Episode.start``."""
-    pool, n_dc = trace_pool(scenario), scenario.n_datacenters
+    pool, n_site = trace_pool(scenario), scenario.n_sites
     n_rows, n_steps = pool.p_share.shape
     # Sites take different rows as long as there are enough.
     row = np.argsort(random.bits(key, random.TRACE_ROW, n_rows), axis=1, kind="stable")
-    row = row[:, np.arange(n_dc) % n_rows]
+    row = row[:, np.arange(n_site) % n_rows]
     spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
     room = 1 if scenario.trace_window == "start" else spare + 1
-    start = (random.bits(key, random.TRACE_START, n_dc) % np.uint64(room)).astype(np.int64)
+    start = (random.bits(key, random.TRACE_START, n_site) % np.uint64(room)).astype(np.int64)
     if scenario.trace_window == "together":
         start = start[:, :1]
     if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
@@ -124,7 +135,7 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
     window = row * n_steps + start
     if scenario.site_correlation:
         window = np.where(
-            random.uniform(key, random.CORRELATION, n_dc) < scenario.site_correlation, window[:, :1], window
+            random.uniform(key, random.CORRELATION, n_site) < scenario.site_correlation, window[:, :1], window
         )
     return window
 
@@ -172,18 +183,24 @@ def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
 
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
-    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_dc)."""
-    return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.datacenter.p_rated_kw
+    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_site)."""
+    return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.site_rated_kw
 
 
 def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
-    """Compute-bound share of that power above idle, (lane, n_dc); None under a clock law of one work class."""
+    """Compute-bound share of that power above idle, (lane, n_site); None under a clock law of one work class."""
     if scenario.work_classes == 1:
         return None
     known = trace_pool(scenario).compute_share
     if known is None:
         return np.full(episode.start.shape, float(scenario.compute_share))
     return known.take(episode.start + step[:, None])
+
+
+def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
+    """What devices may know at ``step`` (lane,) of the coming interval: work, and nothing of injections; by device."""
+    work = Work(p_ref_next, compute_share(scenario, episode, step + 1))
+    return tuple(work if device.input == "workload" else None for device in scenario.devices)
 
 
 def exogenous(
@@ -200,7 +217,7 @@ def exogenous(
     noise
         The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
     p_ref
-        The data centres' p_ref at ``step``, kW, (lane, n_dc): see :func:`p_ref_kw`.
+        The data centres' p_ref at ``step``, kW, (lane, n_site): see :func:`p_ref_kw`.
     """
     hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
     share = episode.still if hour is None else load_share(hour)
@@ -215,11 +232,13 @@ def exogenous(
         random.load_step(episode.key, step, noise, share, *load, z, p, q)
     else:
         over_lanes(part, len(step))
-    if scenario.inverter_trace is None:
-        injection = np.zeros((len(step), scenario.n_inverters))
+    schedule = scenario.schedule
+    rated_kva = scenario.scheduled_kva
+    if schedule is None:
+        injection = np.zeros((len(step), len(rated_kva)))
     else:
-        injection = sun_rows(scenario).take(episode.sun + step)[:, None] * scenario.inverter.s_rated_kva
-        if hour is not None and scenario.inverter_trace == SUN:
+        injection = sun_rows(scenario).take(episode.sun + step)[:, None] * rated_kva
+        if hour is not None and schedule == SUN:
             injection *= sun_share(hour)[:, None]
     available = None
     if scenario.faults:

@@ -15,8 +15,8 @@
 | clock_mean_pct | mean clock as a share of the top clock |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
 
-Where the trace is made of requests, over those that arrived in the episode at any site, see ``request_delay`` (all are
-0 if none did):
+Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
+``devices.datacenter.request_delay``:
 
 | metric | meaning |
 |---|---|
@@ -28,14 +28,12 @@ Where the trace is made of requests, over those that arrived in the episode at a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dcgrid_env.devices import speed_share
-from dcgrid_env.engine.request_delay import RequestDelays, request_delays, serve_requests
+from dcgrid_env.engine.state import field_of_devices
 from dcgrid_env.engine.trace_pool import trace_pool
-from dcgrid_env.engine.waiting_time import fcfs_delays
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -50,19 +48,22 @@ class Series:
         states = [t.state for t in transitions]
         steps = transitions[1:]
         self.v_pu = np.array([s.v_pu[lane] for s in states])
-        self.backlog_kws = np.array([s.backlog_kws[lane] for s in states])
-        self.f_mhz = np.array([s.f_mhz[lane] for s in states[1:]])
         self.p_kw = np.array([s.p_kw[lane] for s in states[1:]])
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
-        self.arrived_kw = np.array([s.arrived_kw[lane] for s in states[1:]])
-        self.served_kw = np.array([s.served_kw[lane] for s in states[1:]])
-        self.class_arrived_kw = np.array([s.class_arrived_kw[lane] for s in states[1:]])
-        self.class_served_kw = np.array([s.class_served_kw[lane] for s in states[1:]])
+        self.devices = tuple(_history([s.devices[i] for s in states], lane) for i in range(len(scenario.devices)))
+        """State of each device over time, from the reset on."""
         self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
         self.cost_j = np.array([t.cost_j[lane] for t in steps])
         self.costs = {name: np.array([getattr(t.costs, name)[lane] for t in steps]) for name in steps[0].costs._fields}
         self.converged = bool(steps[-1].converged[lane])
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        """A field of a device's state over time, (T, slot), from the reset on where it is an amount at an instant."""
+        if name.startswith("_") or name in ("devices", "scenario"):  # asked for before there are any, by copy say
+            raise AttributeError(name)
+        found = field_of_devices(self.devices, name)
+        return found if any(name in device.levels for device in self.scenario.devices) else found[1:]
 
     def metrics(self) -> dict[str, float]:
         """The figures of the module's table."""
@@ -70,11 +71,7 @@ class Series:
         v = self.v_pu[1:, 1:]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
-        arrived, served = (w.reshape(len(w), -1) for w in (self.class_arrived_kw, self.class_served_kw))
-        delays = fcfs_delays(arrived, served, s.dt_s)
-        requests = self._request_delays()
-        ratings = np.concatenate((s.datacenter.s_rated_kva, s.inverter.s_rated_kva))
-        clock = self.f_mhz.mean() / s.f_max_mhz if s.n_datacenters else 1.0
+        ratings = np.concatenate([device.converter_kva for device in s.devices])
         found = {
             "J": self.cost_j.sum() / s.horizon,
             **{f"cost_{name}": values.sum() / s.horizon for name, values in self.costs.items()},
@@ -85,36 +82,33 @@ class Series:
             "voltage_min_pu": v.min(),
             "voltage_max_pu": v.max(),
             "voltage_step_mean_pu": np.abs(np.diff(self.v_pu[:, 1:], axis=0)).mean(),
-            "delay_mean_s": delays.mean_s,
-            "delay_p50_s": delays.p50_s,
-            "delay_p95_s": delays.p95_s,
-            "delay_p99_s": delays.p99_s,
-            "arrived_kws": delays.arrived_kws,
-            "unserved_kws": delays.unserved_kws,
             "loss_mean_kw": self.loss_kw.mean(),
             "loss_energy_kwh": self.loss_kw.sum() * s.dt_s / 3600.0,
             "q_effort_pct": 100.0 * (np.abs(self.q_kvar) / ratings).mean(),
-            "clock_mean_pct": 100.0 * clock,
             "steps": len(v),
             "power_flow_converged": self.converged,
-            **(requests._asdict() if requests else {}),
         }
+        for device, history in zip(s.devices, self.devices, strict=True):
+            requests = self._requests() if device.input == "workload" else None
+            found |= device.metrics(history, s.dt_s, requests)
         return {name: float(value) for name, value in found.items()}
 
-    def _request_delays(self) -> RequestDelays | None:
-        """Figures over the requests of all sites; None where the trace is not made of requests."""
-        s = self.scenario
-        pool = trace_pool(s)
-        if not (pool.requests and s.n_datacenters):
+    def _requests(self) -> list[tuple[Any, float]] | None:
+        """The requests of each site's row of trace and when the episode begins among them, s; None without any."""
+        pool = trace_pool(self.scenario)
+        if not (pool.requests and len(self.trace_start)):
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
-        arrived, served = (w.reshape(*w.shape[:2], -1) for w in (self.class_arrived_kw, self.class_served_kw))
-        speed = speed_share(s.dvfs, s.datacenter, self.f_mhz)
-        begin_s = (offset + 1) * s.dt_s
-        return request_delays(
-            serve_requests(pool.requests[row[i]], begin_s[i], arrived[:, i], served[:, i], speed[:, i], s.dt_s)
-            for i in range(s.n_datacenters)
-        )
+        begin_s = (offset + 1) * self.scenario.dt_s
+        return [(pool.requests[r], begin) for r, begin in zip(row, begin_s, strict=True)]
+
+
+def _history(states: list[Any], lane: int) -> Any:
+    """A device's states as one, with time in front of every field."""
+    first = states[0]
+    if not hasattr(first, "_fields"):
+        return first
+    return type(first)(*(np.array([getattr(s, name)[lane] for s in states]) for name in first._fields))
 
 
 class Recorder:

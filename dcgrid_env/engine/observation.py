@@ -10,10 +10,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
 | r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
-| p_ref_next | data centres | share of the rating, over the coming interval; 0 without preview | 0 .. boost share |
-| backlog | data centres | s at the rated power | 0 .. horizon dt boost share |
-| p_ref_next_compute | data centres* | compute-bound part of what p_ref_next has above idle | as p_ref_next |
-| backlog_compute | data centres* | compute-bound part of backlog | as backlog |
+| device fields | as each device says (``Device.fields``) | | |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
 
@@ -22,20 +19,21 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part, take_at, take_last
+from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.engine.dynamics import State, from_nodes
-from dcgrid_env.engine.parameters import constants, inverse
+from dcgrid_env.devices import Field
+from dcgrid_env.engine.dynamics import from_nodes
+from dcgrid_env.engine.parameters import inverse, parameters
+from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
-DATACENTER = (*COMMON, "p_ref_next", "backlog")
-TWO_CLASSES = (*DATACENTER, "p_ref_next_compute", "backlog_compute")
 N_NEIGHBOURS = 3
 
 
@@ -58,40 +56,50 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
         wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
     elif scenario.observe == "feeder":
         wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[1:])
-    site = _site_fields(scenario)
-    return {a: (*(site if a.startswith("dc_") else COMMON), *wider) for a in scenario.agents}
+    agents = iter(scenario.agents)
+    return {
+        next(agents): (*COMMON, *(field.name for field in fields), *wider)
+        for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
+        for _ in range(device.count)
+    }
 
 
-def _site_fields(scenario: Scenario) -> tuple[str, ...]:
-    """Names of a data centre's own fields."""
-    return TWO_CLASSES if scenario.work_classes == 2 else DATACENTER
+@cached_on_owner
+def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
+    """The fields of each device."""
+    return tuple(device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
 
 
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
     own = _own_distance(scenario)
-    boost = scenario.boost_share
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
-        "p": (-1.0, boost),
+        "p": (-1.0, max(device.largest_draw_share for device in scenario.devices)),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
         "r": (0.0, max(float(own[:, 0].max()), 1e-6)),
         "x": (0.0, max(float(own[:, 1].max()), 1e-6)),
-        "p_ref_next": (0.0, boost),
-        "backlog": (0.0, scenario.horizon * scenario.dt_s * boost),
-        "p_ref_next_compute": (0.0, boost),
-        "backlog_compute": (0.0, scenario.horizon * scenario.dt_s * boost),
     }
 
-    def find(name: str) -> tuple[float, float]:
+    def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
+        if name in fields:
+            return fields[name]
         if name.startswith("neighbour"):
             name = name.partition("_")[2]
         return range_of["v_deviation" if name.startswith("v_deviation") else name]
 
-    found = {agent: np.array([find(n) for n in names]) for agent, names in field_names(scenario).items()}
+    of_device = [
+        {field.name: (field.lowest, field.highest) for field in fields}
+        for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
+        for _ in range(device.count)
+    ]
+    found = {
+        agent: np.array([find(name, fields) for name in names])
+        for (agent, names), fields in zip(field_names(scenario).items(), of_device, strict=True)
+    }
     return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
 
 
@@ -121,43 +129,38 @@ class _Layout(NamedTuple):
 
 
 @cached_on_owner
-def _layout(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Layout:
+def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
-    known = constants(scenario, np.empty(0))
-    n, n_dc = scenario.n_agents, scenario.n_datacenters
+    known = parameters(scenario, np.empty(0))
+    n = scenario.n_agents
     per_band = 1.0 / (scenario.band_pu or 1.0)
-    rated = 1.0 / scenario.datacenter.p_rated_kw
     per_q = inverse(known.q_scale_kvar)
     near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
-    blocks = {
-        "v_deviation": np.full(n, per_band),
-        "v_change": np.full(n, per_band),
-        "p": 1.0 / known.p_scale_kw,
-        "q": per_q,
-        "q_limit": per_q,
-        "r": np.ones(n),
-        "x": np.ones(n),
-        "p_ref_next": rated * scenario.preview,
-        "backlog": rated,
-    }
-    if scenario.work_classes == 2:
-        blocks |= {"p_ref_next_compute": blocks["p_ref_next"], "backlog_compute": rated}
-    starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
-    site = _site_fields(scenario)
-    scale = np.concatenate(list(blocks.values()))
-    column = []
-    for i in range(n):
-        column += [starts[name] + i for name in (site if i < n_dc else COMMON)]
-        if scenario.observe == "neighbours":
-            column += range(len(scale) + 3 * near * i, len(scale) + 3 * near * (i + 1))
-        elif scenario.observe == "feeder":
-            column += range(len(scale), len(scale) + scenario.feeder.n_bus - 1)
+    blocks = [
+        np.full(n, per_band), np.full(n, per_band), 1.0 / known.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
+    ]  # fmt: skip
+    common = len(blocks)
+    for fields in device_fields(scenario):
+        blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    scale = np.concatenate(blocks)
+    column, agent, block = [], 0, common
+    for device, fields in zip(scenario.devices, device_fields(scenario), strict=True):
+        for slot in range(device.count):
+            column += [starts[k] + agent for k in range(common)]
+            column += [starts[block + k] + slot for k in range(len(fields))]
+            if scenario.observe == "neighbours":
+                column += range(len(scale) + 3 * near * agent, len(scale) + 3 * near * (agent + 1))
+            elif scenario.observe == "feeder":
+                column += range(len(scale), len(scale) + scenario.feeder.n_bus - 1)
+            agent += 1
+        block += len(fields)
     if scenario.observe == "neighbours":
         scale = np.concatenate((scale, np.ones(3 * near * n)))
     elif scenario.observe == "feeder":
         scale = np.concatenate((scale, np.full(scenario.feeder.n_bus - 1, per_band)))
     return _Layout(
-        xp.asarray(scale, dtype=dtype, device=device), xp.asarray(np.array(column, dtype=np.int64), device=device)
+        xp.asarray(scale, dtype=dtype, device=device_of), xp.asarray(np.array(column, dtype=np.int64), device=device_of)
     )
 
 
@@ -180,10 +183,9 @@ def observe(
     scenario: Scenario,
     state: State,
     placed: Placement,
-    p_ref_next_kw: Array,
+    given_next: Sequence[Any],
     v_measured_pu: Array,
     v_before_pu: Array,
-    compute_share_next: Array | None = None,
 ) -> Array:
     """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
 
@@ -193,35 +195,23 @@ def observe(
         Scenario and state after the last step.
     placed
         The episode's placement.
-    p_ref_next_kw
-        p_ref over the coming interval, kW, (lane, n_dc).
+    given_next
+        What comes from outside over the coming interval, for each device (``dynamics.given``).
     v_measured_pu, v_before_pu
         Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
         (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
-    compute_share_next
-        Compute-bound share of the work that arrives over the coming interval, (lane, n_dc); None with one work class.
     """
     xp = namespace(state.v_pu)
-    layout = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device)
+    layout, known = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, v_before = v_measured_pu, v_before_pu
     if scenario.observe == "feeder":
         v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
     deviation = v_now - 1.0
-    raw = [
-        deviation,
-        v_now - v_before,
-        state.p_kw,
-        state.q_kvar,
-        state.q_limit_kvar,
-        placed.distance,
-        p_ref_next_kw,
-        state.backlog_kws,
-    ]
-    if compute_share_next is not None:
-        coming = positive_part(p_ref_next_kw - constants(scenario, p_ref_next_kw).datacenter.p_idle_kw)
-        raw += (coming * compute_share_next, state.class_backlog_kws[..., 0])
+    raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
+    for device, own, its_state, coming in zip(scenario.devices, known.devices, state.devices, given_next, strict=True):
+        raw += device.observe(own, its_state, coming)
     if scenario.observe == "neighbours":
-        known, per_band = constants(scenario, state.v_pu), 1.0 / (scenario.band_pu or 1.0)
+        per_band = 1.0 / (scenario.band_pu or 1.0)
         trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))

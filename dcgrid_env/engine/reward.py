@@ -11,13 +11,18 @@ their range, ``loss`` the feeder's loss as a share of its base load and the data
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, namespace, positive_part, sum_last
-from dcgrid_env.engine.dynamics import State
-from dcgrid_env.engine.parameters import constants
+from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import CostTerm
+from dcgrid_env.engine.dynamics import device_slices
+from dcgrid_env.engine.parameters import parameters
+from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import Solution
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -64,79 +69,118 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 
 
 def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
-    """The terms of c_t after a step, (lane,) each; the leftover is charged where ``last`` (bool) is True."""
-    xp, w, known = namespace(state.v_pu), scenario.weights, constants(scenario, state.v_pu)
+    """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
+    xp, w, known = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
     n_bus = scenario.feeder.n_bus - 1
     v = state.v_pu[..., 1:]
     deviation = xp.abs(v - 1.0)
     excess = positive_part(deviation - scenario.band_pu)
-    backlog = sum_last(state.backlog_kws) / known.p_rated_sum_kw
-    effort = xp.abs(state.q_kvar) / known.s_rated_kva
-    none = 0.0 * backlog
-    return Costs(
+    effort = xp.abs(state.q_kvar) / known.converter_kva
+    none = 0.0 * solution.loss_kw
+    costs = terms(scenario).kind(
         voltage=sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / n_bus),
         violation=sum_last(excess) * (w.violation / n_bus),
-        backlog=backlog * w.backlog,
         effort=sum_last(effort) * (w.effort / scenario.n_agents),
-        clock=sum_last(_clock_share(scenario, state)) * (w.clock / max(scenario.n_datacenters, 1)) if w.clock else none,
         step=sum_last(xp.abs(v - state.v_last_pu[..., 1:])) * (w.step / n_bus) if w.step else none,
         loss=solution.loss_kw * (w.loss / known.p_all_kw) if w.loss else none,
-        leftover=backlog * w.leftover * last,
+        **dict.fromkeys(terms(scenario).names, none),
     )
+    charged_to: dict[str, Array] = {}
+    shares: dict[tuple[int, str, float], Array] = {}
+    for i, term, weight in terms(scenario).charged:
+        key = (i, term.amount, term.team_scale)
+        if key not in shares:
+            amount = scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i])
+            shares[key] = sum_last(amount) / term.team_scale
+        due = shares[key] * weight * last if term.at_end else shares[key] * weight
+        charged_to[term.name] = charged_to[term.name] + due if term.name in charged_to else due
+    return costs._replace(**charged_to)
 
 
 def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
-    """The same terms as each agent has them alone, (lane, n_agent): its own voltage, backlog, effort and clock.
+    """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
     The feeder's loss is nobody's own and is charged to all alike.
     """
-    xp, w, known = namespace(state.v_pu), scenario.weights, constants(scenario, state.v_pu)
+    xp, w, known = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
     deviation = xp.abs(state.v_agent_pu - 1.0)
     none = 0.0 * deviation
-    own_dc = none[..., scenario.n_datacenters :]
-    backlog = xp.concat((state.backlog_kws / known.datacenter.p_rated_kw, own_dc), axis=-1)
-    return Costs(
+    costs = terms(scenario).kind(
         voltage=voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu) * w.voltage,
         violation=positive_part(deviation - scenario.band_pu) * w.violation,
-        backlog=backlog * w.backlog,
-        effort=xp.abs(state.q_kvar) / known.s_rated_kva * w.effort,
-        clock=xp.concat((_clock_share(scenario, state), own_dc), axis=-1) * w.clock,
+        effort=xp.abs(state.q_kvar) / known.converter_kva * w.effort,
         step=xp.abs(state.v_agent_pu - state.v_agent_last_pu) * w.step,
         loss=none + (solution.loss_kw * (w.loss / known.p_all_kw))[..., None],
-        leftover=backlog * w.leftover * last[..., None],
+        **dict.fromkeys(terms(scenario).names, none),
     )
+    for i, term, weight in terms(scenario).charged:
+        cut = device_slices(scenario)[i]
+        amount = scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i])
+        own = amount / as_like(term.own_scale, amount) * weight
+        own = own * last[..., None] if term.at_end else own
+        widened = xp.concat((none[..., : cut.start], own, none[..., cut.stop :]), axis=-1)
+        costs = costs._replace(**{term.name: getattr(costs, term.name) + widened})
+    return costs
 
 
-def _clock_share(scenario: Scenario, state: State) -> Array:
-    span = scenario.f_max_mhz - scenario.f_min_mhz or 1.0
-    return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
+class Terms(NamedTuple):
+    """The cost terms of a scenario."""
+
+    kind: Any
+    """Costs, or a named tuple like it with the terms of its devices that Costs does not have behind its own."""
+    names: tuple[str, ...]
+    """Terms that devices bring, those of ``Costs`` whether a device of the scenario brings them or not."""
+    charged: tuple[tuple[int, CostTerm, float], ...]
+    """Position of the device, term and weight, of those that have a weight."""
+
+
+@cached_on_owner
+def terms(scenario: Scenario) -> Terms:
+    """The cost terms of a scenario."""
+    weights = scenario.weights._asdict()
+    found = [
+        (i, term, weights.get(term.name, term.weight or 0.0))
+        for i, device in enumerate(scenario.devices)
+        for term in device.cost_terms(scenario.horizon, scenario.dt_s)
+    ]
+    more = tuple(dict.fromkeys(term.name for _, term, _ in found if term.name not in Costs._fields))
+    charged = tuple((i, term, weight) for i, term, weight in found if weight)
+    return Terms(_costs(more), ("backlog", "clock", "leftover", *more), charged)
+
+
+@cache
+def _costs(more: tuple[str, ...]) -> Any:
+    return namedtuple("Costs", (*Costs._fields, *more)) if more else Costs
 
 
 def total(costs: Costs) -> Array:
     """Sum of the terms: of charged ones, the step's share of J times T."""
     c = costs
-    return c.voltage + c.violation + c.backlog + c.effort + c.clock + c.step + c.loss + c.leftover
+    found = c.voltage + c.violation + c.backlog + c.effort + c.clock + c.step + c.loss + c.leftover
+    for more in c[len(Costs._fields) :]:
+        found = found + more
+    return found
 
 
 def largest_costs(scenario: Scenario) -> Costs:
     """An upper bound of each term, as floats: what a step is charged once the power flow has no solution.
 
-    Voltage anywhere from 0 to 2 p.u., all work of the episode queued, full effort, clock and voltage swinging from end
-    to end, and twice all that is drawn lost (a feeder at its limit loses about as much as it delivers), sites as far
-    above their ratings as the scenario lets them.
+    Voltage anywhere from 0 to 2 p.u., full effort, voltage swinging from end to end, twice all that is drawn lost (a
+    feeder at its limit loses about as much as it delivers), sites as far above their ratings as the scenario lets them,
+    and of each device's terms what it says: all work of the episode queued, the clock swinging from end to end.
     """
     w = scenario.weights
     farthest = np.ones(1)  # the deviation at which every voltage cost is largest
-    queued = (scenario.boost_share - scenario.idle_share) * scenario.horizon * scenario.dt_s
-    return Costs(
+    of_devices = dict.fromkeys(terms(scenario).names, 0.0)
+    for _, term, weight in terms(scenario).charged:
+        of_devices[term.name] += weight * term.largest
+    return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
         violation=w.violation * (1.0 - scenario.band_pu),
-        backlog=w.backlog * queued,
         effort=w.effort,
-        clock=w.clock,
         step=w.step,
-        loss=2.0 * w.loss * scenario.boost_share,
-        leftover=w.leftover * queued,
+        loss=2.0 * w.loss * max(device.largest_draw_share for device in scenario.devices),
+        **of_devices,
     )
 
 
@@ -150,10 +194,11 @@ def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> 
     if all_true(converged):
         return costs
     remaining = xp.astype(scenario.horizon - step + 1, costs.voltage.dtype)
-    *each_step, leftover = largest_costs(scenario)
-    due = [*(worst * remaining for worst in each_step), leftover + 0 * remaining]
+    at_end = {term.name for _, term, _ in terms(scenario).charged if term.at_end} | {"leftover"}
+    largest = largest_costs(scenario)._asdict()
+    due = [worst + 0 * remaining if name in at_end else worst * remaining for name, worst in largest.items()]
 
     def choose(a: Array, b: Array) -> Array:
         return xp.where(converged, a, b) if a.ndim == 1 else xp.where(converged[..., None], a, b[..., None])
 
-    return Costs._make(map(choose, costs, due))
+    return type(costs)._make(map(choose, costs, due))

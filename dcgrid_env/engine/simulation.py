@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env.core import random
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
-from dcgrid_env.engine.dynamics import State
+from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import Solution
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -157,7 +157,7 @@ class Simulation:
         measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
         none = np.zeros(len(lanes))
         transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
-        free = reward.Costs(*(0.0 * term for term in transition.costs))  # t = 0 is not charged
+        free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
         paid = np.zeros_like(transition.reward)
         transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
@@ -181,8 +181,8 @@ class Simulation:
         j_before: np.ndarray,
     ) -> Transition:
         s = self.scenario
-        share_next = episode.compute_share(s, drawn, step + 1)
-        joint = observation.observe(s, state, drawn.placed, p_ref_next, measured[1], measured[0], share_next)
+        coming = episode.given_next(s, drawn, step, p_ref_next)
+        joint = observation.observe(s, state, drawn.placed, coming, measured[1], measured[0])
         last = step >= s.horizon
         costs = reward.charged(s, reward.team_costs(s, state, solution, last), step, solution.converged)
         cost_j = reward.total(costs)

@@ -45,23 +45,23 @@ def trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if not isinstance(trace, str):
-        rows = from_recordings(trace, split, dt_s, needed_s, scenario.boost_share, scenario.recording_split)
+        rows = from_recordings(trace, split, dt_s, needed_s, scenario.largest_boost, scenario.recording_split)
         require_window(rows, steps, dt_s, ", ".join(t.name for t in trace))
         return rows
     # Rounding may cost a step of dt at the end, so one more is asked for.
     duration_s = max(ROW_DURATION_S, needed_s + dt_s)
     # About a day in all, but a row for each site.
-    count = min(ROWS, max(scenario.n_datacenters, round(ROWS * ROW_DURATION_S / duration_s), 1))
+    count = min(ROWS, max(scenario.n_sites, round(ROWS * ROW_DURATION_S / duration_s), 1))
     windows = count * (steps_in(duration_s, dt_s) - steps + 1)
     by_hour = scenario.follows_day and TRACE_SOURCES[trace].daily
     if windows >= LEAST_WINDOWS and not by_hour:
-        rows = library(trace, split, dt_s, duration_s, count, scenario.boost_share)
+        rows = library(trace, split, dt_s, duration_s, count, scenario.largest_boost)
         require_window(rows, steps, dt_s, trace)
         return rows
     spare = spare_steps(dt_s)
-    count = max(scenario.n_datacenters, LEAST_LONG_ROWS, math.ceil(LEAST_WINDOWS / (spare + 1)))
+    count = max(scenario.n_sites, LEAST_LONG_ROWS, math.ceil(LEAST_WINDOWS / (spare + 1)))
     duration_s = (steps + spare + 1) * dt_s + DAY_S * by_hour
-    return rows_on_demand(trace, split, dt_s, duration_s, count, scenario.boost_share, spare)
+    return rows_on_demand(trace, split, dt_s, duration_s, count, scenario.largest_boost, spare)
 
 
 def spare_steps(dt_s: float) -> int:
@@ -75,7 +75,7 @@ def sun_rows(scenario: Scenario) -> np.ndarray:
 
     (n_row, n_step), each row as long as an episode or longer.
     """
-    trace, steps, dt_s = scenario.inverter_trace, scenario.horizon + 1, float(scenario.dt_s)
+    trace, steps, dt_s = scenario.schedule, scenario.horizon + 1, float(scenario.dt_s)
     if trace is None:
         return np.zeros((1, steps))
     if isinstance(trace, tuple):

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from dcgrid_env.scenario.scenario import Scenario
+
 if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
 
@@ -15,7 +17,7 @@ InfoLevel = Literal["none", "costs", "full"]
 INFO_LEVELS: tuple[InfoLevel, ...] = get_args(InfoLevel)
 
 
-def info_arrays(transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
+def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation alone,
@@ -25,18 +27,10 @@ def info_arrays(transition: Transition, level: InfoLevel = "full") -> dict[str, 
     if level == "none":
         return {}
     costs = transition.costs
-    figures = {
-        "cost": costs.violation,
-        "cost_voltage": costs.voltage,
-        "cost_violation": costs.violation,
-        "cost_backlog": costs.backlog,
-        "cost_effort": costs.effort,
-        "cost_clock": costs.clock,
-        "cost_step": costs.step,
-        "cost_loss": costs.loss,
-        "cost_leftover": costs.leftover,
-        "J": transition.j_so_far,
-    }
+    figures = {"cost": costs.violation}
+    for name, term in zip(costs._fields, costs, strict=True):
+        figures[f"cost_{name}"] = term
+    figures["J"] = transition.j_so_far
     if level == "costs":
         return figures
     state = transition.state
@@ -44,6 +38,7 @@ def info_arrays(transition: Transition, level: InfoLevel = "full") -> dict[str, 
     figures["power_flow_converged"] = transition.converged.astype(np.float64)
     figures["voltage_min_pu"] = np.minimum.reduce(v, -1)
     figures["voltage_max_pu"] = np.maximum.reduce(v, -1)
-    figures["backlog_kws"] = np.add.reduce(state.backlog_kws, -1)
+    for device, its_state in zip(scenario.devices, state.devices, strict=True):
+        figures.update(device.totals(its_state))
     figures["loss_kw"] = transition.loss_kw
     return figures

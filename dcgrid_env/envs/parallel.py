@@ -12,8 +12,8 @@ from pettingzoo.utils import parallel_to_aec
 
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine import observation
-from dcgrid_env.engine.actions import joined_actions
-from dcgrid_env.engine.parameters import constants
+from dcgrid_env.engine.actions import action_layout, joined_actions
+from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.envs.base import Face, check_running
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
@@ -73,11 +73,12 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
             a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents
         }
         self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
-            a: spaces.Box(-1.0, 1.0, (2 if a.startswith("dc_") else 1,), np.float32) for a in s.agents
+            a: spaces.Box(-1.0, 1.0, (width,), np.float32) for a, width in action_layout(s).widths.items()
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
-        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + 2 * s.work_classes * s.n_datacenters + 1
+        fields = zip(s.devices, observation.device_fields(s), strict=True)
+        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + sum(device.count * len(of) for device, of in fields) + 1
         self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
         self._rng, _ = seeding.np_random()
 
@@ -126,28 +127,26 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         """Global state, float32.
 
         In turn: (V - 1) / band of every bus but the substation; draw and reactive injection of every agent as shares of
-        its rating and limit; p_ref over the coming interval and backlog of every data centre, as shares of its rating
-        and in seconds at it; under a clock law of two work classes the compute-bound parts of both; the share of the
+        its rating and limit; the fields of every device, each over its slots, the preview among them whether or not
+        agents are granted it (a data centre's p_ref over the coming interval and backlog, as shares of its rating and
+        in seconds at it; under a clock law of two work classes the compute-bound parts of both); the share of the
         episode that has passed.
         """
         from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
 
         s, now = self.scenario, self._simulation.now
-        known, rated = constants(s, now.state.p_kw), s.datacenter.p_rated_kw
-        compute: tuple[np.ndarray, ...] = ()
-        share = episode.compute_share(s, now.episode, now.step + 1)
-        if share is not None:
-            coming = np.maximum(now.p_ref_next_kw - s.datacenter.p_idle_kw, 0.0) * share
-            compute = (coming[0] / rated, now.state.class_backlog_kws[0, :, 0] / rated)
-        parts = (
+        known = parameters(s, now.state.p_kw)
+        coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
+        parts = [
             (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
             now.state.p_kw[0] / known.p_scale_kw,
             now.state.q_kvar[0] * known.per_q_scale,
-            now.p_ref_next_kw[0] / rated,
-            now.state.backlog_kws[0] / rated,
-            *compute,
-            now.step / s.horizon,
-        )
+        ]
+        of_devices = zip(s.devices, observation.device_fields(s), known.devices, now.state.devices, coming, strict=True)
+        for device, fields, own, its_state, given in of_devices:
+            raw = device.observe(own, its_state, given)
+            parts += [figure[0] / field.share_of for field, figure in zip(fields, raw, strict=True)]
+        parts.append(now.step / s.horizon)
         return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)
 
     def _observations(self, transition: Transition) -> dict[str, np.ndarray]:
@@ -155,7 +154,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         return {agent: joint[cut] for agent, cut in self._slices.items()}
 
     def _infos(self, transition: Transition) -> dict[str, dict[str, Any]]:
-        common = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        common = {name: values[0] for name, values in info_arrays(self.scenario, transition, self.info_level).items()}
         if self.info_level != "full":
             return {agent: common.copy() for agent in self.possible_agents}
         buses = zip(self.possible_agents, self._bus_names[0], strict=True)

@@ -75,7 +75,7 @@ class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):  # pyri
         )
 
     def _info(self, transition: Transition) -> dict[str, Any]:
-        figures = {name: values[0] for name, values in info_arrays(transition, self.info_level).items()}
+        figures = {name: values[0] for name, values in info_arrays(self.scenario, transition, self.info_level).items()}
         if self.info_level == "full":
             figures.update(self._bus_of)
         return figures

@@ -15,9 +15,11 @@ from array_api_compat import is_array_api_obj
 
 from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.core.seeds import whole_seed
+from dcgrid_env.devices import Work
 from dcgrid_env.engine import dynamics, observation, reward
-from dcgrid_env.engine.dynamics import Exogenous, State
+from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.observation import Placement
+from dcgrid_env.engine.state import Exogenous, State
 from dcgrid_env.powerflow import PowerFlowError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
@@ -125,17 +127,17 @@ class TensorEnv:
             costs = reward.charged(s, costs, xp.full_like(due, self.step_number), solution.converged)
             self._due = due * xp.astype(solution.converged, due.dtype)
         if not all_true(due > 0.0):
-            costs = reward.Costs(*(term * due for term in costs))
+            costs = costs._make(term * due for term in costs)
         return TensorStep(self._observe(), reward.total(costs), costs, self.state)
 
     def cut(self) -> None:
         """Forget how the state came about: derivatives of later costs stop here (torch tensors)."""
-        self.state = State(*(a.detach() for a in self.state))
+        self.state = self.state.map(lambda array: array.detach())
         self._measured = tuple(a.detach() for a in self._measured)
 
     def _check_action(self, action: Array) -> None:
         like = self.like
-        want = (len(self._due), 2 * self.scenario.n_datacenters + self.scenario.n_inverters)
+        want = (len(self._due), len(action_layout(self.scenario)))
         if not _fits(action, like):
             given = _kind(action) if is_array_api_obj(action) else repr(action)
             raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
@@ -169,11 +171,11 @@ class TensorEnv:
         return true if noise is None else true + noise
 
     def _observe(self) -> Array:
-        o = self._outside
+        work = Work(self._now(self._outside.p_ref_kw, 1), self._now(self._outside.compute_share, 1))
+        coming = [work if device.input == "workload" else None for device in self.scenario.devices]
         return observation.observe(
-            self.scenario, self.state, self._placed, self._now(o.p_ref_kw, 1), self._measured[1], self._measured[0],
-            self._now(o.compute_share, 1),
-        )  # fmt: skip
+            self.scenario, self.state, self._placed, coming, self._measured[1], self._measured[0]
+        )
 
     def _index(self, positions: np.ndarray) -> Array:
         """Positions as integers of the wanted kind, on the wanted device."""

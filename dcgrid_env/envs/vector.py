@@ -163,7 +163,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
         """Arrays over lanes, each beside its mask of valid lanes, as gymnasium's vector environments give them."""
-        figures = info_arrays(transition, self.info_level)
+        figures = info_arrays(self.scenario, transition, self.info_level)
         infos: dict[str, Any] = {name: values.copy() for name, values in figures.items()}
         if self.info_level == "full":
             infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)

@@ -196,20 +196,22 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
         For an override that is no field, listing the fields.
     """
     if isinstance(scenario, Path) or (isinstance(scenario, str) and scenario.endswith(SUFFIX)):
-        scenario = read_toml(scenario, make_scenario, Scenario)
+        base = read_toml(scenario, make_scenario, Scenario)
     elif isinstance(scenario, str):
-        scenario = _preset(scenario)
-    elif not isinstance(scenario, Scenario):
+        base = _preset(scenario)
+    elif isinstance(scenario, Scenario):
+        base = scenario
+    else:
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
     if not overrides:
-        return scenario
+        return base
     try:
-        key = (scenario, *((name, _key(value)) for name, value in overrides.items()))
+        key = (base, *((name, _key(value)) for name, value in overrides.items()))
         known = _ALIVE.get(key)
     except TypeError:  # an override that cannot be a key
-        return scenario.replace(**overrides)
+        return base.replace(**overrides)
     if known is None:
-        known = scenario.replace(**overrides)
+        known = base.replace(**overrides)
         if not any(reads_files(name, value) for name, value in overrides.items()):
             _ALIVE[key] = known
     return known

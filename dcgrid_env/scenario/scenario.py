@@ -82,8 +82,13 @@ class Scenario(PickledByFields, FlatNames):
         if not isinstance(self.feeder, Feeder):
             raise refuse(self, "feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
         check_placement(self.name, self.feeder, self.devices)
+        for source in ("workload", "injection"):
+            if sum(device.input == source for device in self.devices) > 1:
+                raise refuse(self, "devices", f"give one group that is driven by {source}, with a rating for each slot")
         for device in self.devices:
-            device.check_episode(self.horizon)
+            names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
+            with located(self.name, device.kind, names):
+                device.check_episode(self.horizon)
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
             raise refuse(self, "faults", "give a tuple of Fault, () for none")
         kinds = (*dict.fromkeys(device.kind for device in reversed(self.devices)), CAPACITOR)
@@ -177,10 +182,10 @@ class Scenario(PickledByFields, FlatNames):
         """Number of inverters."""
         return self.part("inverter").count
 
-    @property
+    @cached_property
     def work_classes(self) -> int:
-        """Number of work classes that the data centres' clock law tells apart."""
-        return self.part("datacenter").work_classes
+        """Number of work classes that the clock law tells apart; 1 without data centres."""
+        return max(getattr(device, "work_classes", 1) for device in self.devices)
 
     @property
     def datacenter(self) -> DataCenterParams:
@@ -191,6 +196,37 @@ class Scenario(PickledByFields, FlatNames):
     def inverter(self) -> InverterParams:
         """Ratings of the inverters."""
         return self.part("inverter").parameters
+
+    @cached_property
+    def n_sites(self) -> int:
+        """Number of slots that are driven by the workload."""
+        return sum(device.count for device in self.devices if device.input == "workload")
+
+    @cached_property
+    def site_rated_kw(self) -> np.ndarray:
+        """Rating of each of them, kW, (n_site,)."""
+        return self._of_input("workload", "p_scale_kw")
+
+    @cached_property
+    def scheduled_kva(self) -> np.ndarray:
+        """Rating of each slot whose injection is scheduled, kVA, (slot,)."""
+        return self._of_input("injection", "p_scale_kw")
+
+    @cached_property
+    def schedule(self) -> Any:
+        """The schedule of these injections, see ``Inverters.injection``; None without one."""
+        scheduled = [device for device in self.devices if device.input == "injection"]
+        return getattr(scheduled[0], "injection", None) if scheduled else None
+
+    @cached_property
+    def largest_boost(self) -> float:
+        """Highest draw of a site that is driven by the workload, as a share of its rating."""
+        shares = [device.largest_draw_share for device in self.devices if device.input == "workload"]
+        return max(shares, default=1.0)
+
+    def _of_input(self, source: str, field: str) -> np.ndarray:
+        parts = [getattr(device, field) for device in self.devices if device.input == source]
+        return read_only(np.concatenate([np.empty(0), *parts]))
 
     @cached_property
     def model(self) -> Feeder:

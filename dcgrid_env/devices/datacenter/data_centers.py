@@ -8,10 +8,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
-from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
+from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
 from dcgrid_env.devices.datacenter.named_laws import clock_law
+from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
+from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
+from dcgrid_env.devices.device import Channel, CostTerm, Field, Q, Work
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
 
 
@@ -21,6 +26,8 @@ class DataCenters(PickledByFields):
 
     kind: ClassVar[str] = "datacenter"
     prefix: ClassVar[str] = "dc"
+    input: ClassVar[str | None] = "workload"
+    levels: ClassVar[tuple[str, ...]] = ("backlog_kws", "class_backlog_kws")
 
     count: int = count(0, 10_000)
     """Number of sites."""
@@ -84,8 +91,133 @@ class DataCenters(PickledByFields):
         """Reactive limit of each site at zero active power, kvar."""
         return read_only(np.minimum(self.parameters.q_max_kvar, self.parameters.s_rated_kva))
 
+    @property
+    def p_scale_kw(self) -> np.ndarray:
+        """Rating that a draw is a share of, kW."""
+        return self.parameters.p_rated_kw
+
+    @property
+    def converter_kva(self) -> np.ndarray:
+        """Apparent-power rating of each site's converter, kVA."""
+        return self.parameters.s_rated_kva
+
+    @property
+    def largest_draw_share(self) -> float:
+        """Highest draw as a share of the rating."""
+        return self.boost_share
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """Clock, then reactive power."""
+        p, q = self.parameters, self.q_limit_kvar
+        return (
+            Channel("clock", "MHz", p.f_min_mhz, p.f_max_mhz, rest=p.f_max_mhz),
+            Channel(Q, "kvar", -q, q, rest=0.0 * q),
+        )
+
+    def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound."""
+        rated, boost = self.parameters.p_rated_kw, self.boost_share
+        longest_s = horizon * dt_s * boost
+        found = (
+            Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
+            Field("backlog", "s at the rating", 0.0, longest_s, rated),
+        )
+        if self.work_classes == 1:
+            return found
+        return (
+            *found,
+            Field("p_ref_next_compute", "share of the rating", 0.0, boost, rated, of_preview=True),
+            Field("backlog_compute", "s at the rating", 0.0, longest_s, rated),
+        )
+
+    def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """Work that waits, work that is left over, and the movement of the clock."""
+        rated = self.parameters.p_rated_kw
+        of_all = float(rated.sum()) or 1.0
+        queued = (self.boost_share - self.idle_share) * horizon * dt_s
+        one = np.ones_like(rated)
+        return (
+            CostTerm("backlog", "backlog_kws", rated, of_all, queued),
+            CostTerm("clock", "clock_movement", one, float(max(self.count, 1)), 1.0),
+            CostTerm("leftover", "backlog_kws", rated, of_all, queued, at_end=True),
+        )
+
     def check_episode(self, horizon: int) -> None:
         """Nothing of a data centre depends on the length of an episode."""
+
+    def initial(self, parameters: DataCenterParams, zero: Array) -> DataCenterState:
+        """Empty queues, the clocks at their top."""
+        xp = namespace(zero)
+        by_class = xp.stack((zero, zero), axis=-1) if self.work_classes == 2 else zero
+        top = zero + parameters.f_max_mhz
+        return DataCenterState(zero, top, top, zero, zero, by_class, by_class, by_class)
+
+    def step(
+        self,
+        parameters: DataCenterParams,
+        state: DataCenterState,
+        setpoints: tuple[Array, ...],
+        given: Work,
+        dt_s: float,
+    ) -> tuple[DataCenterState, Array]:
+        """Serve work as the clock allows, see ``datacenter.step``."""
+        (f_mhz,) = setpoints
+        share = given.compute_share if self.work_classes == 2 else None
+        boosts = self.boost_share > 1.0
+        done = step(
+            parameters, self.clock_law, state.class_backlog_kws, given.p_ref_kw, f_mhz, dt_s, share, boost=boosts
+        )
+        after = DataCenterState(
+            done.backlog_kws, f_mhz, state.f_mhz, done.arrived_kw, done.served_kw, done.class_backlog_kws,
+            done.class_arrived_kw, done.class_served_kw,
+        )  # fmt: skip
+        return after, done.p_kw
+
+    def observe(self, parameters: DataCenterParams, state: DataCenterState, given_next: Work) -> tuple[Array, ...]:
+        """Raw figures of the fields, kW and kW s."""
+        coming, waiting = given_next.p_ref_kw, state.backlog_kws
+        if self.work_classes == 1:
+            return coming, waiting
+        compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
+        return coming, waiting, compute, state.class_backlog_kws[..., 0]
+
+    def amount(self, name: str, parameters: DataCenterParams, state: DataCenterState) -> Array:
+        """Queued work, kW s, or the clock's movement as a share of its range."""
+        if name == "backlog_kws":
+            return state.backlog_kws
+        span = self.f_max_mhz - self.f_min_mhz or 1.0
+        return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
+
+    def totals(self, state: DataCenterState) -> dict[str, Array]:
+        """Queued work of all sites, kW s."""
+        return {"backlog_kws": sum_last(state.backlog_kws)}
+
+    def metrics(self, history: DataCenterState, dt_s: float, requests: Any) -> dict[str, float]:
+        """Waiting times, clocks, and times of requests where the load is made of them."""
+        arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
+        delays = fcfs_delays(arrived, served, dt_s)
+        clock = history.f_mhz[1:].mean() / self.f_max_mhz if self.count else 1.0
+        return {
+            "delay_mean_s": delays.mean_s,
+            "delay_p50_s": delays.p50_s,
+            "delay_p95_s": delays.p95_s,
+            "delay_p99_s": delays.p99_s,
+            "arrived_kws": delays.arrived_kws,
+            "unserved_kws": delays.unserved_kws,
+            "clock_mean_pct": 100.0 * clock,
+            **(self._request_delays(history, dt_s, requests)._asdict() if requests else {}),
+        }
+
+    def _request_delays(self, history: DataCenterState, dt_s: float, requests: Any) -> RequestDelays:
+        """Figures over the requests of all sites."""
+        parts = (history.class_arrived_kw[1:], history.class_served_kw[1:])
+        arrived, served = (w.reshape(*w.shape[:2], -1) for w in parts)
+        speed = speed_share(self.clock_law, self.parameters, history.f_mhz[1:])
+        return request_delays(
+            serve_requests(times, begin_s, arrived[:, i], served[:, i], speed[:, i], dt_s)
+            for i, (times, begin_s) in enumerate(requests)
+        )
 
 
 def _clock_law(value: Any) -> Any:

@@ -21,6 +21,26 @@ from dcgrid_env.devices.datacenter.clock_law import Dvfs
 from dcgrid_env.devices.ratings import DataCenterParams
 
 
+class DataCenterState(NamedTuple):
+    """State of the data centres after a step, each (lane, slot), or (lane, slot, 2) by work class."""
+
+    backlog_kws: Array
+    """Queued work, kW s."""
+    f_mhz: Array
+    """Clock, MHz."""
+    f_last_mhz: Array
+    """Clock one step earlier, MHz."""
+    arrived_kw: Array
+    """Dynamic power asked for by work that arrived in the interval, kW."""
+    served_kw: Array
+    """Dynamic power of work served in it, kW."""
+    class_backlog_kws: Array
+    """Backlog, work arrived and work served by work class, compute-bound first, each first come first served; under a
+    clock law of one work class what stands in the fields without class."""
+    class_arrived_kw: Array
+    class_served_kw: Array
+
+
 class DataCenterStep(NamedTuple):
     """What the data centres did over one interval, each of shape (..., n_dc)."""
 

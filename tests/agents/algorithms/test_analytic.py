@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from helpers.states import with_fields
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
@@ -205,7 +206,7 @@ def test_what_is_left_at_a_windows_end_has_the_price_of_waiting():
     env = learner.envs[0]
     env.reset(range(2))
     step = env.step(torch.zeros(2, 4))
-    waiting = step._replace(state=step.state._replace(backlog_kws=torch.tensor([[500.0], [1500.0]])))
+    waiting = step._replace(state=with_fields(step.state, backlog_kws=torch.tensor([[500.0], [1500.0]])))
     plain = env.scenario.weights.leftover * 1000.0 / 2500.0  # the mean backlog over the rating
     for factor in (1.0, 3.0, 0.25):
         learner.factors["delay"] = factor

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from dcgrid_env import ActionError, make_scenario
-from dcgrid_env.engine.actions import action_names, joined_actions, joint_action
+from dcgrid_env.engine.actions import action_layout, joined_actions, joint_action
 
 TOY6 = make_scenario("toy6")
 OWN = {"dc_0": [0.1, 0.2], "inv_0": [0.3], "inv_1": [0.4]}
 
 
 def test_names_are_clock_and_q_of_each_site_then_q_of_each_inverter():
-    assert action_names(TOY6) == (("dc_0", "clock"), ("dc_0", "q"), ("inv_0", "q"), ("inv_1", "q"))
+    assert action_layout(TOY6).names == (("dc_0", "clock"), ("dc_0", "q"), ("inv_0", "q"), ("inv_1", "q"))
 
 
 @pytest.mark.parametrize("lanes", [None, 1, 3])

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
+from helpers.states import fields_of
 
-from dcgrid_env import PrefillDecodeDvfs, Scenario, Solution, distflow, lindistflow, make_scenario
+from dcgrid_env import PrefillDecodeDvfs, Scenario, Solution, action_layout, distflow, lindistflow, make_scenario
 from dcgrid_env.engine import dynamics, episode, reward
-from dcgrid_env.engine.dynamics import Exogenous, State
+from dcgrid_env.engine.state import Exogenous, State
 
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 """Presets of every form that a scenario takes."""
@@ -42,12 +43,14 @@ def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, s
 
 
 def random_actions(scenario: Scenario, lanes: int, steps: int, seed: int = 0) -> np.ndarray:
-    n = 2 * scenario.n_datacenters + scenario.n_inverters
+    n = len(action_layout(scenario))
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, lanes, n))
 
 
 def as_torch(fields: Any) -> Any:
     """A tuple of arrays as one of tensors that share nothing with them."""
+    if isinstance(fields, State):
+        return fields.map(lambda array: torch.tensor(np.asarray(array)))
     return type(fields)._make(a if a is None else torch.tensor(np.asarray(a)) for a in fields)
 
 
@@ -65,7 +68,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def assert_alike(tensors: State, arrays: State, tolerance: float) -> None:
-    for field, a, b in zip(State._fields, arrays, tensors, strict=True):
+    for (field, a), b in zip(fields_of(arrays).items(), fields_of(tensors).values(), strict=True):
         assert b.dtype == torch.float64, field
         assert tuple(b.shape) == a.shape, field
         np.testing.assert_allclose(b.numpy(), a, rtol=tolerance, atol=tolerance, err_msg=field)
@@ -185,21 +188,21 @@ def test_step_writes_to_nothing_that_it_is_given(collapse, law):
     state, _ = dynamics.initial_state(scenario, given[0])
     action = 2.0 * random_actions(scenario, 3, 1)[0]
 
-    for arrays in (state, first, (action,)):
+    for arrays in (fields_of(state).values(), first, (action,)):
         for array in (a for a in arrays if a is not None):
             array.flags.writeable = False  # a write would raise
     after, _ = dynamics.step(scenario, state, action, first)
-    for array in after:
+    for array in fields_of(after).values():
         assert not np.shares_memory(array, state.v_pu) or array is after.v_last_pu
 
     tensors = as_torch(state), torch.tensor(action), as_torch(first)
-    every = [t for t in (*tensors[0], tensors[1], *tensors[2]) if t is not None]
+    every = [t for t in (*fields_of(tensors[0]).values(), tensors[1], *tensors[2]) if t is not None]
     before = [t.clone() for t in every]
     dynamics.step(scenario, *tensors)
     for a, b in zip(before, every, strict=True):
         assert torch.equal(a, b)
     again, _ = dynamics.step(scenario, state, action, first)
-    for a, b in zip(after, again, strict=True):
+    for a, b in zip(fields_of(after).values(), fields_of(again).values(), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -222,7 +225,7 @@ def test_lanes_do_not_touch_each_other(law):
         ]
         alone = run(scenario, alone_given, actions[:, cut])
         for (a, _), (b, _) in zip(alone, together, strict=True):
-            for x, y in zip(a, b, strict=True):
+            for x, y in zip(fields_of(a).values(), fields_of(b).values(), strict=True):
                 np.testing.assert_allclose(x[0], y[lane], rtol=1e-12, atol=1e-12)
 
 
@@ -311,7 +314,7 @@ def test_actions_beyond_the_ends_act_as_the_ends(name):
     one, _ = dynamics.step(scenario, state, beyond, given[1])
     two, _ = dynamics.step(scenario, state, np.clip(beyond, -1.0, 1.0), given[1])
     three, _ = dynamics.step(scenario, as_torch(state), torch.tensor(beyond), as_torch(given[1]))
-    for a, b, c in zip(one, two, three, strict=True):
+    for a, b, c in zip(*(fields_of(state).values() for state in (one, two, three)), strict=True):
         np.testing.assert_array_equal(a, b)
         np.testing.assert_allclose(c.numpy(), b, rtol=1e-7, atol=1e-8)
 
@@ -362,7 +365,7 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, la
     scenario = make_scenario(name, **LAWS[law])
     given = outside(scenario, 3, 0, full=True).steps[0]
     state, solution = dynamics.initial_state(scenario, given if kind == "numpy" else as_torch(given))
-    state = State(*(np.asarray(a) for a in state))
+    state = state.map(np.asarray)
     n_dc, n_bus = scenario.n_datacenters, scenario.feeder.n_bus
     assert np.all(state.f_mhz == scenario.f_max_mhz)
     assert np.all(state.f_last_mhz == scenario.f_max_mhz)
@@ -390,7 +393,7 @@ def test_no_datacenter_or_no_inverter_at_all(n_dc, law):
     for arrays, tensors in zip(
         run(scenario, given, actions), run(scenario, [as_torch(e) for e in given], torch.tensor(actions)), strict=True
     ):
-        for a, b in zip(arrays[0], tensors[0], strict=True):
+        for a, b in zip(fields_of(arrays[0]).values(), fields_of(tensors[0]).values(), strict=True):
             np.testing.assert_allclose(b.numpy(), a, rtol=1e-9, atol=1e-9)
 
 
@@ -460,7 +463,7 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
     state, solution = dynamics.step(
         scenario, state, torch.tensor(action) if kind == "torch" else action, convert(second)
     )
-    state = State(*(np.asarray(a) for a in state))
+    state = state.map(np.asarray)
     np.testing.assert_allclose(state.p_kw, [[2000.0, -300.0], [1000.0, 0.0]])
     np.testing.assert_allclose(state.q_kvar, [[412.5, -400.0], [-412.5, 1000.0]])
     p, q = second.p_load_kw.copy(), second.q_load_kvar.copy()
@@ -503,12 +506,12 @@ def test_collapse_keeps_the_last_voltages_and_spoils_no_other_lane(name, kind):
     course = run(scenario, [convert(e) for e in mixed], torch.tensor(actions) if kind == "torch" else actions)
     for k, ((state, solution), (wanted, _)) in enumerate(zip(course, sound, strict=True)):
         assert np.asarray(solution.converged).tolist() == [True, k != 2, True]
-        for field, a, b in zip(State._fields, state, wanted, strict=True):
+        for (field, a), b in zip(fields_of(state).items(), fields_of(wanted).values(), strict=True):
             found = np.asarray(a)
             assert np.isfinite(found).all(), field
             np.testing.assert_allclose(found[[0, 2]], b[[0, 2]], rtol=1e-8, atol=1e-8, err_msg=field)
         assert all(np.isfinite(np.asarray(a)).all() for a in solution[:-1])
-    before, fallen, after = (State(*(np.asarray(a) for a in s)) for s, _ in course[1:])
+    before, fallen, after = (s.map(np.asarray) for s, _ in course[1:])
     for field in ("v_pu", "v_agent_pu", "current_sq_pu"):
         np.testing.assert_array_equal(getattr(fallen, field)[1], getattr(before, field)[1])
     np.testing.assert_array_equal(fallen.v_last_pu[1], before.v_pu[1])
@@ -538,7 +541,7 @@ def test_collapse_at_the_reset_starts_from_the_substations_voltage():
     state, solution = dynamics.initial_state(scenario, too_much)
     assert solution.converged.tolist() == [False, True]
     assert np.all(state.v_pu[0] == 1.05)
-    assert all(np.isfinite(a).all() for a in state)
+    assert all(np.isfinite(a).all() for a in fields_of(state).values())
 
 
 def test_linear_power_flow_has_no_losses_and_no_lower_voltage():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PrefillDecodeDvfs, Recorder, Scenario, make_scenario
+from dcgrid_env.devices.datacenter.request_delay import RequestDelays
 from dcgrid_env.engine import episode, metrics
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.request_delay import RequestDelays
 from dcgrid_env.engine.reward import Costs
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows

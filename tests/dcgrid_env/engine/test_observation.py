@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.states import fields_of, state_of, with_fields
 
 from dcgrid_env import CostWeights, Feeder, PrefillDecodeDvfs, Scenario, field_names, make_scenario
+from dcgrid_env.devices import Work
 from dcgrid_env.engine import episode, observation
-from dcgrid_env.engine.dynamics import State
 from dcgrid_env.engine.observation import Placement
 from dcgrid_env.engine.simulation import Simulation, Transition
 
@@ -159,13 +160,18 @@ def hand_made(lanes: int = 1) -> dict[str, Any]:
         "q_kvar": [330.0, -100.0, 500.0],
         "q_limit_kvar": [825.0, 900.0, 1000.0],
     }
-    state = State(**{name: np.array([row] * lanes) for name, row in values.items()})
+    state = state_of({name: np.array([row] * lanes) for name, row in values.items()})
     return {
         "state": state,
-        "p_ref_next_kw": np.array([[2000.0]] * lanes),
+        "given_next": given(np.array([[2000.0]] * lanes)),
         "v_measured_pu": state.v_agent_pu,
         "v_before_pu": state.v_agent_last_pu,
     }
+
+
+def given(p_ref_kw: Any, compute_share: Any = None) -> tuple[Work, None]:
+    """What comes over the next interval: work, and nothing that is known of injections."""
+    return Work(p_ref_kw, compute_share), None
 
 
 def placed_at(scenario: Scenario, buses: list[int], lanes: int = 1) -> Placement:
@@ -218,7 +224,7 @@ def test_no_preview_hides_the_power_to_come():
     scenario = make_scenario("toy6", preview=False)
     inputs = hand_made()
     one = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
-    inputs["p_ref_next_kw"] = np.array([[575.0]])
+    inputs["given_next"] = given(np.array([[575.0]]))
     two = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     np.testing.assert_array_equal(one, two)
 
@@ -228,16 +234,17 @@ def test_compute_bound_parts_of_what_comes_and_waits(preview):
     # 2000 kW less 575 idle, 0.4 of it compute-bound; 1500 of the 5000 kW s.
     scenario = make_scenario("toy6", dvfs=PrefillDecodeDvfs(), preview=preview)
     inputs = hand_made()
-    inputs["state"] = inputs["state"]._replace(class_backlog_kws=np.array([[[1500.0, 3500.0]]]))
+    inputs["state"] = with_fields(inputs["state"], class_backlog_kws=np.array([[[1500.0, 3500.0]]]))
     share = np.array([[0.4]])
-    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), compute_share_next=share, **inputs)
+    inputs["given_next"] = given(np.array([[2000.0]]), share)
+    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     found = {k: float(v[0]) for k, v in named(scenario, joint)["dc_0"].items()}
     seen = {"p_ref_next": 0.8, "p_ref_next_compute": 0.4 * 1425.0 / 2500.0}
     seen = seen if preview else dict.fromkeys(seen, 0.0)
     assert found == pytest.approx({**WANTED["dc_0"], **seen, "backlog_compute": 0.6}, abs=1e-12)
     # Below the floor no work comes.
-    inputs["p_ref_next_kw"] = np.array([[500.0]])
-    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), compute_share_next=share, **inputs)
+    inputs["given_next"] = given(np.array([[500.0]]), share)
+    joint = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     assert named(scenario, joint)["dc_0"]["p_ref_next_compute"].tolist() == [0.0]
 
 
@@ -357,9 +364,8 @@ def raw(simulation: Simulation) -> np.ndarray:
     """The observation of the current step before it is cut to its bounds."""
     s, now = simulation.scenario, simulation.now
     share = episode.compute_share(s, now.episode, now.step + 1)
-    return observation.observe(
-        s, now.state, now.episode.placed, now.p_ref_next_kw, now.measured[1], now.measured[0], share
-    )
+    coming = given(now.p_ref_next_kw, share)
+    return observation.observe(s, now.state, now.episode.placed, coming, now.measured[1], now.measured[0])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -482,12 +488,11 @@ def test_numpy_and_torch_observe_alike(name, scope, law):
         share = episode.compute_share(scenario, now.episode, now.step + 1)
         found = observation.observe(
             scenario,
-            State(*map(torch.tensor, now.state)),
+            now.state.map(torch.tensor),
             Placement(*map(torch.tensor, now.episode.placed)),
-            torch.tensor(now.p_ref_next_kw),
+            given(torch.tensor(now.p_ref_next_kw), None if share is None else torch.tensor(share)),
             torch.tensor(now.measured[1]),
             torch.tensor(now.measured[0]),
-            None if share is None else torch.tensor(share),
         )
         assert found.dtype == torch.float64
         np.testing.assert_allclose(found.numpy(), raw(simulation), rtol=1e-12, atol=1e-12)
@@ -496,7 +501,7 @@ def test_numpy_and_torch_observe_alike(name, scope, law):
 def test_observe_writes_to_nothing_that_it_is_given():
     scenario = make_scenario("toy6", observe="neighbours")
     inputs, placed = hand_made(), placed_at(scenario, [4, 3, 5])
-    for array in (*inputs["state"], inputs["p_ref_next_kw"], *placed):
+    for array in (*fields_of(inputs["state"]).values(), inputs["given_next"][0].p_ref_kw, *placed):
         array.flags.writeable = False  # a write would raise
     observation.observe(scenario, placed=placed, **inputs)
 
@@ -506,10 +511,10 @@ def test_derivatives_pass_through_an_observation():
     inputs = hand_made()
     backlog = torch.tensor([[5000.0]], dtype=torch.float64, requires_grad=True)
     voltage = torch.tensor([[1.02, 0.97, 1.04]], dtype=torch.float64, requires_grad=True)
-    state = State(*map(torch.tensor, inputs["state"]))._replace(backlog_kws=backlog)
+    state = with_fields(inputs["state"].map(torch.tensor), backlog_kws=backlog)
     placed = Placement(*map(torch.tensor, placed_at(scenario, [4, 3, 5])))
     joint = observation.observe(
-        scenario, state, placed, torch.tensor(inputs["p_ref_next_kw"]), voltage, torch.tensor(inputs["v_before_pu"])
+        scenario, state, placed, given(torch.tensor([[2000.0]])), voltage, torch.tensor(inputs["v_before_pu"])
     )
     joint.sum().backward()
     assert backlog.grad is not None

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dcgrid_env import Feeder, make_scenario
-from dcgrid_env.engine.parameters import constants, inverse
+from dcgrid_env.engine.parameters import inverse, parameters
 
 
 def test_figures_worked_by_hand():
@@ -13,17 +13,20 @@ def test_figures_worked_by_hand():
         "ieee33-weak", p_rated_kw=(1000.0, 500.0, 200.0), f_min_mhz=200.0, f_max_mhz=1000.0, idle_share=0.25,
         s_rated_share=1.2, q_max_share=0.4, inverter_s_kva=(10.0, 20.0, 30.0, 40.0),
     )  # fmt: skip
-    known = constants(scenario, np.empty(0))
-    np.testing.assert_allclose(known.f_middle_mhz, [600.0] * 3)
-    np.testing.assert_allclose(known.f_half_range_mhz, [400.0] * 3)
+    known = parameters(scenario, np.empty(0))
+    (clock,), none = known.settings
+    assert none == ()
+    np.testing.assert_allclose(clock.middle, [600.0] * 3)
+    np.testing.assert_allclose(clock.half_range, [400.0] * 3)
+    np.testing.assert_allclose(clock.rest, [1000.0] * 3)
     np.testing.assert_allclose(known.p_scale_kw, [1000.0, 500.0, 200.0, 10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(known.q_scale_kvar, [400.0, 200.0, 80.0, 10.0, 20.0, 30.0, 40.0])
-    np.testing.assert_allclose(known.s_rated_kva, [1200.0, 600.0, 240.0, 10.0, 20.0, 30.0, 40.0])
+    np.testing.assert_allclose(known.converter_kva, [1200.0, 600.0, 240.0, 10.0, 20.0, 30.0, 40.0])
     assert (known.one, known.minus_one) == (1.0, -1.0)
-    assert known.p_rated_sum_kw == 1700.0
-    np.testing.assert_allclose(known.datacenter.p_idle_kw, [250.0, 125.0, 50.0])
-    np.testing.assert_allclose(known.datacenter.p_dynamic_kw, [750.0, 375.0, 150.0])
-    np.testing.assert_allclose(known.datacenter.q_max_kvar, [400.0, 200.0, 80.0])
+    assert known.p_all_kw == pytest.approx(1700.0 + scenario.feeder.p_load_kw.sum())
+    np.testing.assert_allclose(known.devices[0].p_idle_kw, [250.0, 125.0, 50.0])
+    np.testing.assert_allclose(known.devices[0].p_dynamic_kw, [750.0, 375.0, 150.0])
+    np.testing.assert_allclose(known.devices[0].q_max_kvar, [400.0, 200.0, 80.0])
 
 
 def test_inverses_of_any_size():
@@ -36,13 +39,12 @@ def test_a_feeder_without_load_divides_nothing_by_zero():
         q_load_kvar=[0.0, 0.0], from_bus=[0], to_bus=[1], r_ohm=[0.1], x_ohm=[0.1],
     )  # fmt: skip
     bare = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenter_buses=(), inverter_buses=(1,))
-    assert constants(bare, np.empty(0)).p_all_kw == 1.0
+    assert parameters(bare, np.empty(0)).p_all_kw == 1.0
 
 
 def test_no_datacenter_divides_nothing_by_zero():
-    known = constants(make_scenario("toy6", n_datacenters=0, datacenter_buses=()), np.empty(0))
-    assert known.p_rated_sum_kw == 1.0
-    assert known.f_middle_mhz.shape == (0,)
+    known = parameters(make_scenario("toy6", n_datacenters=0, datacenter_buses=()), np.empty(0))
+    assert known.settings[0][0].middle.shape == (0,)
     np.testing.assert_allclose(known.q_scale_kvar, [1000.0, 1000.0])
 
 
@@ -51,21 +53,20 @@ def test_no_datacenter_divides_nothing_by_zero():
 def test_kind_and_precision_are_those_asked_for(kind, precision):
     like = np.zeros(1, precision) if kind == "numpy" else torch.zeros(1, dtype=getattr(torch, precision))
     scenario = make_scenario("ieee33-weak")
-    known = constants(scenario, like)
-    for array in (*known.datacenter, *known[1:-2]):
+    known = parameters(scenario, like)
+    for array in (*known.devices[0], *known.settings[0][0], *known[2:-1]):
         assert type(array) is type(like)
         assert array.dtype == like.dtype
-    assert known.p_rated_sum_kw == 3000.0
     assert known.p_all_kw == pytest.approx(3000.0 + 3715.0)
-    assert constants(scenario, like) is known  # made once
-    reference = constants(scenario, np.zeros(1))
-    for a, b in zip(known[1:-2], reference[1:-2], strict=True):
+    assert parameters(scenario, like) is known  # made once
+    reference = parameters(scenario, np.zeros(1))
+    for a, b in zip(known[2:-1], reference[2:-1], strict=True):
         np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=1e-6)
 
 
 def test_writing_to_one_kind_leaves_the_scenario_alone():
     scenario = make_scenario("toy6")
-    known = constants(scenario, torch.zeros(1, dtype=torch.float64))
+    known = parameters(scenario, torch.zeros(1, dtype=torch.float64))
     before = scenario.datacenter.p_rated_kw.copy()
-    known.datacenter.p_rated_kw.add_(1.0)
+    known.devices[0].p_rated_kw.add_(1.0)
     np.testing.assert_array_equal(scenario.datacenter.p_rated_kw, before)

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.states import state_of, with_fields
 
-from dcgrid_env import CostWeights, Scenario, Solution, distflow, make_scenario
+from dcgrid_env import CostWeights, Scenario, Solution, action_layout, distflow, make_scenario
 from dcgrid_env.engine import reward
-from dcgrid_env.engine.dynamics import State
 from dcgrid_env.engine.reward import Costs, charged, largest_costs, local_costs, team_costs, total, voltage_cost
 from dcgrid_env.engine.simulation import Simulation, Transition
+from dcgrid_env.engine.state import State
 
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 """Presets of every form that a scenario takes."""
@@ -42,7 +43,7 @@ def hand_made_state(**changes: Any) -> State:
         "q_limit_kvar": [825.0, 1000.0, 1000.0],
         **changes,
     }
-    return State(**{name: np.array([values]) for name, values in fields.items()})
+    return state_of({name: np.array([values]) for name, values in fields.items()})
 
 
 def solution_with_loss(loss_kw: float) -> Solution:
@@ -55,7 +56,7 @@ def figures(costs: Costs) -> dict[str, float]:
 
 
 def actions(scenario: Scenario, lanes: int, rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(-1, 1, (lanes, 2 * scenario.n_datacenters + scenario.n_inverters))
+    return rng.uniform(-1, 1, (lanes, len(action_layout(scenario))))
 
 
 def play(scenario: Scenario, lanes: int, action: Any, seed: int = 0) -> list[Transition]:
@@ -128,7 +129,8 @@ def test_several_sites_and_lanes():
     v = np.full((lanes, n_bus), 1.01)
     v[1] = 0.90
     agents = np.array([[102.0, 51.0, 0.0, 100.0, 0.0, 0.0, 50.0]] * lanes)  # of 1020, 510, 510, 100 x 4
-    state = hand_made_state()._replace(
+    state = with_fields(
+        hand_made_state(),
         v_pu=v,
         v_last_pu=v,
         backlog_kws=np.array([[100.0, 200.0, 700.0], [0.0, 0.0, 0.0]]),
@@ -195,7 +197,8 @@ def test_local_costs_worked_by_hand():
 
 def test_local_backlog_is_a_share_of_the_own_rating():
     scenario = make_scenario("ieee33-weak", p_rated_kw=(1000.0, 500.0, 250.0))
-    state = hand_made_state()._replace(
+    state = with_fields(
+        hand_made_state(),
         v_pu=np.ones((1, 33)), v_agent_pu=np.ones((1, 7)), v_agent_last_pu=np.ones((1, 7)), q_kvar=np.zeros((1, 7)),
         backlog_kws=np.array([[100.0, 100.0, 100.0]]), f_mhz=np.full((1, 3), 1410.0),
         f_last_mhz=np.full((1, 3), 1410.0),
@@ -209,7 +212,7 @@ def test_local_backlog_is_a_share_of_the_own_rating():
 def test_torch_counts_the_same_costs(kind):
     scenario = make_scenario("toy6", weights=EVERY, voltage_cost=kind)
     state, solution = hand_made_state(), solution_with_loss(125.0)
-    tensors = State(*map(torch.tensor, state))
+    tensors = state.map(torch.tensor)
     solution_t = Solution(*map(torch.tensor, solution))
     for last in (True, False):
         for cost in (team_costs, local_costs):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env.engine.request_delay import RequestDelays, Served, request_delays, serve_requests
+from dcgrid_env.devices.datacenter.request_delay import RequestDelays, Served, request_delays, serve_requests
 from dcgrid_env.traces import RequestTimes
 
 

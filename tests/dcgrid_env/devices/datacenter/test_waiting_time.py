@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcgrid_env.engine.waiting_time import Delays, fcfs_delays
+from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
 
 
 class Work(NamedTuple):

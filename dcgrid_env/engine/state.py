@@ -1,0 +1,69 @@
+"""What a step begins from and ends in, and what comes from outside meanwhile; arrays over lanes, slots and buses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from dcgrid_env.core.arrays import Array, namespace
+
+
+class Exogenous(NamedTuple):
+    """What comes from outside over one interval; nothing here depends on an action."""
+
+    p_load_kw: Array
+    """Other loads, kW, (lane, n_bus)."""
+    q_load_kvar: Array
+    """Other loads less capacitors, kvar, (lane, n_bus)."""
+    p_ref_kw: Array
+    """What sites of work would draw at the top clock with nothing queued, kW, (lane, n_site)."""
+    p_inverter_kw: Array
+    """Scheduled active injection, kW, (lane, slot) of the device that has a schedule."""
+    nodes: Array
+    """Where each agent is connected, flat positions lane * n_bus + bus, int, (lane, n_agent, n_node). An agent sees the
+    mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
+    compute_share: Array | None = None
+    """Compute-bound share of the work that arrives, (lane, n_site); None under a clock law of one work class."""
+    available: Array | None = None
+    """1 for an agent that is connected to the grid and 0 for one that is not, (lane, n_agent); None where all are."""
+
+
+class State(NamedTuple):
+    """The state after a step; every array has the lanes as its leading dimension, agents are ordered by device.
+
+    A field of a device's state is read by its name too: ``state.backlog_kws``.
+    """
+
+    v_pu: Array
+    """Voltage, p.u., (lane, n_bus); the last solved one where the power flow has none."""
+    v_last_pu: Array
+    """Voltage one step earlier."""
+    v_agent_pu: Array
+    """Voltage at the agents, p.u., (lane, n_agent)."""
+    v_agent_last_pu: Array
+    current_sq_pu: Array
+    """Squared branch current, per unit, (lane, n_bus - 1): the next solution's start."""
+    p_kw: Array
+    """Draw from the grid, kW (an inverter's injection is negative), (lane, n_agent); 0 where disconnected."""
+    q_kvar: Array
+    """Reactive injection as dispatched, kvar, (lane, n_agent)."""
+    q_limit_kvar: Array
+    """Largest reactive magnitude at this active power, kvar, (lane, n_agent)."""
+    devices: tuple[Any, ...]
+    """State of each of the scenario's devices, a NamedTuple of arrays (lane, slot, ..)."""
+
+    def __getattr__(self, name: str) -> Any:
+        return field_of_devices(self.devices, name)
+
+    def map(self, function: Callable[[Array], Array]) -> State:
+        """The state with every array put through a function."""
+        devices = tuple(type(d)(*map(function, d)) if hasattr(d, "_fields") else d for d in self.devices)
+        return State(*map(function, self[:-1]), devices=devices)
+
+
+def field_of_devices(devices: tuple[Any, ...], name: str) -> Any:
+    """The field of this name of the devices that have it, one after the other along the slots; else AttributeError."""
+    parts = [getattr(device, name) for device in devices if name in getattr(device, "_fields", ())]
+    if not parts:
+        raise AttributeError(f"no device has a field {name!r}")
+    return parts[0] if len(parts) == 1 else namespace(parts[0]).concat(parts, axis=1)

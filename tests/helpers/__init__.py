@@ -1,0 +1,1 @@
+"""What several tests share, one idea a file."""
