@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from dcgrid_env import Scenario, field_names
+from dcgrid_env import Scenario, action_layout, field_names
 
 
 @runtime_checkable
@@ -63,13 +63,28 @@ _OF_ALL = ("v_deviation", "p", "q", "r", "x")
 _OF_SITES = ("p_ref_next", "backlog")
 
 
+KNOWN_DEVICES = ("datacenter", "inverter")
+"""Kinds of devices that the controllers and policies of this package are made for, in the order of their agents."""
+
+
+def require_known_devices(who: str, scenario: Scenario) -> None:
+    """ValueError, naming the devices, where a scenario has others than data centres first and inverters then."""
+    kinds = [device.kind for device in scenario.devices if device.count]
+    if kinds != [kind for kind in KNOWN_DEVICES if kind in kinds]:
+        raise ValueError(
+            f"{who} knows data centres, and inverters behind them; scenario {scenario.name!r} has {', '.join(kinds)}: "
+            "use a controller that is made for these"
+        )
+
+
 class LocalController:
     """Base of controllers that work on physical units: subclasses write ``control``."""
 
     scenario: Scenario
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin new episodes of a scenario."""
+        """Begin new episodes of a scenario; ValueError for one with devices that the controller does not know."""
+        require_known_devices(type(self).__name__, env_info)
         self.scenario = env_info
         names = field_names(env_info)
         starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1]
@@ -94,9 +109,7 @@ class LocalController:
         if isinstance(observations, Mapping):
             joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
             actions = self._joint(*self.control(self._local(joint)))
-            widths = [2] * self.scenario.n_datacenters + [1] * self.scenario.n_inverters
-            cuts = np.cumsum(widths)[:-1]
-            return dict(zip(self.scenario.agents, np.split(actions, cuts, axis=-1), strict=True))
+            return action_layout(self.scenario).split(actions)
         return self._joint(*self.control(self._local(np.asarray(observations))))
 
     def _local(self, joint: np.ndarray) -> Local:
@@ -117,9 +130,8 @@ class LocalController:
 
     def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:
         s = self.scenario
-        n_dc, span = s.n_datacenters, s.f_max_mhz - s.f_min_mhz
+        span = s.f_max_mhz - s.f_min_mhz
         clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
         q = q_kvar / np.where(self._q_scale > 0, self._q_scale, 1.0)
-        paired = np.stack((clock, q[..., :n_dc]), axis=-1).reshape(*q.shape[:-1], 2 * n_dc)
-        actions = np.concatenate((paired, q[..., n_dc:]), axis=-1)
+        actions = action_layout(s).joint(clock=clock, q=q)
         return np.clip(actions, -1.0, 1.0).astype(np.float32)

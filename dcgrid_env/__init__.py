@@ -3,7 +3,7 @@
 import gymnasium as _gymnasium
 import pettingzoo as _pettingzoo
 
-from dcgrid_env.devices import DataCenters, Inverters, LinearDvfs, PrefillDecodeDvfs
+from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
@@ -39,6 +39,7 @@ __all__ = [
     "DcgridEnv",
     "DcgridParallelEnv",
     "DcgridVectorEnv",
+    "Device",
     "Fault",
     "Feeder",
     "FeederError",
@@ -66,6 +67,7 @@ __all__ = [
     "load_feeder",
     "make_scenario",
     "parallel_env",
+    "register_device",
     "scenario_hash",
 ]
 

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep
+from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout
 from dcgrid_env.agents.policy.interface import View
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
@@ -119,7 +119,7 @@ class Learner:
         """Mean and standard deviation of what each network sees, over an episode of each grid at random setpoints."""
         rng, seen = np.random.default_rng(self.cfg.seed), {}
         for env, view in zip(self.envs, self.views, strict=True):
-            clocks = np.array([True, False] * env.scenario.n_datacenters + [False] * env.scenario.n_inverters)
+            clocks = action_layout(env.scenario).is_channel("clock")
             joint = env.reset(episode_seeds(self.cfg.seed, 0, NORMALISED_LANES))
             action = torch.empty(0)
             while not env.over:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import array_namespace
 
-from dcgrid_env import Scenario, field_names
+from dcgrid_env import Scenario, action_layout, field_names
 
 KINDS = {"joint": ("joint",), "shared": ("datacenter", "inverter")}
 """Networks of each kind of policy: one for all agents together, or one for each kind of agent."""
@@ -88,7 +88,8 @@ class View:
         self._seen = None if seen.all() else array(seen.astype(np.float32))
         p_scale_kw = np.concatenate((scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
         self._scales_mw = [array((scale / 1e3).astype(np.float32)) for scale in (p_scale_kw, scenario.q_scale_kvar)]
-        clocks = np.array([1.0, 0.0] * n_dc + [0.0] * n_inv, dtype=np.float32)
+        clocks = action_layout(scenario).is_channel("clock").astype(np.float32)
+        self._n_action = len(clocks)
         self._rest = array(clocks)  # at rest: top clock, no reactive power
         held = {"both": np.zeros(clocks.shape, bool), "q": clocks == 1.0, "clock": clocks == 0.0}[act]
         self._held = array(held) if held.any() else None
@@ -115,7 +116,7 @@ class View:
         n_dc, n_inv = self.counts["datacenter"], self.counts["inverter"]
         more = 3 * self.nameplate
         if self.kind == "joint":
-            return {"joint": (self._n_seen + more * (n_dc + n_inv), 2 * n_dc + n_inv)}
+            return {"joint": (self._n_seen + more * (n_dc + n_inv), self._n_action)}
         found = {"datacenter": (self.split_at // n_dc + more, 2)} if n_dc else {}
         return found | ({"inverter": ((self._n_seen - self.split_at) // n_inv + more, 1)} if n_inv else {})
 

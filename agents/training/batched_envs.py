@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
-from dcgrid_env import DcgridVectorEnv, Scenario, field_names
+from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.interface import Gains, View
 from dcgrid_env.agents.training.config import Act
 from dcgrid_env.baselines import make_controller
@@ -98,9 +98,7 @@ class JointLanes(VecEnv):
     @property
     def clocks(self) -> np.ndarray:
         """Which entries of an action are clocks, bool, (n_action,)."""
-        found = np.zeros(self._n_action, bool)
-        found[0 : 2 * self.scenario.n_datacenters : 2] = True
-        return found
+        return action_layout(self.scenario).is_channel("clock")
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         observation, action = self.batch.single_observation_space, self.batch.single_action_space

@@ -32,10 +32,12 @@ from dcgrid_env import (
     LinearDvfs,
     Recorder,
     Scenario,
+    action_layout,
     distflow,
     forecast,
     lindistflow,
 )
+from dcgrid_env.baselines.controller import require_known_devices
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -126,6 +128,7 @@ def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
 
 
 def _check(scenario: Scenario) -> None:
+    require_known_devices("hindsight", scenario)
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":
@@ -315,10 +318,10 @@ class _Program:
 
     def _actions(self) -> np.ndarray:
         """(T, n_action) in [-1, 1]: the clock whose ceiling is the work served, and shares of the reactive limit."""
-        s, dc, n_dc = self.scenario, self.scenario.datacenter, self.scenario.n_datacenters
+        s, dc = self.scenario, self.scenario.datacenter
         ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         f_mhz = np.clip(self.served_kw / ceiling_kw * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz)
         span = np.where(dc.f_max_mhz > dc.f_min_mhz, dc.f_max_mhz - dc.f_min_mhz, 1.0)
         q = self.q_kvar / np.where(s.q_scale_kvar > 0, s.q_scale_kvar, 1.0)
-        pairs = np.stack((2.0 * (f_mhz - dc.f_min_mhz) / span - 1.0, q[:, :n_dc]), axis=-1).reshape(s.horizon, -1)
-        return np.clip(np.concatenate((pairs, q[:, n_dc:]), axis=1), -1.0, 1.0)
+        clock = 2.0 * (f_mhz - dc.f_min_mhz) / span - 1.0
+        return np.clip(action_layout(s).joint(clock=clock, q=q), -1.0, 1.0)

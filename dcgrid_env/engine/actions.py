@@ -69,6 +69,14 @@ class ActionLayout:
         ]
         return parts[0] if len(parts) == 1 else namespace(joint).concat(parts, axis=-1)
 
+    def joint(self, **channels: np.ndarray) -> np.ndarray:
+        """The joint action of the entries of each channel, by its name, (..., n) over the agents that have it."""
+        like = next(iter(channels.values()))
+        found = np.zeros((*like.shape[:-1], len(self)), like.dtype)
+        for name, entries in channels.items():
+            found[..., self.is_channel(name)] = entries
+        return found
+
     def split(self, joint: Any) -> dict[str, Any]:
         """Each agent's action, views of the joint one, (..., n) each."""
         return {agent: joint[..., cut] for agent, cut in self.slices.items()}

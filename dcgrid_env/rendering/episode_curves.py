@@ -59,7 +59,7 @@ class Curves:
         self.scenario = s = scenario
         self.figure = figure
         self.scale, unit = time_unit(s)
-        rows = 5 if s.n_datacenters else 2
+        rows = 5 if s.n_sites else 2
         place = {"left": 0.61, "right": 0.985, "top": 0.87, "bottom": 0.07, "hspace": 0.16}
         ratios = [2.1] + [1.0] * (rows - 1)
         self.axes: list[Axes] = list(figure.subplots(rows, 1, sharex=True, height_ratios=ratios, gridspec_kw=place))
@@ -69,14 +69,14 @@ class Curves:
         self.axes[0].set_xlim(0.0, s.horizon * s.dt_s / self.scale)
         self.axes[-1].set_xlabel(f"time ({unit})", labelpad=2)
         self._draw_voltage()
-        limit = float(np.concatenate((s.datacenter.q_max_kvar, s.inverter.s_rated_kva)).max())
+        limit = float(s.q_scale_kvar.max()) or 1.0
         self._label(1, "q injected\n(kvar)", (-1.1 * limit, 1.1 * limit))
-        n_dc, n_inv = s.n_datacenters, s.n_inverters
+        n_dc, n_inv = s.n_sites, s.n_agents - s.n_sites
         self.curves = {
             "v_pu": Bundle(self.axes[0], n_dc, n_inv, steps=False),
             "q_kvar": Bundle(self.axes[1], n_dc, n_inv, steps=True),
         }
-        if s.n_datacenters:
+        if s.n_sites:
             self._draw_datacenters()
         self.moving: list[Artist] = [self.range, self.mean, *self.limits]
         self.moving += [lines for bundle in self.curves.values() for lines in bundle.lines]
@@ -110,7 +110,7 @@ class Curves:
         (self.mean,) = ax.plot([], [], color="black", linewidth=1.4, zorder=2.6)
 
     def _draw_datacenters(self) -> None:
-        s, n = self.scenario, self.scenario.n_datacenters
+        s, n = self.scenario, self.scenario.n_sites
         p_rated = float(s.datacenter.p_rated_kw.max())
         self._label(2, "p drawn\n(kW)", (0.0, 1.1 * s.boost_share * p_rated))
         self._label(3, "clock\n(MHz)", (0.0, 1.1 * s.f_max_mhz))
@@ -122,7 +122,7 @@ class Curves:
         self.curves["backlog_kws"] = Bundle(self.axes[4], n, 0, steps=False)
 
     def _draw_keys(self) -> list[Artist]:
-        n = self.scenario.n_datacenters
+        n = self.scenario.n_sites
         entries: list[tuple[Any, str]] = [
             (Patch(facecolor="#D5D5D5"), "all buses"),
             (Line2D([], [], color="black", linewidth=1.4), "mean"),
@@ -155,7 +155,7 @@ class Curves:
         values = {"v_pu": v[:, history.buses], "p_ref_kw": history.p_ref_kw(s, steps)}
         for name, bundle in self.curves.items():
             rows = values[name] if name in values else getattr(history, name)[steps]
-            bundle.show(t, rows[:, : s.n_datacenters] if name == "p_kw" else rows)
+            bundle.show(t, rows[:, : s.n_sites] if name == "p_kw" else rows)
         backlog = history.backlog_kws[steps].max(initial=0.0)
         return self._settle(history.buses, float(low.min()), float(high.max()), float(backlog))
 
@@ -176,7 +176,7 @@ class Curves:
             every = np.ceil((above - below) / 8.0)
             marks = np.arange(np.ceil(below / every), np.floor(above / every) + 1)
             self.axes[0].set_yticks(1.0 + unit * every * marks)
-        if "backlog" in changed and s.n_datacenters:
+        if "backlog" in changed and s.n_sites:
             self.axes[4].set_ylim(0.0, top)
             per_kws, unit = (1.0, "kW s") if top <= 1e6 else (1e-3, "MW s")  # long figures would not fit
             self.axes[4].set_ylabel(f"backlog\n({unit})")

@@ -18,7 +18,10 @@ class History:
 
     def __init__(self, scenario: Scenario, lane: int = 0):
         self.lane = lane
-        rows, n_dc = scenario.horizon + 1, scenario.n_datacenters
+        rows, n_dc = scenario.horizon + 1, scenario.n_sites
+        is_site = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
+        self.order = np.argsort(np.logical_not(is_site), kind="stable")
+        """Agents as the picture has them, sites of work first."""
         self.v_pu = np.empty((rows, scenario.feeder.n_bus), np.float32)
         self.f_mhz = np.empty((rows, n_dc), np.float32)
         self.backlog_kws = np.empty((rows, n_dc), np.float32)
@@ -38,16 +41,17 @@ class History:
             self.first, self.key, self.episode = step, drawn.key[lane], drawn
         self.last = step
         self.v_pu[step] = state.v_pu[lane]
-        self.f_mhz[step] = state.f_mhz[lane]
-        self.backlog_kws[step] = state.backlog_kws[lane]
-        self.p_kw[step] = state.p_kw[lane]
-        self.q_kvar[step] = state.q_kvar[lane]
+        if self.f_mhz.shape[1]:
+            self.f_mhz[step] = state.f_mhz[lane]
+            self.backlog_kws[step] = state.backlog_kws[lane]
+        self.p_kw[step] = state.p_kw[lane, self.order]
+        self.q_kvar[step] = state.q_kvar[lane, self.order]
         self.solved = snapshot.transition.converged[lane]
 
     @property
     def buses(self) -> np.ndarray:
-        """Position of each agent's bus, (n_agent,)."""
-        return self.episode.buses[self.lane]
+        """Position of each agent's bus, (n_agent,), in the picture's order."""
+        return self.episode.buses[self.lane, self.order]
 
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""

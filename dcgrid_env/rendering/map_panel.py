@@ -36,7 +36,7 @@ class MapPart:
         self.scenario = scenario
         self.time_unit = time_unit(scenario)
         ax = figure.add_axes((0.01, 0.155, 0.52, 0.735))
-        n_dc, n_inv = scenario.n_datacenters, scenario.n_inverters
+        n_dc, n_inv = scenario.n_sites, scenario.n_agents - scenario.n_sites
         self.feeder = FeederMap(ax, scenario.feeder, positions(scenario.feeder), scenario.band_pu, n_dc, n_inv)
         self.buses: np.ndarray | None = None
         look: Any = {"family": "DejaVu Sans"}
@@ -68,10 +68,10 @@ class MapPart:
 
         entries = [
             (mark("s", 8), "substation"),
-            (mark("^", 8), "inverter"),
+            (mark("^", 8), "inverter" if _inverters_alone(self.scenario) else "other device"),
             (mark("o", 9, width=1.8), "outside limits"),
         ]
-        if self.scenario.n_datacenters:
+        if self.scenario.n_sites:
             halo = mark("o", 13, width=0.0)
             halo.set(markerfacecolor=agent_colour(0), alpha=0.3)
             entries += [(mark("o", 10, agent_colour(0), 3.0), "data centre; arc: clock"), (halo, "halo: backlog")]
@@ -87,7 +87,7 @@ class MapPart:
         moved = self.buses is None or not np.array_equal(self.buses, history.buses)
         if moved:
             self.buses = history.buses.copy()
-            self.feeder.place(self.buses[: s.n_datacenters], self.buses[s.n_datacenters :])
+            self.feeder.place(self.buses[: s.n_sites], self.buses[s.n_sites :])
         v = history.v_pu[step]
         dc = s.datacenter
         share = history.f_mhz[step] / dc.f_max_mhz
@@ -103,6 +103,11 @@ class MapPart:
             else "the power flow has no solution (voltage collapse); these are the last solved voltages"
         )
         return self.panels if moved else []
+
+
+def _inverters_alone(scenario: Scenario) -> bool:
+    """Whether all agents that are no sites of work are inverters."""
+    return scenario.n_sites + scenario.n_inverters == scenario.n_agents
 
 
 def _band(scenario: Scenario) -> str:

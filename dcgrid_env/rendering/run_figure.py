@@ -19,7 +19,7 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     figure = Figure(figsize=(1.6 + 4.0 * len(series), 8.2), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(3, len(series), sharex=True, sharey="row", squeeze=False)
-    n_dc, dt = scenario.n_datacenters, scenario.dt_s
+    n_dc, dt = scenario.n_sites, scenario.dt_s
     for column, (name, run) in zip(axes.T, series.items(), strict=True):
         t = np.arange(len(run.v_pu)) * dt
         _voltages(column[0], scenario, run, t)

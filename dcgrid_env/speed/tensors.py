@@ -13,6 +13,7 @@ from copy import copy
 from importlib.util import find_spec
 
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.envs.tensor import TensorEnv
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.speed.measuring import Row, rate
@@ -82,7 +83,7 @@ def _window(scenario: Scenario, device: str, lanes: int, gradient: bool) -> tupl
 
     env = TensorEnv(scenario, like=torch.empty(0, device=device))
     steps = min(WINDOW, scenario.horizon)
-    n_action = 2 * scenario.n_datacenters + scenario.n_inverters
+    n_action = len(action_layout(scenario))
     made = torch.Generator(device).manual_seed(0)
     drawn = 2.0 * torch.rand((steps, lanes, n_action), generator=made, device=device) - 1.0
     drawn.requires_grad_(gradient)

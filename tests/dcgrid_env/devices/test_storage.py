@@ -1,0 +1,171 @@
+"""A new kind of device: every interface takes it from its own file and its registration alone."""
+
+import importlib.util
+import pickle
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+import dcgrid_env
+from dcgrid_env import (
+    DcgridVectorEnv,
+    Device,
+    Recorder,
+    Scenario,
+    ScenarioError,
+    TensorEnv,
+    make_scenario,
+    register_device,
+)
+from dcgrid_env.agents import Policy
+from dcgrid_env.baselines import CONTROLLERS, make_controller, rollout
+from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.devices import DEVICES
+
+SPEC = importlib.util.spec_from_file_location("storage_of_the_tests", Path(__file__).with_name("storage.py"))
+assert SPEC is not None
+assert SPEC.loader is not None
+storage = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = storage
+SPEC.loader.exec_module(storage)
+STORAGES = register_device(storage.Storages)
+
+
+def scenario(**overrides) -> Scenario:
+    """toy6 with a battery of 500 kW and 5 kWh at bus 2, between the data centre and the inverters."""
+    base = make_scenario("toy6", horizon=40)
+    sites, inverters = base.devices
+    battery = STORAGES(buses=(2,), p_rated_kw=500.0, energy_kwh=5.0, cycling_weight=2.0)
+    return base.replace(name="with-storage", devices=(sites, battery, inverters), **overrides)
+
+
+def test_it_is_a_device_and_known_by_its_kind():
+    assert isinstance(scenario().devices[1], Device)
+    assert DEVICES["storage"] is STORAGES
+    with pytest.raises(ValueError, match="device kind 'storage' is that of Storages; choose another name"):
+        register_device(type("Other", (STORAGES,), {}))
+
+
+def test_agents_actions_and_observations():
+    s = scenario()
+    assert s.agents == ("dc_0", "sto_0", "inv_0", "inv_1")
+    layout = dcgrid_env.action_layout(s)
+    assert layout.names == (("dc_0", "clock"), ("dc_0", "q"), ("sto_0", "power"), ("inv_0", "q"), ("inv_1", "q"))
+    env = dcgrid_env.parallel_env(s)
+    observations, infos = env.reset(seed=0)
+    assert env.action_space("sto_0").shape == (1,)
+    assert dcgrid_env.field_names(s)["sto_0"][-1] == "stored"
+    assert observations["sto_0"][-1] == pytest.approx(0.5)
+    assert infos["sto_0"]["bus"] in (2, "2")
+    observations, rewards, *_, infos = env.step({a: np.zeros(env.action_space(a).shape) for a in env.agents})
+    assert env.observation_space("sto_0").contains(observations["sto_0"])
+    assert env.state_space.contains(env.state())
+    assert infos["dc_0"]["stored_kwh"] == pytest.approx(2.5)
+    assert set(rewards) == set(s.agents)
+
+
+def test_energy_is_conserved_and_the_grid_feels_the_draw():
+    s = scenario()
+    env = DcgridVectorEnv(2, s)
+    env.reset(seed=[0, 0])
+    action = np.zeros((2, 5))
+    action[:, 0] = 1.0
+    action[:, 2] = [1.0, -1.0]  # charge, discharge
+    recorder = Recorder(s, env.transition)
+    before = env.transition.state.v_pu.copy()
+    while not recorder.over:
+        env.step(action)
+        recorder.add(env.transition)
+        if len(recorder._transitions) == 2:
+            charging, discharging = env.transition.state.v_pu
+            assert charging[2] < discharging[2] - 1e-3
+            np.testing.assert_allclose(env.transition.state.p_kw[:, 1], [500.0, -500.0])
+    for lane, sign in ((0, 1.0), (1, -1.0)):
+        series = recorder.lane(lane)
+        gained = np.where(series.charged_kw > 0, 0.95 * series.charged_kw, series.charged_kw / 0.95)
+        np.testing.assert_allclose(2.5 + np.cumsum(gained, axis=0) / 3600.0, series.stored_kwh[1:], atol=1e-9)
+        assert series.stored_kwh.min() >= 0.0
+        assert series.stored_kwh.max() <= 5.0
+        assert series.metrics()["stored_end_kwh"] == pytest.approx(5.0 if sign > 0 else 0.0)
+        assert series.metrics()["cost_cycling"] > 0.0
+    assert before.shape == (2, 6)
+
+
+def test_its_cost_is_charged_to_the_team_and_to_itself():
+    one = dcgrid_env.parallel_env(scenario(reward="local"))
+    one.reset(seed=0)
+    action = {a: np.zeros(one.action_space(a).shape) for a in one.agents} | {"sto_0": np.ones(1)}
+    _, paid, *_, infos = one.step(action)
+    shared = gymnasium.make("dcgrid/Toy6-v0", scenario=scenario())
+    shared.reset(seed=0)
+    joint = np.zeros(5, np.float32)
+    joint[2] = 1.0
+    *_, info = shared.step(joint)
+    assert info["cost_cycling"] == pytest.approx(2.0)
+    assert infos["sto_0"]["cost_cycling"] == pytest.approx(2.0)
+    free = dcgrid_env.parallel_env(scenario(reward="local"))
+    free.reset(seed=0)
+    _, idle, *_ = free.step(action | {"sto_0": np.zeros(1)})
+    assert paid["sto_0"] < idle["sto_0"] - 1.9
+
+
+def test_gradients_pass_and_tensors_agree_with_arrays():
+    s = scenario()
+    env = TensorEnv(s, like=torch.empty(0, dtype=torch.float64))
+    env.reset([0])
+    action = torch.full((1, 5), 0.3, dtype=torch.float64, requires_grad=True)
+    step = env.step(action)
+    (slope,) = torch.autograd.grad(step.cost_j.sum(), action)
+    assert slope[0, 2] != 0.0
+    single = gymnasium.make("dcgrid/Toy6-v0", scenario=s)
+    single.reset(seed=0)
+    _, reward, *_ = single.step(np.full(5, 0.3, np.float32))
+    assert float(step.cost_j.detach()) == pytest.approx(-float(reward), rel=1e-5)
+
+
+def test_scenario_files_pickles_and_hashes(tmp_path):
+    s = scenario()
+    s.to_toml(tmp_path / "a.toml")
+    again = make_scenario(tmp_path / "a.toml")
+    assert again.difference(s) is None
+    assert (
+        dcgrid_env.scenario_hash(again)
+        == dcgrid_env.scenario_hash(s)
+        != dcgrid_env.scenario_hash(make_scenario("toy6"))
+    )
+    assert pickle.loads(pickle.dumps(s)).difference(s) is None
+    larger = STORAGES(buses=(2,), p_rated_kw=501.0, energy_kwh=5.0)
+    other = s.replace(devices=(s.devices[0], larger, s.devices[2]))
+    assert other.difference(s) == "devices"
+    with pytest.raises(ScenarioError, match=r"devices\[0\].energy_kwh is -1.0; give one positive number"):
+        s.replace(devices=[{"kind": "storage", "buses": ["2"], "p_rated_kw": 1.0, "energy_kwh": -1.0}])
+
+
+def test_a_picture_is_drawn():
+    env = gymnasium.make("dcgrid/Toy6-v0", scenario=scenario(), render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    frame = env.render()
+    assert isinstance(frame, np.ndarray)
+    assert frame.ndim == 3
+    env.close()
+
+
+def test_hindsight_refuses_devices_that_it_does_not_know():
+    with pytest.raises(ValueError, match="hindsight knows data centres, and inverters behind them"):
+        hindsight(scenario(), 0)
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "none"])
+def test_controllers_refuse_devices_that_they_do_not_know(name):
+    with pytest.raises(ValueError, match="knows data centres, and inverters behind them; scenario 'with-storage' has"):
+        rollout(scenario(), make_controller(name), [0])
+
+
+def test_policies_refuse_devices_that_they_do_not_know():
+    with pytest.raises(ValueError, match="scenario 'with-storage' has datacenter, storage, inverter: use a controller"):
+        Policy.load("toy6-ppo").reset(scenario())
