@@ -3,11 +3,11 @@
 Importing the package, or running a policy, needs no torch; the algorithms and ``sb3_vec_env`` import it themselves.
 """
 
-from dcgrid_env.agents.find import find_controller
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
+from dcgrid_env.baselines import find_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
 
 __all__ = ["Card", "Evaluation", "Network", "Policy", "PolicyError", "evaluate", "find_controller", "sb3_vec_env"]

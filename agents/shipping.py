@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
-from dcgrid_env.agents.find import preset_of
+from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import Card, Scored
 from dcgrid_env.agents.policy.network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy

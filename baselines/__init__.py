@@ -10,17 +10,26 @@ from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
-from dcgrid_env.baselines.registry import CONTROLLERS, TUNED, make_controller
+from dcgrid_env.baselines.registry import (
+    CONTROLLER_REGISTRY,
+    CONTROLLERS,
+    TUNED,
+    ForScenario,
+    find_controller,
+    make_controller,
+)
 from dcgrid_env.baselines.rollout import rollout
 
 __all__ = [
     "CONTROLLERS",
+    "CONTROLLER_REGISTRY",
     "TUNED",
     "ConstantQ",
     "Controller",
     "DeadbandDroop",
     "Droop",
     "FeedbackOptimisation",
+    "ForScenario",
     "Local",
     "LocalController",
     "Mpc",
@@ -30,6 +39,7 @@ __all__ = [
     "Published",
     "SwitchingReference",
     "VoltVar",
+    "find_controller",
     "make_controller",
     "published",
     "rollout",

@@ -1,9 +1,12 @@
-"""Controllers by name, as the command line knows them."""
+"""Controllers as the command line names them: by a name, as a class of the user's own, or as a file."""
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
@@ -17,6 +20,8 @@ from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.tuning.search import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
+from dcgrid_env.baselines.user_code import Named, OwnCodeError, described, load, parse, place
+from dcgrid_env.core.plugins import Entry, Registry
 
 CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "none": ("top clock, no reactive power", NoControl),
@@ -51,27 +56,112 @@ TUNED: dict[str, str] = {
 """Description of those whose parameters depend on the scenario."""
 
 
+class ForScenario(NamedTuple):
+    """An entry of the registry whose controller depends on the scenario."""
+
+    about: str
+    """What it is, in a few words."""
+    make: Callable[[Scenario, str | Path | None], Controller]
+    """Makes a fresh controller from the scenario and a file of tuned parameters, see ``make_controller``."""
+
+
+ENTRIES: ChainMap[str, Entry] = ChainMap(
+    {name: ForScenario(about, partial(tuned_controller, name.removesuffix(SUFFIX))) for name, about in TUNED.items()},
+    CONTROLLERS,
+)
+"""What is made by hand, as entries of the registry: ``CONTROLLERS``, then ``TUNED``."""
+CONTROLLER_REGISTRY = Registry("dcgrid.controllers", "controller", Controller, ENTRIES)
+"""All controllers that have a name: those made by hand, policies, and those of other packages.
+
+An entry is a pair of what it is and a function without arguments that makes a fresh one, or a ``ForScenario``. A name
+that begins with a dot, as ``.safetensors``, stands for the files that end in it; its function takes the path.
+"""
+
+
 def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Path | None = None) -> Controller:
-    """A fresh controller.
+    """Make a fresh controller.
 
     Parameters
     ----------
     name
-        One of ``CONTROLLERS`` or ``TUNED``.
+        A name of ``CONTROLLER_REGISTRY``: of ``CONTROLLERS``, of ``TUNED``, of a policy, or of another package's.
     scenario
-        What it is to drive; tuned controllers look up their parameters by it.
+        What it is to drive; tuned controllers look up their parameters by it, and names of policies on every preset.
     tuned
         A file of ``dcgrid tune`` that must have them; see ``tuned.tuned_parameters`` for where they are without one.
 
     Raises
     ------
     ValueError
-        For an unknown name, listing those that exist, or a tuned one without a scenario for which there are parameters.
+        For an unknown name, listing those that exist; for one that depends on the scenario where none is given or
+        there is nothing for it; a ``PluginError`` where another package's controller cannot be made.
     """
-    if name in CONTROLLERS:
-        return CONTROLLERS[name][1]()
-    if name not in TUNED:
-        raise ValueError(f"unknown controller {name!r}; there are {', '.join((*CONTROLLERS, *TUNED))}")
+    if name not in CONTROLLER_REGISTRY:
+        raise ValueError(CONTROLLER_REGISTRY.unknown(name))
+    if not isinstance(CONTROLLER_REGISTRY[name], ForScenario):
+        return CONTROLLER_REGISTRY.make(name)
     if scenario is None:
-        raise ValueError(f"controller {name!r} is tuned for each scenario; say which one it is for")
-    return tuned_controller(name.removesuffix(SUFFIX), scenario, tuned)
+        raise ValueError(f"controller {name!r} depends on the scenario; say which one it is for")
+    return CONTROLLER_REGISTRY.make(name, scenario, tuned)
+
+
+def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = None) -> Controller:
+    """Make a fresh controller from what names it on the command line.
+
+    Parameters
+    ----------
+    spec
+        A name, see ``make_controller``; ``package.module:Class`` or ``path/to/file.py:Class``, which runs the user's
+        code (modules of the working directory are found too), with literals as arguments if the class takes any,
+        ``file.py:Class(gain=0.5)``; or the path of a saved policy, ending in .safetensors (this runs no code).
+    scenario
+        What it is to drive; tuned controllers look up their gains by it.
+    tuned
+        A file of ``dcgrid tune`` that the gains must come from, see ``make_controller``.
+
+    Raises
+    ------
+    ValueError
+        For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario;
+        an ``OwnCodeError`` where the user's code fails.
+    """
+    named = parse(spec)
+    if named is not None:
+        made = _construct(spec, named, load(named, f"controller {spec!r}"))
+        if not isinstance(made, Controller):
+            raise ValueError(f"controller {spec!r}: {type(made).__name__} is no controller; give it reset and act")
+        return made
+    if is_file(spec):
+        if not Path(spec).is_file():
+            raise ValueError(f"controller {spec!r}: there is no such file; {_forms()}")
+        return CONTROLLER_REGISTRY.make(Path(spec).suffix, spec)
+    if spec not in CONTROLLER_REGISTRY:
+        raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
+    return make_controller(spec, scenario, tuned)
+
+
+def is_file(spec: str) -> bool:
+    """Whether a text names a controller as a file, by an ending that stands in the registry."""
+    ending = Path(spec).suffix
+    return bool(ending) and parse(spec) is None and ending in CONTROLLER_REGISTRY
+
+
+def _forms() -> str:
+    """How to name a controller that has no name."""
+    endings = ", ".join(name for name in CONTROLLER_REGISTRY if name.startswith("."))
+    return (
+        "give package.module:Class or path/to/file.py:Class for one of your own, with its arguments in parentheses if "
+        f"it takes any, or a saved policy's {endings} file"
+    )
+
+
+def _construct(spec: str, named: Named, kind: object) -> object:
+    if not callable(kind):
+        raise ValueError(f"controller {spec!r}: {named.name!r} of {named.where} is no class; {_forms()}")
+    try:
+        return kind(*named.positional, **dict(named.keywords))
+    except (Exception, SystemExit) as error:
+        how = "" if named.positional or named.keywords else " without arguments"
+        raise OwnCodeError(
+            f"controller {spec!r}: constructing it{how} fails{place(error)}: {described(error)}"
+        ) from error

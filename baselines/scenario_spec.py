@@ -1,6 +1,6 @@
 """Scenarios as the command line names them: a preset, or one of the user's own, with other values for some fields.
 
-    ieee33                          a preset
+    ieee33                          a preset, or a name that another package has registered
     path/to/own.py:make             what a function without arguments gives, or a Scenario that stands there
     package.module:make             likewise, of a module that can be imported
     horizon=60 weights={backlog=1}  fields, each with a value as in TOML or JSON; quotes around a text may be left out
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from dcgrid_env import PRESETS, Scenario, ScenarioError, make_scenario
+from dcgrid_env import PRESETS, SCENARIO_REGISTRY, Scenario, ScenarioError, make_scenario
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
@@ -36,7 +36,7 @@ class ScenarioSpec:
     Parameters
     ----------
     where
-        A preset's name, or ``file.py:function`` or ``package.module:function``.
+        A scenario's name, or ``file.py:function`` or ``package.module:function``.
     set
         ``FIELD=VALUE`` for each field that is to be otherwise.
     """
@@ -136,17 +136,17 @@ def read_value(field: str, text: str) -> Any:
 
 
 def _base(where: str) -> str | Scenario:
-    """The name of a preset, or the user's own scenario."""
-    if where in PRESETS:
-        return where
+    """The name of a scenario that has one, or the user's own scenario."""
     if where.endswith(".toml"):
         status = Path(where).stat() if Path(where).is_file() else None
         return _read(where, status and (status.st_mtime_ns, status.st_size))
     if where.endswith(".py"):
         raise ValueError(f"scenario {where!r}: say which function of it makes the scenario, {where}:make for instance")
     named = parse(where)
+    if named is None and where in SCENARIO_REGISTRY:
+        return where
     if named is None or named.positional or named.keywords:
-        raise ScenarioError(f"unknown scenario {where!r}; there are {', '.join(PRESETS)}; or give {FORMS}")
+        raise ScenarioError(f"{SCENARIO_REGISTRY.unknown(where)}; or give {FORMS}")
     found = load(named, f"scenario {where!r}")
     made = _called(where, found) if callable(found) else found
     if not isinstance(made, Scenario):

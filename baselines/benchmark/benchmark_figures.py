@@ -21,7 +21,7 @@ from dcgrid_env.baselines.benchmark.jobs import V_EDGES_PU, Case
 from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, Summary
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.user_code import described
-from dcgrid_env.rendering.run_figure import run_figure
+from dcgrid_env.rendering import run_figure
 
 REFERENCE_COLOUR, FRONT_COLOUR, REST_COLOUR = "#D55E00", "#0072B2", "#6b6b6b"
 NAME_LENGTH = 28

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, __version__, scenario_hash
-from dcgrid_env.agents.find import find_controller
-from dcgrid_env.baselines import Controller, Placed, rollout
+from dcgrid_env import Recorder, Scenario, __version__, scenario_hash
+from dcgrid_env.baselines import Controller, Placed, find_controller, rollout
+from dcgrid_env.baselines.registry import is_file
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.user_code import described, one_line, parse
-from dcgrid_env.engine.metrics import Recorder
 
 SPLIT = "test"
 UNIT_EPISODES = 25
@@ -159,7 +158,7 @@ def controller_hash(controller: Controller, spec: str = "") -> str:
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
     named = parse(spec)
-    file = Path(spec) if spec.endswith(".safetensors") else named.path if named else None
+    file = Path(spec) if is_file(spec) else named.path if named else None
     if file is not None:
         digest.update(file.read_bytes())
     if named and (named.positional or named.keywords):

@@ -15,7 +15,7 @@ from dcgrid_env.baselines.reproduction.load_step import SITE, STEP_LAWS, step_se
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import BOTH, INVERTERS, NONE, Runs
 from dcgrid_env.baselines.reproduction.table1 import LAWS
-from dcgrid_env.rendering.feeder_map import INK, draw_feeder, positions
+from dcgrid_env.rendering import INK, draw_feeder, positions
 
 BUSES = (13, 85, 4, 46)
 """Buses of Fig. 6, those that the public code plots: two with a data centre and two without."""

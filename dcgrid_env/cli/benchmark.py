@@ -107,10 +107,11 @@ def _beforehand(
 
 def _controllers(asked: str, case: Case) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
-    from dcgrid_env.agents.find import NAMES, TRAINED
+    from dcgrid_env.agents.controllers import TRAINED
+    from dcgrid_env.baselines import CONTROLLERS, TUNED
     from dcgrid_env.baselines.benchmark.summary import REFERENCE
 
-    by_hand = [name for name in NAMES if name not in TRAINED]
+    by_hand = [*CONTROLLERS, *TUNED]
     groups = {"all": by_hand, "policies": [*TRAINED]}
     names: list[str] = []
     for name in split_names(asked):
@@ -118,7 +119,7 @@ def _controllers(asked: str, case: Case) -> list[str]:
     if not names:
         raise ValueError(f"controllers is {asked!r}; name at least one, local, all or policies (dcgrid list)")
     for name in names:
-        if name not in NAMES:
+        if name not in by_hand and name not in TRAINED:
             case.controller(name)  # ValueError for what is none
     return list(dict.fromkeys([REFERENCE, *(name for name in STATIC if name in names), *names]))
 

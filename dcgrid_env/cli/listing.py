@@ -11,6 +11,7 @@ from dcgrid_env.cli.terminal import plain_console
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Card
+    from dcgrid_env.core.plugins import Registry
 
 
 @dataclass(frozen=True)
@@ -20,18 +21,20 @@ class List:
 
 def main(cfg: List) -> None:
     """Print the tables."""
-    from dcgrid_env import FEEDERS, IDS, PRESETS
+    from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
     from dcgrid_env.agents import Card
+    from dcgrid_env.agents.controllers import ENTRIES as POLICIES
     from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
-    from dcgrid_env.baselines import CONTROLLERS, TUNED
+    from dcgrid_env.baselines import CONTROLLER_REGISTRY
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.recordings import RECORDINGS
 
     id_of = {scenario: name for name, scenario in IDS.items()}
+    scenarios, controllers = described(SCENARIO_REGISTRY), described(CONTROLLER_REGISTRY)
     tables = {
-        "scenario": {f"{name}  ({id_of[name]})": text for name, text in PRESETS.items()},
-        "feeder": FEEDERS,
-        "controller": {name: text for name, (text, _) in CONTROLLERS.items()} | TUNED,
+        "scenario": {f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()},
+        "feeder": described(FEEDER_REGISTRY),
+        "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
         "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
         "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
         "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
@@ -42,6 +45,12 @@ def main(cfg: List) -> None:
         for name, text in rows.items():
             table.add_row(name, text)
         console.print(table, end="\n\n")
+
+
+def described(registry: Registry) -> dict[str, str]:
+    """What each name of a registry stands for, and which other package it is of."""
+    whose = {name: registry.origin(name) for name in registry if not name.startswith(".")}
+    return {name: registry[name][0] + (f" ({origin})" if origin else "") for name, origin in whose.items()}
 
 
 def card_line(card: Card) -> str:

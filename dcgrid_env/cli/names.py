@@ -33,13 +33,13 @@ def split_names(text: str) -> list[str]:
 
 
 def scenario_names(text: str) -> list[str]:
-    """Names of presets, or all of them for ``all``; ValueError for one that does not exist, or none."""
-    from dcgrid_env import PRESETS
+    """Names of scenarios, or those of all presets for ``all``; ValueError for one that does not exist, or none."""
+    from dcgrid_env import PRESETS, SCENARIO_REGISTRY
 
     names = list(PRESETS) if text.strip() == "all" else split_names(text)
-    unknown = [name for name in names if name not in PRESETS]
+    unknown = [name for name in names if name not in SCENARIO_REGISTRY]
     if unknown:
-        raise ValueError(f"unknown scenario {unknown[0]!r}; there are {', '.join(PRESETS)}")
+        raise ValueError(SCENARIO_REGISTRY.unknown(unknown[0]))
     if not names:
         raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
     return names

@@ -50,8 +50,7 @@ class Run:
 def main(cfg: Run) -> None:
     """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
     from dcgrid_env import scenario_hash
-    from dcgrid_env.agents.find import find_controller
-    from dcgrid_env.baselines import rollout
+    from dcgrid_env.baselines import find_controller, rollout
     from dcgrid_env.baselines.benchmark.jobs import episode_records
     from dcgrid_env.baselines.laws import stability
 
@@ -180,6 +179,6 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
 def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
     """The first episode under each controller."""
     from dcgrid_env.core.files import write_figure
-    from dcgrid_env.rendering.run_figure import run_figure
+    from dcgrid_env.rendering import run_figure
 
     write_figure(path, run_figure(scenario, series, seed), dpi=130)

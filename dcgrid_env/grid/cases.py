@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from importlib.resources import as_file, files
 
+from dcgrid_env.core.plugins import Entry, Registry
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.topology import FeederError
 
@@ -17,16 +18,30 @@ FEEDERS: dict[str, str] = {
 }
 
 
+def _read(name: str) -> Feeder:
+    with as_file(files("dcgrid_env.grid.data") / name) as folder:
+        return Feeder.from_csv(folder)
+
+
+ENTRIES: dict[str, Entry] = {name: (about, partial(_read, name)) for name, about in FEEDERS.items()}
+"""The feeders of ``FEEDERS`` as entries of the registry."""
+FEEDER_REGISTRY = Registry("dcgrid.feeders", "feeder", Feeder, ENTRIES)
+"""All feeders that have a name, those of other packages too."""
+
+
 @cache
 def load_feeder(name: str) -> Feeder:
-    """One of the named feeders (see ``FEEDERS``). The same frozen object at each call.
+    """Load a feeder that has a name: one of ``FEEDERS``, or of another package's entry points ``dcgrid.feeders``.
+
+    Each call gives the same frozen object.
 
     Raises
     ------
     FeederError
         For an unknown name, listing those that exist.
+    PluginError
+        Where another package's feeder cannot be made.
     """
-    if name not in FEEDERS:
-        raise FeederError(f"unknown feeder {name!r}; there are {', '.join(FEEDERS)}; your own: Feeder.from_csv(folder)")
-    with as_file(files("dcgrid_env.grid.data") / name) as folder:
-        return Feeder.from_csv(folder)
+    if name not in FEEDER_REGISTRY:
+        raise FeederError(f"{FEEDER_REGISTRY.unknown(name)}; your own: Feeder.from_csv(folder)")
+    return FEEDER_REGISTRY.make(name)

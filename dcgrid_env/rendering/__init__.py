@@ -1,1 +1,21 @@
-"""Pictures: the feeder on its map, the curves of an episode, the figure of a run."""
+"""Pictures: the feeder on its map, the curves of an episode, the figure of a run.
+
+The names are imported when they are asked for: matplotlib takes long, and an environment that draws nothing needs none.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dcgrid_env.rendering.feeder_map import INK, draw_feeder, positions
+    from dcgrid_env.rendering.side_by_side import run_figure
+
+__all__ = ["INK", "draw_feeder", "positions", "run_figure"]
+
+_MODULES = {"INK": "feeder_map", "draw_feeder": "feeder_map", "positions": "feeder_map", "run_figure": "side_by_side"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

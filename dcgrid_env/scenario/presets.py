@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
+from dcgrid_env.core.plugins import Entry, Registry
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import load_feeder
 from dcgrid_env.scenario.cost import CostWeights
@@ -15,22 +16,6 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import reads_files
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.toml import SUFFIX, read_toml
-
-PRESETS: dict[str, str] = {
-    "toy6": "6 buses; one 2.5 MW data centre steps from idle to full at t = 20 s (the paper's Fig. 3)",
-    "ieee123": "IEEE 123-bus equivalent, 5 data centres of 280 kW at random, 7 inverters (the paper's study)",
-    "ieee33-weak": "33 buses of high r/x, 3 data centres of 1 MW at the ends; the clock must help",
-    "ieee33": "33 buses, 4 data centres of 600 kW, 6 inverters of 500 kvar; the place of an inverter matters",
-    "das69": "69 buses, 4 data centres of 1 MW at the ends, 6 inverters",
-    "khodr141": "141 buses of a city, 4 data centres of 2.5 MW, 6 inverters",
-    "bursty": "ieee33-weak under code completion: bursts of ten seconds and silence",
-    "sync": "ieee33 with 4 sites of 1 MW that all ramp together",
-    "training": "ieee33-weak with training jobs of 600 kW, near the rating and near idle in turn, dt = 0.1 s",
-    "mixed": "ieee33 with PV at the inverters under passing clouds: at noon more load helps",
-    "fault": "ieee123 with inverters of 150 kvar; an inverter or a capacitor is lost, a data centre trips and returns",
-    "robust": "ieee33 with a wrong model, noisy and late measurements and no preview",
-    "scale-32": "khodr141 with 32 data centres of 500 kW at random and 8 inverters",
-}
 
 
 def _toy6() -> Scenario:
@@ -161,21 +146,91 @@ def _scale_32() -> Scenario:
     )
 
 
-_MAKERS = {
-    "toy6": _toy6,
-    "ieee123": _ieee123,
-    "ieee33-weak": _ieee33_weak,
-    "ieee33": _ieee33,
-    "das69": _das69,
-    "khodr141": _khodr141,
-    "bursty": _bursty,
-    "sync": _sync,
-    "training": _training,
-    "mixed": _mixed,
-    "fault": _fault,
-    "robust": _robust,
-    "scale-32": _scale_32,
-}
+class Preset(NamedTuple):
+    """A scenario that ships. This is the one place where it is registered."""
+
+    name: str
+    gym_id: str
+    """Its id in the registries of Gymnasium and PettingZoo."""
+    about: str
+    """What it is, on one line."""
+    make: Callable[[], Scenario]
+
+
+TABLE = (
+    Preset(
+        "toy6",
+        "dcgrid/Toy6-v0",
+        "6 buses; one 2.5 MW data centre steps from idle to full at t = 20 s (the paper's Fig. 3)",
+        _toy6,
+    ),
+    Preset(
+        "ieee123",
+        "dcgrid/IEEE123-v0",
+        "IEEE 123-bus equivalent, 5 data centres of 280 kW at random, 7 inverters (the paper's study)",
+        _ieee123,
+    ),
+    Preset(
+        "ieee33-weak",
+        "dcgrid/IEEE33Weak-v0",
+        "33 buses of high r/x, 3 data centres of 1 MW at the ends; the clock must help",
+        _ieee33_weak,
+    ),
+    Preset(
+        "ieee33",
+        "dcgrid/IEEE33-v0",
+        "33 buses, 4 data centres of 600 kW, 6 inverters of 500 kvar; the place of an inverter matters",
+        _ieee33,
+    ),
+    Preset("das69", "dcgrid/Das69-v0", "69 buses, 4 data centres of 1 MW at the ends, 6 inverters", _das69),
+    Preset("khodr141", "dcgrid/Khodr141-v0", "141 buses of a city, 4 data centres of 2.5 MW, 6 inverters", _khodr141),
+    Preset(
+        "bursty",
+        "dcgrid/Bursty-v0",
+        "ieee33-weak under code completion: bursts of ten seconds and silence",
+        _bursty,
+    ),
+    Preset("sync", "dcgrid/Sync-v0", "ieee33 with 4 sites of 1 MW that all ramp together", _sync),
+    Preset(
+        "training",
+        "dcgrid/Training-v0",
+        "ieee33-weak with training jobs of 600 kW, near the rating and near idle in turn, dt = 0.1 s",
+        _training,
+    ),
+    Preset(
+        "mixed",
+        "dcgrid/Mixed-v0",
+        "ieee33 with PV at the inverters under passing clouds: at noon more load helps",
+        _mixed,
+    ),
+    Preset(
+        "fault",
+        "dcgrid/Fault-v0",
+        "ieee123 with inverters of 150 kvar; an inverter or a capacitor is lost, a data centre trips and returns",
+        _fault,
+    ),
+    Preset(
+        "robust",
+        "dcgrid/Robust-v0",
+        "ieee33 with a wrong model, noisy and late measurements and no preview",
+        _robust,
+    ),
+    Preset(
+        "scale-32",
+        "dcgrid/Scale32-v0",
+        "khodr141 with 32 data centres of 500 kW at random and 8 inverters",
+        _scale_32,
+    ),
+)
+"""All presets, in the order in which they are listed."""
+PRESETS: dict[str, str] = {preset.name: preset.about for preset in TABLE}
+"""What each preset is, by its name."""
+IDS: dict[str, str] = {preset.gym_id: preset.name for preset in TABLE}
+"""Registered ids, for Gymnasium and, where its release has a registry, for PettingZoo, and their scenarios."""
+ENTRIES: dict[str, Entry] = {preset.name: (preset.about, preset.make) for preset in TABLE}
+"""The presets as entries of the registry."""
+SCENARIO_REGISTRY = Registry("dcgrid.scenarios", "scenario", Scenario, ENTRIES)
+"""All scenarios that have a name, those of other packages too."""
 
 
 _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
@@ -183,7 +238,9 @@ _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
 
 
 def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario:
-    """A preset by name, a scenario file (``my.toml``), or a scenario of your own, with overrides of its fields.
+    """Make a scenario by a name, from a file (``my.toml``), or from one of your own, with other values of its fields.
+
+    A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
     Overrides are objects or plain data (``plain_data``); ``feeder`` may be a name or a folder. While somebody holds the
     frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
@@ -192,6 +249,8 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
     ------
     ScenarioError
         For an unknown scenario, listing those that exist, or a value that cannot be.
+    PluginError
+        Where another package's scenario cannot be made.
     TypeError
         For an override that is no field, listing the fields.
     """
@@ -219,9 +278,9 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
 
 @cache
 def _preset(name: str) -> Scenario:
-    if name not in _MAKERS:
-        raise ScenarioError(f"unknown scenario {name!r}; there are {', '.join(PRESETS)}")
-    return _MAKERS[name]()
+    if name not in SCENARIO_REGISTRY:
+        raise ScenarioError(SCENARIO_REGISTRY.unknown(name))
+    return SCENARIO_REGISTRY.make(name)
 
 
 def _key(value: Any) -> Any:

@@ -9,7 +9,7 @@ import pytest
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
-from dcgrid_env.agents.find import preset_of
+from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import Scored
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 

@@ -26,7 +26,7 @@ from dcgrid_env.baselines.benchmark.report import _replayed
 from dcgrid_env.baselines.benchmark.summary import summarise
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import score
-from dcgrid_env.rendering.run_figure import run_figure
+from dcgrid_env.rendering import run_figure
 
 TOY6 = Case(ScenarioSpec("toy6"))
 DROOP = [1.0, 1.2, 1.1, 0.9]

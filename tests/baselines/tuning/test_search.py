@@ -102,7 +102,7 @@ def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
         ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
     ):
         make_controller("droop-tuned", own)
-    with pytest.raises(ValueError, match="'droop-tuned' is tuned for each scenario; say which"):
+    with pytest.raises(ValueError, match="'droop-tuned' depends on the scenario; say which"):
         make_controller("droop-tuned")
     with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
         make_controller("pid-tuned", own)

@@ -14,8 +14,9 @@ import pytest
 
 import dcgrid_env.baselines
 from dcgrid_env import episode_hash
-from dcgrid_env.agents import Network, Policy, find
-from dcgrid_env.baselines import Droop, Published, make_controller, rollout
+from dcgrid_env.agents import Network, Policy
+from dcgrid_env.agents.controllers import TRAINED
+from dcgrid_env.baselines import CONTROLLERS, TUNED, Droop, Published, make_controller, registry, rollout
 from dcgrid_env.baselines.benchmark import jobs
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import score
@@ -66,7 +67,7 @@ def _known_reference(monkeypatch):
         hashes = tuple(episode_hash(scenario, seed) for seed in range(10))
         return Published(np.arange(10), best, 0.9 * best, hashes)
 
-    monkeypatch.setattr(find, "make_controller", make)
+    monkeypatch.setattr(registry, "make_controller", make)
     monkeypatch.setattr(dcgrid_env.baselines, "published", values)
     monkeypatch.setattr(jobs, "UNIT_EPISODES", 2)
     monkeypatch.setattr(benchmark_command, "tuned_from", lambda *_: [])
@@ -255,8 +256,8 @@ def test_local_and_all():
     toy6 = jobs.Case(ScenarioSpec("toy6"))
     everyone, local = _controllers("all", toy6), _controllers("local", toy6)
     assert everyone[0] == local[0] == "droop-tuned"
-    assert set(everyone) == set(find.NAMES) - set(find.TRAINED)
-    assert set(_controllers("policies,none", toy6)) == {"droop-tuned", "none", *find.TRAINED}
+    assert set(everyone) == {*CONTROLLERS, *TUNED}
+    assert set(_controllers("policies,none", toy6)) == {"droop-tuned", "none", *TRAINED}
     assert {"none", "droop", "volt-var", "constant-q"} <= set(local) <= set(everyone)
     assert _controllers("none, local", toy6).count("none") == 1
     assert toy6.scenario().split == "test"
@@ -292,7 +293,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     monkeypatch.setenv("COLUMNS", "400")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(SCENARIO)
-    monkeypatch.setattr(find, "make_controller", make_controller)
+    monkeypatch.setattr(registry, "make_controller", make_controller)
     monkeypatch.setattr(dcgrid_env.baselines, "published", lambda scenario, folder=None: None)
     results = benchmark(tmp_path / "out", "none", scenarios="mine.py:make", episodes=2)
     printed = capsys.readouterr().out

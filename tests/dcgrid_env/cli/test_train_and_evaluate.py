@@ -12,7 +12,7 @@ import pytest
 
 import dcgrid_env.agents.policy.policy as policies
 from dcgrid_env import make_scenario, scenario_hash
-from dcgrid_env.agents import Network, Policy, evaluate, find
+from dcgrid_env.agents import Network, Policy, controllers, evaluate
 from dcgrid_env.agents.training.config import Training
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -175,8 +175,8 @@ def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, 
     main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
     assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
     for module, name, value in (
-        (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)), (find, "SHIPPED", ("toy6-ppo",)),
-        (find, "TRAINED", {"ppo": ("toy6",)}), (find, "NAMES", (*find.NAMES, "ppo")),
+        (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)),
+        (controllers, "TRAINED", {"ppo": ("toy6",)}),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
     main(["list"])

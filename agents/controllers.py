@@ -1,0 +1,61 @@
+"""Policies as controllers that have a name: those that ship, and the names that they have on every preset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from dcgrid_env import PRESETS, Scenario, make_scenario
+from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
+from dcgrid_env.baselines import ForScenario
+from dcgrid_env.baselines.scenario_spec import options_of
+from dcgrid_env.baselines.tuning.tuned import grid_difference
+from dcgrid_env.core.plugins import Entry
+
+
+def preset_of(policy: str) -> str | None:
+    """The preset that a policy's name begins with, the longest such; None where it begins with none."""
+    return max((name for name in PRESETS if policy.startswith(f"{name}-")), key=len, default=None)
+
+
+def _trained(shipped: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Shipped policies by what they are called on every preset: ``PRESET-NAME`` is NAME there."""
+    found: dict[str, tuple[str, ...]] = {}
+    for policy in shipped:
+        if preset := preset_of(policy):
+            name = policy.removeprefix(f"{preset}-")
+            found[name] = (*found.get(name, ()), preset)
+    return found
+
+
+TRAINED = _trained(SHIPPED)
+"""Names that stand for the policy trained on the scenario at hand, with the presets that have one."""
+
+
+def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
+    return Policy.load(_trained_for(name, scenario))
+
+
+def _trained_for(name: str, scenario: Scenario) -> str:
+    """Name of the shipped policy that a name stands for on a scenario; ValueError where none was trained for it."""
+    train = f"train one with `dcgrid train {name} {options_of(scenario, '--scenario')}`"
+    if scenario.name not in TRAINED[name]:
+        raise ValueError(
+            f"controller {name!r}: none ships for {scenario.name!r}, but for {', '.join(TRAINED[name])}; {train}"
+        )
+    policy = f"{scenario.name}-{name}"
+    if differs := grid_difference(scenario, make_scenario(scenario.name)):
+        raise ValueError(
+            f"controller {name!r}: the policy that ships for {scenario.name!r} was trained on the preset, from which "
+            f"this one differs in {differs}; {train}, or name {policy!r} itself to run it all the same"
+        )
+    return policy
+
+
+ENTRIES: dict[str, Entry] = {
+    SUFFIX: ("a saved policy", Policy.load),
+    **{name: (f"the policy {name}, which ships", partial(Policy.load, name)) for name in SHIPPED},
+    **{name: ForScenario(f"{name}, trained on the preset that it drives", partial(_load, name)) for name in TRAINED},
+}
+"""What this room adds to the registry of controllers, through an entry point: policies' names, and their files."""

@@ -1,0 +1,166 @@
+"""Registries of what can be asked for by name, filled by this package and by others, which declare entry points.
+
+An entry point of a registry's group (``dcgrid.controllers``, ``dcgrid.scenarios``, ``dcgrid.feeders``) hands over a
+mapping: each name, with a pair of what it is, in a few words, and a function that makes it. In another package's
+pyproject.toml, and in its module ``laws``:
+
+    [project.entry-points."dcgrid.controllers"]
+    laws = "their_package.laws:CONTROLLERS"
+
+    CONTROLLERS = {"their-law": ("proportional droop with a dead time", TheirLaw)}
+
+Nothing is loaded before a name is asked for that this package does not have, or before all names are. This package's
+own entry points come first, then those of others in the order of the alphabet; who comes first keeps a name. An entry
+point that cannot be loaded, hands over something else or repeats a name is one warning, and the others go on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+OWN_DISTRIBUTION = "dcgrid-env"
+Entry = tuple[str, Callable[..., Any]]
+"""What it is, in a few words, and what makes it."""
+
+
+class PluginWarning(UserWarning):
+    """What another package's entry point hands over is left out, or some of it."""
+
+
+class PluginError(ValueError):
+    """What another package's entry point hands over does not work; the message is one line."""
+
+    traced = True
+    """Whether a traceback says more than the message."""
+
+
+class Registry(Mapping[str, Entry]):
+    """Entries by name: this package's own, and those that entry points hand over.
+
+    Parameters
+    ----------
+    group
+        The entry points' group.
+    kind
+        What the entries make, in words, as messages have it.
+    made
+        The type of what the entries make.
+    own
+        This package's own entries that no import stands in the way of. They need no installed metadata.
+    """
+
+    def __init__(self, group: str, kind: str, made: type, own: Mapping[str, Entry]):
+        self.group, self.kind, self._made, self._own = group, kind, made, own
+        self._entries: dict[str, Entry] = {}
+        self._origins: dict[str, str] = {}
+        self._refused: list[str] = []
+        self._waiting: list[EntryPoint] | None = None
+        self._is_installed = False
+
+    def __getitem__(self, name: str) -> Entry:
+        while name not in self._own and name not in self._entries:
+            if not self._load_next():
+                raise KeyError(name)
+        return self._own[name] if name in self._own else self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        while self._load_next():
+            pass
+        return iter([*self._own, *self._entries])
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def make(self, name: str, *arguments: Any) -> Any:
+        """Make what a name stands for.
+
+        Raises
+        ------
+        KeyError
+            For a name that nothing stands for, see ``unknown``.
+        PluginError
+            Where another package's function fails or makes something else, naming the package.
+        """
+        _, make = self[name]
+        if name not in self._origins:
+            return make(*arguments)
+        whose = f"{self.kind} {name!r} of {self._origins[name]}"
+        try:
+            made = make(*arguments)
+        except (Exception, SystemExit) as error:
+            raise PluginError(f"{whose} cannot be made: {_described(error)}; mend or uninstall it") from error
+        if not isinstance(made, self._made):
+            raise PluginError(f"{whose} is of type {type(made).__name__} and no {self._made.__name__}; mend it")
+        return made
+
+    def origin(self, name: str) -> str | None:
+        """Name and version of the other package that a name comes from; None for one of this package's own."""
+        return self._origins.get(name)
+
+    def unknown(self, name: str) -> str:
+        """What to say of a name that nothing stands for: which names there are, and what could not be loaded."""
+        listed = ", ".join(known for known in self if not known.startswith("."))
+        said = [f"unknown {self.kind} {name!r}; there are {listed}", *self._refused]
+        if not self._is_installed:
+            said.append(f"the installed metadata of {OWN_DISTRIBUTION} is older than its code: install it again")
+        return "; ".join(said)
+
+    def _load_next(self) -> bool:
+        """Load the next entry point; False where there is none."""
+        if self._waiting is None:
+            self._waiting = sorted(entry_points(group=self.group), key=_place)
+            self._is_installed = any(map(_is_own, self._waiting))
+        if not self._waiting:
+            return False
+        point = self._waiting.pop(0)
+        try:
+            handed_over = point.load()
+            _check(handed_over)
+        except (Exception, SystemExit) as error:
+            self._refuse(point, f"is left out: {_described(error)}; mend or uninstall it")
+            return True
+        taken = []
+        for name, entry in handed_over.items() if handed_over is not self._own else ():
+            if name in self._own or name in self._entries:
+                taken.append(name)
+                continue
+            self._entries[name] = entry
+            if not _is_own(point):
+                self._origins[name] = _origin(point)
+        if taken:
+            self._refuse(point, f"repeats {', '.join(taken)}, which stays what it is; give it another name")
+        return True
+
+    def _refuse(self, point: EntryPoint, why: str) -> None:
+        said = f"entry point {point.name!r} ({self.group}, {point.value}) of {_origin(point)} {why}"
+        self._refused.append(said)
+        warnings.warn_explicit(said, PluginWarning, filename=_origin(point), lineno=0)  # no line of ours is to blame
+
+
+def _check(handed_over: Any) -> None:
+    """TypeError unless an entry point has handed over entries by name."""
+    if not isinstance(handed_over, Mapping):
+        raise TypeError(f"it is of type {type(handed_over).__name__}, not a mapping of names")
+    for name, entry in handed_over.items():
+        is_pair = isinstance(entry, tuple) and len(entry) == 2
+        if not (isinstance(name, str) and is_pair and isinstance(entry[0], str) and callable(entry[1])):
+            raise TypeError(f"{name!r} has no pair of what it is (a text) and what makes it (a function)")
+
+
+def _is_own(point: EntryPoint) -> bool:
+    return point.dist is not None and point.dist.name == OWN_DISTRIBUTION
+
+
+def _place(point: EntryPoint) -> tuple[bool, str, str]:
+    return not _is_own(point), _origin(point), point.name
+
+
+def _origin(point: EntryPoint) -> str:
+    return "an unknown package" if point.dist is None else f"{point.dist.name} {point.dist.version}"
+
+
+def _described(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

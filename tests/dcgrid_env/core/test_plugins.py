@@ -1,0 +1,175 @@
+"""Names that other packages add through entry points: good ones, broken ones, and names that are taken."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from dcgrid_env import FEEDER_REGISTRY, SCENARIO_REGISTRY
+from dcgrid_env.baselines import CONTROLLER_REGISTRY
+
+PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
+GROUPS = {registry.group: registry for registry in (CONTROLLER_REGISTRY, SCENARIO_REGISTRY, FEEDER_REGISTRY)}
+
+GOOD = """
+from dcgrid_env import load_feeder, make_scenario
+from dcgrid_env.baselines import NoControl
+
+class Law(NoControl): ...
+
+CONTROLLERS = {"toy-law": ("the toy's law", Law), ".toy": ("a toy's file", lambda path: Law())}
+SCENARIOS = {"toy-day": ("a day of the toy", lambda: make_scenario("toy6", name="toy-day"))}
+FEEDERS = {"toy-net": ("the toy's feeder", lambda: load_feeder("toy6"))}
+"""
+GOOD_POINTS = """
+[dcgrid.controllers]
+all = good_toy:CONTROLLERS
+[dcgrid.scenarios]
+all = good_toy:SCENARIOS
+[dcgrid.feeders]
+all = good_toy:FEEDERS
+"""
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder of installed distributions."""
+
+    def install(name, module, points):
+        (tmp_path / f"{name.replace('-', '_')}.py").write_text(module)
+        about = tmp_path / f"{name.replace('-', '_')}-1.0.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(points)
+        return tmp_path
+
+    return install
+
+
+def python(folder, *arguments):
+    """Run Python where a folder's distributions are installed: the process as it ended."""
+    own = dict(os.environ) | {"PYTHONPATH": str(folder), "COLUMNS": "300"}
+    return subprocess.run([sys.executable, *arguments], env=own, cwd=folder, capture_output=True, text=True)
+
+
+def printed(folder, code):
+    """What a program prints; it must end well and say nothing else."""
+    done = python(folder, "-W", "error", "-c", code)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return done.stdout.split()
+
+
+def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
+    folder = site("good-toy", GOOD, GOOD_POINTS)
+    code = (
+        "from dcgrid_env import *\nfrom dcgrid_env.baselines import *\n"
+        "s = make_scenario('toy-day', split='test', horizon=2)\nopen('a.toy', 'w').close()\n"
+        "c = find_controller('toy-law', s)\nf = find_controller('a.toy', s)\n"
+        "print(s.name, load_feeder('toy-net').name, type(c).__name__, type(f).__name__)"
+    )
+    assert printed(folder, code) == ["toy-day", "toy6", "Law", "Law"]
+    listed = python(folder, "-m", "dcgrid_env.cli", "list")
+    assert listed.returncode == 0, listed.stderr
+    for line in (
+        "toy-law the toy's law (good-toy 1.0)",
+        "toy-day a day of the toy (good-toy 1.0)",
+        "toy-net the toy's feeder (good-toy 1.0)",
+    ):
+        assert line in [" ".join(text.split()) for text in listed.stdout.splitlines()]
+    assert ".toy" not in listed.stdout  # that is an ending, no name
+
+
+def test_nothing_is_loaded_before_it_is_asked_for(site):
+    folder = site("good-toy", GOOD, GOOD_POINTS)
+    loaded = "print([m for m in ('good_toy', 'dcgrid_env.agents', 'torch') if m in sys.modules])"
+    code = (
+        "import sys, dcgrid_env.cli.main\nfrom dcgrid_env import load_feeder, make_scenario\n"
+        "make_scenario('toy6'); load_feeder('ieee33')\n"
+        f"from dcgrid_env.baselines import make_controller\nmake_controller('droop')\n{loaded}\n"
+        "s = make_scenario('toy6')\nmake_controller('ppo', s)\nprint('good_toy' in sys.modules, 'torch' in sys.modules)"
+    )
+    assert printed(folder, code) == ["[]", "False", "False"]
+
+
+BROKEN = {
+    "no-module": ("import not_there", "ModuleNotFoundError: No module named 'not_there'"),
+    "leaving": ("raise SystemExit(3)", "SystemExit: 3"),
+    "a-list": ("THEIRS = ['broken-law']", "TypeError: it is of type list, not a mapping of names"),
+    "no-pairs": ("THEIRS = {'law': print}", "TypeError: 'law' has no pair of what it is (a text) and what makes it"),
+    "no-name": ("OTHER = {}", "AttributeError: module 'no_name' has no attribute 'THEIRS'"),
+}
+"""Modules of distributions, and what is wrong with each."""
+
+
+def test_a_broken_one_is_one_line_and_stops_nobody_else(site):
+    for name, (module, _) in BROKEN.items():
+        site(name, module, f"[dcgrid.controllers]\nlaws = {name.replace('-', '_')}:THEIRS\n")
+    folder = site("good-toy", GOOD, GOOD_POINTS)
+    listed = python(folder, "-m", "dcgrid_env.cli", "list")
+    assert listed.returncode == 0
+    assert "toy-law" in listed.stdout
+    lines = listed.stderr.splitlines()
+    assert len(lines) == len(BROKEN)
+    # Who asks for what one of them would have had is told of it on the line of the error.
+    options = ["run", "--scenario", "toy6", "--controllers", "broken-law"]
+    asked = python(folder, "-W", "ignore", "-m", "dcgrid_env.cli", *options)
+    assert asked.returncode == 2
+    (error,) = asked.stderr.splitlines()
+    assert error.startswith("dcgrid: unknown controller 'broken-law'; there are none, inverters, ")
+    for line, name in zip(lines, sorted(BROKEN), strict=True):
+        where = f"entry point 'laws' (dcgrid.controllers, {name.replace('-', '_')}:THEIRS) of {name} 1.0"
+        assert f"{where} is left out: {BROKEN[name][1]}" in line
+        assert line.endswith("; mend or uninstall it")
+        assert where in error
+
+
+def test_a_name_that_is_taken_stays_what_it_is(site):
+    site("other-toy", GOOD.replace("Law", "Other"), GOOD_POINTS.replace("good_toy", "other_toy"))
+    entries = "dict.fromkeys(['droop', 'toy-law', 'free'], ('', NoControl))"
+    site(
+        "taking-toy",
+        f"from dcgrid_env.baselines import NoControl\nTHEIRS = {entries}",
+        "[dcgrid.controllers]\nlaws = taking_toy:THEIRS\n",
+    )
+    folder = site("good-toy", GOOD, "[dcgrid.scenarios]\nall = good_toy:SCENARIOS\n")
+    code = (
+        "from dcgrid_env.baselines import *\n"
+        "names = ('droop', 'toy-law', 'free')\n"
+        "print(*(type(make_controller(name)).__name__ for name in names), 'ppo' in CONTROLLER_REGISTRY)"
+    )
+    done = python(folder, "-c", code)
+    assert done.stdout.split() == ["Droop", "Other", "NoControl", "True"]
+    (line,) = done.stderr.splitlines()
+    assert "of taking-toy 1.0 repeats droop, toy-law, which stays what it is; give it another name" in line
+
+
+def test_one_that_makes_nothing_useful_is_one_line(site):
+    points = "[dcgrid.controllers]\nlaws = bad_toy:THEIRS\n[dcgrid.scenarios]\nall = bad_toy:THEIRS\n"
+    folder = site("bad-toy", "THEIRS = {'fails': ('', lambda: 1 / 0), 'empty': ('', dict)}", points)
+    code = (
+        "from dcgrid_env import make_scenario\nfrom dcgrid_env.baselines import make_controller\n"
+        "for make in (make_controller, make_scenario):\n for name in ('fails', 'empty'):\n"
+        "  try: make(name)\n  except ValueError as error: print(error)"
+    )
+    assert " ".join(printed(folder, code)) == " ".join(
+        f"{kind} 'fails' of bad-toy 1.0 cannot be made: ZeroDivisionError: division by zero; mend or uninstall it "
+        f"{kind} 'empty' of bad-toy 1.0 is of type dict and no {kind.capitalize()}; mend it"
+        for kind in ("controller", "scenario")
+    )
+
+
+def test_ours_are_declared_too_and_hand_over_what_is_registered():
+    declared = tomllib.loads(PYPROJECT.read_text())["project"]["entry-points"]
+    assert set(declared) == set(GROUPS)
+    for group, points in declared.items():
+        for value in points.values():
+            module, _, name = value.partition(":")
+            for entry in getattr(import_module(module), name):
+                assert entry in GROUPS[group]
+        installed = {p.name: p.value for p in entry_points(group=group) if p.dist and p.dist.name == "dcgrid-env"}
+        assert installed == points, "the installed metadata is older than pyproject.toml: install the package again"
