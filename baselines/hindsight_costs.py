@@ -1,8 +1,8 @@
 """Hindsight's costs of episodes: those of the presets' test episodes, which ship, and those of one's own scenarios.
 
 The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenario and episodes and the command that
-made them, ``dcgrid hindsight``; that command writes one's own into a folder, in the same form. A scenario that differs
-in any field has none of them.
+made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
+differs in any field has none of them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dcgrid_env import Scenario, episode_hash, scenario_hash
 from dcgrid_env.baselines.file_names import file_name
 
 FOLDER = Path("results/hindsight")
-"""Where ``dcgrid hindsight`` writes unless told otherwise, in the working directory."""
+"""Where ``dcgrid dev hindsight`` writes unless told otherwise, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
 
@@ -55,7 +55,7 @@ class Published(NamedTuple):
             if found != expected:
                 raise ValueError(
                     f"episode {seed} of {scenario.name!r}, {scenario.split} split, has the hash {found} here and "
-                    f"{expected} in the published values; compute them here with `dcgrid hindsight`"
+                    f"{expected} in the published values; compute them here with `dcgrid dev hindsight`"
                 )
 
 
@@ -73,7 +73,7 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     scenario
         With its split, which says which episodes the seeds mean.
     folder
-        Where ``dcgrid hindsight`` has written besides; what ships counts first.
+        Where ``dcgrid dev hindsight`` has written besides; what ships counts first.
 
     Raises
     ------

@@ -37,7 +37,7 @@ class Ppo(sb3.Config):
     steps: int = 10_000_000
     """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
     gae_lambda: float = 0.8
-    """Of generalised advantage estimation."""
+    """Decay lambda of generalised advantage estimation."""
     learning_rate: float = 3e-3
     """At the beginning; it falls linearly to nothing."""
     epochs: int = 3

@@ -29,7 +29,7 @@ class Training:
     view: Literal["shared", "centralised"] = "shared"
     """One policy for all agents on their own observations, or one that sees and moves all."""
     seed: int = 0
-    """Of the training."""
+    """Seed of the training."""
     out: Path | None = None
     """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
     device: str = "cpu"
@@ -53,7 +53,7 @@ class Training:
     checkpoint_every: int = 10
     """Iterations from one checkpoint to the next."""
     threads: int = 1
-    """Of torch; networks this small gain little from more, and lose much where other processes compete."""
+    """Threads of torch; networks this small gain little from more, and lose much where other processes compete."""
 
     @classmethod
     def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:

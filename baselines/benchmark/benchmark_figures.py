@@ -35,7 +35,7 @@ class Replay:
 
     case: Case
     costliest: Mapping[str, int]
-    """Of each of the controllers the seed of its costliest episode."""
+    """Seed of the costliest episode of each of the controllers."""
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -49,7 +49,7 @@ class Sheet:
 
     summary: ScenarioSummary
     voltages: Mapping[str, np.ndarray]
-    """As for :func:`scenario_figure`."""
+    """Counts, see :func:`scenario_figure`."""
     worst: Replay
 
 

@@ -49,14 +49,14 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def markdown(self) -> str:
-        """As Markdown; text of users cannot break the table."""
+        """The table in Markdown; text of users cannot break the table."""
         ruled = "|".join(["---", *["---:"] * (len(self.header) - 1)])
         lines = [_row(self.header), f"|{ruled}|", *(_row(map(_cell, row)) for row in self.rows)]
         notes = "".join(f"\n\n{_cell(note)}" for note in self.notes)
         return f"## {_cell(self.title)}\n\n" + "\n".join(lines) + notes + "\n"
 
     def html(self) -> str:
-        """As HTML, all text escaped."""
+        """The table in HTML, all text escaped."""
         head = "".join(f"<th>{html.escape(_plain(text))}</th>" for text in self.header)
         body = "".join(
             f"<tr><th>{html.escape(row[0])}</th>" + "".join(map(_td, row[1:])) + "</tr>" for row in self.rows
@@ -65,7 +65,7 @@ class Table:
         return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{notes}"
 
     def rich(self, width: int, fixed: int = 1) -> Group:
-        """As a terminal of so many characters shows it, in parts where it is wider.
+        """The table on a terminal of so many characters, in parts where it is wider.
 
         The first ``fixed`` columns are the row's name, and stand in every part.
         """

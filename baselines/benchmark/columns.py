@@ -9,7 +9,7 @@ from typing import NamedTuple
 BETWEEN = 2
 """Characters that a column takes beside its text, as ``Table.rich`` draws it; the table takes one more."""
 NAME_SHARE = 0.4
-"""Of the terminal's width that the fixed columns may take together, where their words allow it."""
+"""Share of the terminal's width that the fixed columns may take together, where their words allow it."""
 _PIECES = re.compile(r"\S+?(?:(?<=\w\w[-/])(?=\w)|(?=\s)|$)\s*")
 """Words, and parts of a name that end in a hyphen or a slash, each with the spaces behind it."""
 

@@ -37,14 +37,14 @@ class Unit:
     scenario: str
     """The scenario's own name."""
     controller: str
-    """As asked for."""
+    """What it is called on the command line."""
     first: int
     """Its first seed."""
     episodes: int
     scenario_hash: str
     controller_hash: str
     version: str
-    """Of this package."""
+    """Version of this package."""
 
     @property
     def seeds(self) -> range:
@@ -64,7 +64,7 @@ class Case:
 
     spec: ScenarioSpec
     tuned: Path | None = None
-    """A file of ``dcgrid tune``; None as for ``make_controller``."""
+    """A file of ``dcgrid dev tune``; None as for ``make_controller``."""
 
     def scenario(self) -> Scenario:
         """The scenario; one object in a process."""

@@ -26,13 +26,14 @@ class Summary:
     means: Mapping[str, float] | None = None
     """Mean over the episodes of each metric of a record."""
     interquartile_mean: float | None = None
-    """Of J; like the next two None where there are fewer than 2 episodes, and they also without a reference."""
+    """Mean of J over the middle half of the episodes; like the next two None where there are fewer than 2 episodes, and
+    they also without a reference."""
     difference: Estimate | None = None
     """Mean of J - J_reference."""
     score: Estimate | None = None
 
     def record(self) -> dict[str, Any]:
-        """As results.json holds it."""
+        """The row as results.json holds it."""
         if self.failure is not None:
             return {"scenario": self.scenario, "controller": self.controller, "failure": self.failure}
         named = {"score": self.score, "difference": self.difference}

@@ -1,1 +1,1 @@
-"""Commands of the `dcgrid` command line: a configuration dataclass and main(cfg) each."""
+"""Commands of the `dcgrid` command line: one configuration dataclass a file, with `run()`; `main` registers them."""

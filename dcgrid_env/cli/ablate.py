@@ -1,7 +1,4 @@
-"""Train a policy without this or that and score each; and score trained policies on other scenarios than their own.
-
-Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
-"""
+"""The command ``dcgrid dev ablate``."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_names, split_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
@@ -19,8 +17,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Ablate:
-    """What to compare."""
+class Ablate(Command):
+    """Train a policy without this or that and score each; and score trained policies on other scenarios than their own.
+
+    Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+    """
 
     scenario: str = "ieee33-weak"
     """Name of a scenario (dcgrid list)."""
@@ -42,36 +43,40 @@ class Ablate:
     out: Path = Path("results/ablate")
     """Folder for ablations.md."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
 
-def main(cfg: Ablate) -> None:
-    """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.agents.studies import ablation
-    from dcgrid_env.agents.studies.learning_tables import brief
-    from dcgrid_env.cli import trainings
-    from dcgrid_env.cli.train import ALGORITHMS
-    from dcgrid_env.core.files import write_text
+    def run(self) -> None:
+        """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+        from dcgrid_env.agents.studies import ablation
+        from dcgrid_env.agents.studies.learning_tables import brief
+        from dcgrid_env.cli import trainings
+        from dcgrid_env.cli.train import ALGORITHMS
+        from dcgrid_env.core.files import write_text
 
-    scenario = scenario_names(cfg.scenario)
-    if len(scenario) > 1:
-        raise ValueError(f"scenario is {cfg.scenario!r}; give one")
-    policies, others = _policies(cfg.policies), scenario_names(cfg.transfer)
-    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
-    algorithms = {name: trainings.configuration(name) for name in ("analytic", "safe") if name in ALGORITHMS}
-    runs = ablation.configs(algorithms, scenario[0], chosen, cfg.seeds, cfg.runs)
-    check_folder(cfg.out)
-    console = plain_console()
-    failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
-    with working(console, f"{cfg.episodes} test episodes of {scenario[0]}"):
-        found = ablation.ablation(scenario[0], cfg.episodes, runs, failures)
-        ablated = ablation.ablation_table(scenario[0], cfg.episodes, found)
-    console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
-    transferred = None
-    if policies:
-        with working(console, f"{len(policies)} policies on {len(others)} scenarios"):
-            transferred = ablation.transfer_table(policies, others, cfg.episodes)
-        console.print(transferred.rich(console.width))
-    write_text(cfg.out / "ablations.md", ablation.markdown(ablated, found, transferred, meta()["command"]))
-    say(console, f"wrote {cfg.out / 'ablations.md'}")
+        scenario = scenario_names(self.scenario)
+        if len(scenario) > 1:
+            raise ValueError(f"scenario is {self.scenario!r}; give one")
+        policies, others = _policies(self.policies), scenario_names(self.transfer)
+        chosen = trainings.chosen(self.updates, self.seeds, self.episodes)
+        algorithms = {name: ALGORITHMS[name].configuration() for name in ("analytic", "safe")}
+        runs = ablation.configs(algorithms, scenario[0], chosen, self.seeds, self.runs)
+        check_folder(self.out)
+        console = plain_console()
+        failures = trainings.do((config for every in runs.values() for config in every), self.jobs, console)
+        with working(console, f"{self.episodes} test episodes of {scenario[0]}"):
+            found = ablation.ablation(scenario[0], self.episodes, runs, failures)
+            ablated = ablation.ablation_table(scenario[0], self.episodes, found)
+        console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
+        transferred = None
+        if policies:
+            with working(console, f"{len(policies)} policies on {len(others)} scenarios"):
+                transferred = ablation.transfer_table(policies, others, self.episodes)
+            console.print(transferred.rich(console.width))
+        write_text(self.out / "ablations.md", ablation.markdown(ablated, found, transferred, meta()["command"]))
+        say(console, f"wrote {self.out / 'ablations.md'}")
 
 
 def _policies(asked: str) -> dict[str, Policy]:

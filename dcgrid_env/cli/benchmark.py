@@ -1,9 +1,4 @@
-"""Run controllers over scenarios on the test split and score them: a table, results.json, results.md and report.html.
-
-Finished units are kept in OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or
-episodes can be added by the same command; the files hold what the last one asked for. An OUT of another version of the
-package or of a changed scenario is refused; units of a controller that has changed are computed anew.
-"""
+"""The command ``dcgrid benchmark``."""
 
 from __future__ import annotations
 
@@ -12,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_specs, split_names
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes, tuned_from
@@ -30,8 +26,14 @@ STATIC = ("constant-q-tuned", "placement-tuned")
 
 
 @dataclass(frozen=True)
-class Benchmark:
-    """What to run."""
+class Benchmark(Command):
+    """Run controllers over scenarios on the test split and score them.
+
+    This writes results.json, results.md and report.html, and prints the table of scores. Finished units are kept in
+    OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or episodes can be added
+    by the same command; the files hold what the last one asked for. An OUT of another version of the package or of a
+    changed scenario is refused; units of a controller that has changed are computed anew.
+    """
 
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
@@ -45,46 +47,47 @@ class Benchmark:
     besides."""
     episodes: int = 100
     """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
-    dcgrid hindsight has solved besides is found in results/hindsight."""
+    dcgrid dev hindsight has solved besides is found in results/hindsight."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/benchmark")
     """Folder for what is written; made if it is not there."""
     jobs: int | None = None
     """Number of processes; by default one for each core."""
 
+    def run(self) -> None:
+        """Run what is not done yet, sum up, write. ValueError for bad settings, before anything is written."""
+        from dcgrid_env.baselines import published
+        from dcgrid_env.baselines.benchmark.gather import gather
+        from dcgrid_env.baselines.benchmark.jobs import SPLIT, Case, plan
+        from dcgrid_env.baselines.benchmark.store import Store
+        from dcgrid_env.baselines.hindsight_costs import FOLDER
 
-def main(cfg: Benchmark) -> None:
-    """Run what is not done yet, sum up, write the files. ValueError for bad settings, before anything is written."""
-    from dcgrid_env.baselines import published
-    from dcgrid_env.baselines.benchmark.gather import gather
-    from dcgrid_env.baselines.benchmark.jobs import SPLIT, Case, plan
-    from dcgrid_env.baselines.benchmark.store import Store
-    from dcgrid_env.baselines.hindsight_costs import FOLDER
-
-    if cfg.episodes < 1:
-        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
-    jobs = processes(cfg.jobs)
-    cases = [Case(spec, cfg.tuned) for spec in scenario_specs(cfg.scenarios, cfg.set, SPLIT).values()]
-    controllers = _controllers(cfg.controllers, cases[0])
-    tasks, failures = plan(cases, controllers, cfg.episodes)
-    store = Store(cfg.out)
-    done = {task.unit: record for task in tasks if (record := store.get(task.unit))}
-    console = plain_console()
-    for line in _beforehand(cases, controllers, cfg, failures):
-        console.print(line)
-    if done:
-        console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
-    try:
-        with alone_in(cfg.out, "dcgrid benchmark"):
-            failures |= _run(tasks, done, store, jobs, console)
-            with console.status("checking the episodes' hashes and summing up"):
-                results = gather(cases, controllers, cfg.episodes, done, failures, lambda s: published(s, FOLDER))
-            _write(cfg, results, jobs, console)
-    except KeyboardInterrupt:
-        console.print(f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there")
-        raise SystemExit(130) from None
+        if self.episodes < 1:
+            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+        jobs = processes(self.jobs)
+        cases = [Case(spec, self.tuned) for spec in scenario_specs(self.scenarios, self.set, SPLIT).values()]
+        controllers = _controllers(self.controllers, cases[0])
+        tasks, failures = plan(cases, controllers, self.episodes)
+        store = Store(self.out)
+        done = {task.unit: record for task in tasks if (record := store.get(task.unit))}
+        console = plain_console()
+        for line in _beforehand(cases, controllers, self, failures):
+            console.print(line)
+        if done:
+            console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
+        try:
+            with alone_in(self.out, "dcgrid benchmark"):
+                failures |= _run(tasks, done, store, jobs, console)
+                with console.status("checking the episodes' hashes and summing up"):
+                    results = gather(cases, controllers, self.episodes, done, failures, lambda s: published(s, FOLDER))
+                _write(self, results, jobs, console)
+        except KeyboardInterrupt:
+            console.print(
+                f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there"
+            )
+            raise SystemExit(130) from None
 
 
 def _beforehand(

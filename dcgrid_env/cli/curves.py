@@ -1,4 +1,4 @@
-"""Draw learning curves out of training folders: a panel for each scenario, a line with its band for each algorithm."""
+"""The command ``dcgrid dev curves``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
 
@@ -16,31 +17,30 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Curves:
-    """What to draw."""
+class Curves(Command):
+    """Draw learning curves of training runs: a panel for each scenario, a line with its band for each algorithm."""
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of training runs (dcgrid train); those that differ in the seed alone are one line with its band."""
     out: Path = Path("results/curves.png")
     """The picture; folders are made."""
 
+    def run(self) -> None:
+        """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
+        from dcgrid_env.agents.studies.curves import lines, read
+        from dcgrid_env.agents.studies.learning_figures import curves_figure
+        from dcgrid_env.core.files import write_figure
 
-def main(cfg: Curves) -> None:
-    """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
-    from dcgrid_env.agents.studies.curves import lines, read
-    from dcgrid_env.agents.studies.learning_figures import curves_figure
-    from dcgrid_env.core.files import write_figure
-
-    if not cfg.folders:
-        raise ValueError("folders is empty; give the folder of at least one training run")
-    found = lines([read(folder) for folder in cfg.folders])
-    check_folder(cfg.out.parent)
-    write_figure(cfg.out, curves_figure(found), dpi=130)
-    console = plain_console()
-    for scenario, every in found.items():
-        for line in every:
-            say(console, f"{scenario}, {line.label}: {ending(line)}")
-    say(console, f"wrote {cfg.out}")
+        if not self.folders:
+            raise ValueError("folders is empty; give the folder of at least one training run")
+        found = lines([read(folder) for folder in self.folders])
+        check_folder(self.out.parent)
+        write_figure(self.out, curves_figure(found), dpi=130)
+        console = plain_console()
+        for scenario, every in found.items():
+            for line in every:
+                say(console, f"{scenario}, {line.label}: {ending(line)}")
+        say(console, f"wrote {self.out}")
 
 
 def ending(line: Line) -> str:

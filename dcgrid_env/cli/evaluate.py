@@ -1,4 +1,4 @@
-"""Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
+"""The command ``dcgrid evaluate``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
 from dcgrid_env.cli.settings import Overrides, processes, tuned_from
 from dcgrid_env.cli.terminal import plain_console
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Evaluate:
-    """What to evaluate."""
+class Evaluate(Command):
+    """Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
 
     policy: tyro.conf.Positional[str]
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
@@ -48,10 +49,48 @@ class Evaluate:
     """Whether to solve the episodes whose hindsight, which a score needs, neither ships nor stands in
     results/hindsight; they are kept there. Without it the command says how long that would take."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""
+
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON if self.hindsight else ""
+
+    def run(self) -> None:
+        """Run, print the table and what it says. ValueError for a setting that cannot be."""
+        from dcgrid_env.agents import evaluate, find_controller
+        from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
+        from dcgrid_env.baselines.hindsight_costs import FOLDER
+
+        for field, least in (("episodes", 1), ("seed", 0)):
+            if getattr(self, field) < least:
+                raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
+        jobs, file, spec = processes(self.jobs), _file(self.policy), _scenario_of(self)
+        scenario = spec.make(self.split)
+        seeds = range(self.seed, self.seed + self.episodes)
+        if self.hindsight:
+            kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
+        controllers = {self.policy: find_controller(file, scenario, self.tuned)}
+        left_out = []
+        for name in (REFERENCE, *STATIC):
+            try:
+                controllers.setdefault(name, find_controller(name, scenario, self.tuned))
+            except ValueError as error:
+                left_out.append(f"{name} is left out: {error}")
+        console = plain_console()
+        found = {}
+        with console.status(f"{self.episodes} episodes"):
+            for name, controller in controllers.items():
+                found[name] = evaluate(controller, scenario, seeds, name)
+        scores, why = _scores(found, self, spec, jobs, console)
+        about = f"{self.episodes} episodes" + f", seeds from {self.seed}" * (self.seed > 0)
+        console.print(table(found, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
+        said = [*([why] if why else []), *left_out, *remarks(self.policy, found)]
+        for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
+            console.print(line)
 
 
 ROWS = (
@@ -64,40 +103,6 @@ ROWS = (
     ("effort, % of rating", "q_effort_pct", 1),
 )
 """Rows of the table: name with unit, metric, decimals."""
-
-
-def main(cfg: Evaluate) -> None:
-    """Run, print the table and what it says. ValueError for a setting that cannot be."""
-    from dcgrid_env.agents import evaluate, find_controller
-    from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
-    from dcgrid_env.baselines.hindsight_costs import FOLDER
-
-    for field, least in (("episodes", 1), ("seed", 0)):
-        if getattr(cfg, field) < least:
-            raise ValueError(f"{field} is {getattr(cfg, field)}; give at least {least}")
-    jobs, file, spec = processes(cfg.jobs), _file(cfg.policy), _scenario_of(cfg)
-    scenario = spec.make(cfg.split)
-    seeds = range(cfg.seed, cfg.seed + cfg.episodes)
-    if cfg.hindsight:
-        kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
-    controllers = {cfg.policy: find_controller(file, scenario, cfg.tuned)}
-    left_out = []
-    for name in (REFERENCE, *STATIC):
-        try:
-            controllers.setdefault(name, find_controller(name, scenario, cfg.tuned))
-        except ValueError as error:
-            left_out.append(f"{name} is left out: {error}")
-    console = plain_console()
-    found = {}
-    with console.status(f"{cfg.episodes} episodes"):
-        for name, controller in controllers.items():
-            found[name] = evaluate(controller, scenario, seeds, name)
-    scores, why = _scores(found, cfg, spec, jobs, console)
-    about = f"{cfg.episodes} episodes" + f", seeds from {cfg.seed}" * (cfg.seed > 0)
-    console.print(table(found, scores, f"{scenario.name}, {cfg.split} split, {about}").rich(console.width))
-    said = [*([why] if why else []), *left_out, *remarks(cfg.policy, found)]
-    for line in [*said, *tuned_from(list(controllers), scenario, cfg.tuned)]:
-        console.print(line)
 
 
 def _file(policy: str) -> str:

@@ -1,13 +1,11 @@
-"""Leave one feeder out: train one policy on all the other scenarios, and score it on the one that it never saw.
-
-Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
-"""
+"""The command ``dcgrid dev generalise``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
@@ -15,8 +13,11 @@ from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class Generalise:
-    """What to leave out."""
+class Generalise(Command):
+    """Leave one feeder out: train one policy on all the other scenarios, and score it on the one that it never saw.
+
+    Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+    """
 
     scenarios: str = "ieee33,das69,khodr141,ieee123"
     """Names of scenarios, at least two, separated by commas (dcgrid list)."""
@@ -35,27 +36,34 @@ class Generalise:
     out: Path = Path("results/generalise")
     """Folder for generalise.md."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
 
-def main(cfg: Generalise) -> None:
-    """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.agents.studies import generalise
-    from dcgrid_env.agents.studies.learning_tables import brief
-    from dcgrid_env.cli import trainings
-    from dcgrid_env.core.files import write_text
+    def run(self) -> None:
+        """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+        from dcgrid_env.agents.studies import generalise
+        from dcgrid_env.agents.studies.learning_tables import brief
+        from dcgrid_env.cli import trainings
+        from dcgrid_env.cli.train import ALGORITHMS
+        from dcgrid_env.core.files import write_text
 
-    scenarios = scenario_names(cfg.scenarios)
-    if len(scenarios) < 2:
-        raise ValueError(f"scenarios is {cfg.scenarios!r}; give at least two, one is left out")
-    if cfg.vary < 0:
-        raise ValueError(f"vary is {cfg.vary}; give at least 0")
-    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes, vary=cfg.vary)
-    runs = generalise.configs(trainings.configuration("analytic"), scenarios, chosen, cfg.seeds, cfg.runs)
-    check_folder(cfg.out)
-    console = plain_console()
-    failures = trainings.do((config for every in runs.values() for config in every), cfg.jobs, console)
-    with working(console, f"{cfg.episodes} test episodes of each scenario"):
-        found = generalise.generalise(cfg.episodes, runs, failures)
-        made = generalise.table(cfg.episodes, found)
-    console.print(brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width))
-    write_text(cfg.out / "generalise.md", generalise.markdown(found, made, meta()["command"]))
-    say(console, f"wrote {cfg.out / 'generalise.md'}")
+        scenarios = scenario_names(self.scenarios)
+        if len(scenarios) < 2:
+            raise ValueError(f"scenarios is {self.scenarios!r}; give at least two, one is left out")
+        if self.vary < 0:
+            raise ValueError(f"vary is {self.vary}; give at least 0")
+        chosen = trainings.chosen(self.updates, self.seeds, self.episodes, vary=self.vary)
+        runs = generalise.configs(ALGORITHMS["analytic"].configuration(), scenarios, chosen, self.seeds, self.runs)
+        check_folder(self.out)
+        console = plain_console()
+        failures = trainings.do((config for every in runs.values() for config in every), self.jobs, console)
+        with working(console, f"{self.episodes} test episodes of each scenario"):
+            found = generalise.generalise(self.episodes, runs, failures)
+            made = generalise.table(self.episodes, found)
+        console.print(
+            brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width)
+        )
+        write_text(self.out / "generalise.md", generalise.markdown(found, made, meta()["command"]))
+        say(console, f"wrote {self.out / 'generalise.md'}")

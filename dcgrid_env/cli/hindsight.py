@@ -1,8 +1,4 @@
-"""Solve episodes with perfect foresight and keep what they cost: one JSON file a scenario, resumed where it stopped.
-
-A file is written after each episode. The command in it is the one that gives all its episodes, seeds 0 to the largest
-one there; where an interruption left a hole between them, that command fills it.
-"""
+"""The command ``dcgrid dev hindsight``."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_specs
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
@@ -27,8 +24,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class HindsightValues:
-    """What to solve."""
+class HindsightValues(Command):
+    """Solve episodes with perfect foresight and keep what they cost: one JSON file a scenario.
+
+    A file is written after each episode, so that an interrupted command goes on where it stopped. The command in it is
+    the one that gives all its episodes, seeds 0 to the largest one there; where an interruption left a hole between
+    them, that command fills it.
+    """
 
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
@@ -44,17 +46,21 @@ class HindsightValues:
     out: Path = Path("results/hindsight")
     """Folder for SCENARIO.json; episodes that stand in it are not solved again."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
 
-def main(cfg: HindsightValues) -> None:
-    """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
-    if cfg.episodes < 1:
-        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
-    jobs = processes(cfg.jobs)
-    specs = scenario_specs(cfg.scenarios, cfg.set, cfg.split)
-    console = plain_console()
-    kept = solve_missing(specs, cfg.split, dict.fromkeys(specs, range(cfg.episodes)), cfg.out, jobs, console)
-    for name, episodes in kept.items():
-        console.print(f"{name:>16}  {_said(episodes)}")
+    def run(self) -> None:
+        """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
+        if self.episodes < 1:
+            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+        jobs = processes(self.jobs)
+        specs = scenario_specs(self.scenarios, self.set, self.split)
+        console = plain_console()
+        kept = solve_missing(specs, self.split, dict.fromkeys(specs, range(self.episodes)), self.out, jobs, console)
+        for name, episodes in kept.items():
+            console.print(f"{name:>16}  {_said(episodes)}")
 
 
 def solve_missing(
@@ -102,7 +108,7 @@ def solve_missing(
         return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
 
     kept_now()  # ValueError before a folder is made
-    with alone_in(folder, "dcgrid hindsight"), progress_bar(console) as progress:
+    with alone_in(folder, "dcgrid dev hindsight"), progress_bar(console) as progress:
         kept = kept_now()
         due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
         bar = progress.add_task("episodes", total=len(due))
@@ -169,7 +175,7 @@ def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[
     from dcgrid_env import scenario_hash
 
     scenario, count = spec.make(split), max(episodes) + 1
-    command = f"dcgrid hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
+    command = f"dcgrid dev hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
     write_json(
         path,
         {

@@ -1,4 +1,4 @@
-"""Show the scenarios, feeders, controllers and traces that can be named."""
+"""The command ``dcgrid list``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.terminal import plain_console
 
 if TYPE_CHECKING:
@@ -15,36 +16,37 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class List:
-    """Nothing to set."""
+class List(Command):
+    """Show the scenarios, feeders, controllers and traces that can be named."""
 
+    def run(self) -> None:
+        """Print the tables."""
+        from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
+        from dcgrid_env.agents import Card
+        from dcgrid_env.agents.controllers import ENTRIES as POLICIES
+        from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+        from dcgrid_env.baselines import CONTROLLER_REGISTRY
+        from dcgrid_env.traces import TRACE_SOURCES
+        from dcgrid_env.traces.recordings import RECORDINGS
 
-def main(cfg: List) -> None:
-    """Print the tables."""
-    from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
-    from dcgrid_env.agents import Card
-    from dcgrid_env.agents.controllers import ENTRIES as POLICIES
-    from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
-    from dcgrid_env.baselines import CONTROLLER_REGISTRY
-    from dcgrid_env.traces import TRACE_SOURCES
-    from dcgrid_env.traces.recordings import RECORDINGS
-
-    id_of = {scenario: name for name, scenario in IDS.items()}
-    scenarios, controllers = described(SCENARIO_REGISTRY), described(CONTROLLER_REGISTRY)
-    tables = {
-        "scenario": {f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()},
-        "feeder": described(FEEDER_REGISTRY),
-        "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
-        "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
-        "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
-        "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
-    }
-    console = plain_console()
-    for kind, rows in tables.items():
-        table = Table(kind, "what it is", box=None, header_style="bold", pad_edge=False)
-        for name, text in rows.items():
-            table.add_row(name, text)
-        console.print(table, end="\n\n")
+        id_of = {scenario: name for name, scenario in IDS.items()}
+        scenarios, controllers = described(SCENARIO_REGISTRY), described(CONTROLLER_REGISTRY)
+        tables = {
+            "scenario": {
+                f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()
+            },
+            "feeder": described(FEEDER_REGISTRY),
+            "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
+            "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
+            "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
+            "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
+        }
+        console = plain_console()
+        for kind, rows in tables.items():
+            table = Table(kind, "what it is", box=None, header_style="bold", pad_edge=False)
+            for name, text in rows.items():
+                table.add_row(name, text)
+            console.print(table, end="\n\n")
 
 
 def described(registry: Registry) -> dict[str, str]:

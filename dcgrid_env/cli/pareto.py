@@ -1,13 +1,11 @@
-"""Train policies under limits on mean delay and draw voltage against delay, over the droop law's own curve.
-
-Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
-"""
+"""The command ``dcgrid dev pareto``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
@@ -15,8 +13,11 @@ from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class Pareto:
-    """What to trace."""
+class Pareto(Command):
+    """Train policies under limits on mean delay and draw voltage against delay, over the droop law's own curve.
+
+    Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+    """
 
     scenario: str = "ieee33-weak"
     """Name of a scenario (dcgrid list)."""
@@ -35,29 +36,36 @@ class Pareto:
     out: Path = Path("results/pareto")
     """Folder for pareto.md and images/pareto.png."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
 
-def main(cfg: Pareto) -> None:
-    """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
-    from dcgrid_env.agents.studies import pareto
-    from dcgrid_env.agents.studies.learning_figures import pareto_figure
-    from dcgrid_env.agents.studies.learning_tables import brief
-    from dcgrid_env.cli import trainings
-    from dcgrid_env.core.files import write_figure, write_text
+    def run(self) -> None:
+        """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
+        from dcgrid_env.agents.studies import pareto
+        from dcgrid_env.agents.studies.learning_figures import pareto_figure
+        from dcgrid_env.agents.studies.learning_tables import brief
+        from dcgrid_env.cli import trainings
+        from dcgrid_env.cli.train import ALGORITHMS
+        from dcgrid_env.core.files import write_figure, write_text
 
-    scenario = scenario_names(cfg.scenario)
-    if len(scenario) > 1:
-        raise ValueError(f"scenario is {cfg.scenario!r}; give one")
-    limits_s = trainings.positive_numbers("delays", cfg.delays)
-    chosen = trainings.chosen(cfg.updates, cfg.seeds, cfg.episodes)
-    configs = pareto.configs(trainings.configuration("analytic"), scenario[0], limits_s, chosen, cfg.seeds, cfg.runs)
-    check_folder(cfg.out / "images")
-    console = plain_console()
-    failures = trainings.do(configs, cfg.jobs, console)
-    if failures:
-        raise ValueError(f"{len(failures)} of {len(configs)} trainings failed: {next(iter(failures.values()))}")
-    with working(console, f"{cfg.episodes} test episodes of {scenario[0]}"):
-        front = pareto.front(scenario[0], cfg.episodes, configs)
-    write_figure(cfg.out / "images" / "pareto.png", pareto_figure(front), dpi=130)
-    write_text(cfg.out / "pareto.md", pareto.markdown(front, meta()["command"], "images/pareto.png"))
-    console.print(brief(pareto.learned_table(front), "J", "J but for waiting", "mean delay, s").rich(console.width))
-    say(console, f"wrote {cfg.out / 'pareto.md'} and {cfg.out / 'images' / 'pareto.png'}")
+        scenario = scenario_names(self.scenario)
+        if len(scenario) > 1:
+            raise ValueError(f"scenario is {self.scenario!r}; give one")
+        limits_s = trainings.positive_numbers("delays", self.delays)
+        chosen = trainings.chosen(self.updates, self.seeds, self.episodes)
+        configs = pareto.configs(
+            ALGORITHMS["analytic"].configuration(), scenario[0], limits_s, chosen, self.seeds, self.runs
+        )
+        check_folder(self.out / "images")
+        console = plain_console()
+        failures = trainings.do(configs, self.jobs, console)
+        if failures:
+            raise ValueError(f"{len(failures)} of {len(configs)} trainings failed: {next(iter(failures.values()))}")
+        with working(console, f"{self.episodes} test episodes of {scenario[0]}"):
+            front = pareto.front(scenario[0], self.episodes, configs)
+        write_figure(self.out / "images" / "pareto.png", pareto_figure(front), dpi=130)
+        write_text(self.out / "pareto.md", pareto.markdown(front, meta()["command"], "images/pareto.png"))
+        console.print(brief(pareto.learned_table(front), "J", "J but for waiting", "mean delay, s").rich(console.width))
+        say(console, f"wrote {self.out / 'pareto.md'} and {self.out / 'images' / 'pareto.png'}")

@@ -1,4 +1,4 @@
-"""The paper's study again (Chen and Zhang, arXiv 2507.06416): its tables, figures and claims beside what comes out."""
+"""The command ``dcgrid reproduce``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
@@ -19,8 +20,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Reproduce:
-    """What to run the study with."""
+class Reproduce(Command):
+    """Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).
+
+    Its tables, figures and claims are shown beside what comes out here.
+    """
 
     out: Path = Path("results/reproduce")
     """Folder for reproduction.md, reproduction.json and images; made if it is not there."""
@@ -32,37 +36,36 @@ class Reproduce:
     placement: Literal["random", "published"] = "random"
     """Data centres at random, or at the buses named in the paper's public code."""
 
+    def run(self) -> None:
+        """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
+        from dcgrid_env.baselines.reproduction.load import choose_load
+        from dcgrid_env.baselines.reproduction.markdown import render
+        from dcgrid_env.baselines.reproduction.paper_figures import draw_all
+        from dcgrid_env.baselines.reproduction.study import PARTS, study
+        from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
+        from dcgrid_env.core.files import write_text
 
-def main(cfg: Reproduce) -> None:
-    """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
-    from dcgrid_env.baselines.reproduction.load import choose_load
-    from dcgrid_env.baselines.reproduction.markdown import render
-    from dcgrid_env.baselines.reproduction.paper_figures import draw_all
-    from dcgrid_env.baselines.reproduction.study import PARTS, study
-    from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
-    from dcgrid_env.core.files import write_text
+        runs = Runs(Setting(choose_load(self.trace), self.episodes, self.placement))
+        records: dict[str, Any] = {"meta": meta() | {"trace": _origin(runs)}}
+        check_folder(self.out)
+        console = plain_console()
+        with progress_bar(console) as progress:
+            bar = progress.add_task("", total=len(PARTS) + 1)
+            begun = 0
 
-    runs = Runs(Setting(choose_load(cfg.trace), cfg.episodes, cfg.placement))
-    records: dict[str, Any] = {"meta": meta() | {"trace": _origin(runs)}}
-    check_folder(cfg.out)
-    console = plain_console()
-    with progress_bar(console) as progress:
-        bar = progress.add_task("", total=len(PARTS) + 1)
-        begun = 0
+            def begin(part: str) -> None:
+                nonlocal begun
+                progress.update(bar, completed=begun, description=part.replace("_", " "))
+                begun += 1
 
-        def begin(part: str) -> None:
-            nonlocal begun
-            progress.update(bar, completed=begun, description=part.replace("_", " "))
-            begun += 1
-
-        records |= study(runs, begin)
-        begin("figures")
-        records["figures"] = draw_all(runs, cfg.out)
-        progress.advance(bar)
-    write_json(cfg.out / "reproduction.json", records)
-    write_text(cfg.out / "reproduction.md", render(records))
-    console.print(_claims(records["claims"]))
-    say(console, f"load: {runs.setting.load.description}\nwrote {cfg.out / 'reproduction.md'}")
+            records |= study(runs, begin)
+            begin("figures")
+            records["figures"] = draw_all(runs, self.out)
+            progress.advance(bar)
+        write_json(self.out / "reproduction.json", records)
+        write_text(self.out / "reproduction.md", render(records))
+        console.print(_claims(records["claims"]))
+        say(console, f"load: {runs.setting.load.description}\nwrote {self.out / 'reproduction.md'}")
 
 
 def _claims(rows: list[dict[str, str]]) -> Table:

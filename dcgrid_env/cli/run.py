@@ -1,4 +1,4 @@
-"""Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
+"""The command ``dcgrid run``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, tuned_from
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Run:
-    """What to run."""
+class Run(Command):
+    """Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
 
     scenario: str = "ieee123"
     """Name of a scenario (dcgrid list), or path/to/file.py:function or package.module:function that makes your own."""
@@ -41,52 +42,56 @@ class Run:
     """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
     training follow it, decode hardly does)."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/run")
     """Folder for results.json and figure.png; made if it is not there."""
 
+    def run(self) -> None:
+        """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
+        from dcgrid_env import scenario_hash
+        from dcgrid_env.baselines import find_controller, rollout
+        from dcgrid_env.baselines.benchmark.jobs import episode_records
+        from dcgrid_env.baselines.laws import stability
 
-def main(cfg: Run) -> None:
-    """Run, print the table, write the files. ValueError for a setting that cannot be, before anything is written."""
-    from dcgrid_env import scenario_hash
-    from dcgrid_env.baselines import find_controller, rollout
-    from dcgrid_env.baselines.benchmark.jobs import episode_records
-    from dcgrid_env.baselines.laws import stability
-
-    if cfg.episodes < 1 or cfg.seed < 0:
-        raise ValueError(f"episodes is {cfg.episodes} and seed {cfg.seed}; give at least 1 and at least 0")
-    scenario = _scenario(cfg)
-    names = split_names(cfg.controllers)
-    controllers = {name: find_controller(name, scenario, cfg.tuned) for name in names}
-    if not controllers:
-        raise ValueError(f"controllers is {cfg.controllers!r}; name at least one (dcgrid list)")
-    seeds = range(cfg.seed, cfg.seed + cfg.episodes)
-    console = plain_console()
-    recorders = {}
-    with progress_bar(console) as progress:
+        if self.episodes < 1 or self.seed < 0:
+            raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
+        scenario = _scenario(self)
+        names = split_names(self.controllers)
+        controllers = {name: find_controller(name, scenario, self.tuned) for name in names}
+        if not controllers:
+            raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
+        seeds = range(self.seed, self.seed + self.episodes)
+        console = plain_console()
+        recorders = {}
+        with progress_bar(console) as progress:
+            for name, controller in controllers.items():
+                task = progress.add_task(name, total=scenario.horizon)
+                recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
+        records = [
+            record
+            for name, recorder in recorders.items()
+            for record in episode_records(scenario.name, name, seeds, recorder.metrics())
+        ]
+        summed_up = table(scenario, records, names, self)
+        console.print(summed_up.rich(console.width, fixed=2))
+        for note in summed_up.notes:
+            console.print(note)
+        console.print(linear_difference(scenario, seeds))
+        for line in tuned_from(names, scenario, self.tuned):
+            console.print(line)
         for name, controller in controllers.items():
-            task = progress.add_task(name, total=scenario.horizon)
-            recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
-    records = [
-        record
-        for name, recorder in recorders.items()
-        for record in episode_records(scenario.name, name, seeds, recorder.metrics())
-    ]
-    summed_up = table(scenario, records, names, cfg)
-    console.print(summed_up.rich(console.width, fixed=2))
-    for note in summed_up.notes:
-        console.print(note)
-    console.print(linear_difference(scenario, seeds))
-    for line in tuned_from(names, scenario, cfg.tuned):
-        console.print(line)
-    for name, controller in controllers.items():
-        if said := stability.warning(scenario, controller):
-            console.print(f"{name}: {said}")
-    about = meta() | {"split": cfg.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
-    write_json(cfg.out / "results.json", {"meta": about, "episodes": records})
-    draw(cfg.out / "figure.png", scenario, {name: recorder.lane(0) for name, recorder in recorders.items()}, cfg.seed)
-    console.print(f"wrote {cfg.out / 'results.json'} and {cfg.out / 'figure.png'}")
+            if said := stability.warning(scenario, controller):
+                console.print(f"{name}: {said}")
+        about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
+        write_json(self.out / "results.json", {"meta": about, "episodes": records})
+        draw(
+            self.out / "figure.png",
+            scenario,
+            {name: recorder.lane(0) for name, recorder in recorders.items()},
+            self.seed,
+        )
+        console.print(f"wrote {self.out / 'results.json'} and {self.out / 'figure.png'}")
 
 
 def _scenario(cfg: Run) -> Scenario:

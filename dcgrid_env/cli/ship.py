@@ -1,4 +1,4 @@
-"""Score training runs that differ in the seed alone on the test split; write the best on validation with its card."""
+"""The command ``dcgrid dev ship``."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from pathlib import Path
 
 import tyro
 
+from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.terminal import plain_console, say, working
 
 
 @dataclass(frozen=True)
-class Ship:
-    """What to ship."""
+class Ship(Command):
+    """Score training runs that differ in the seed alone, and write the best of them.
+
+    They are scored on the test split; the one that is best on validation is written, with its card.
+    """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of the runs, one for each seed (dcgrid train)."""
     name: str
-    """Of the policy, SCENARIO-ALGORITHM by custom."""
+    """Name of the policy, by custom SCENARIO-ALGORITHM."""
     scenario: str | None = None
     """Preset on whose test split they are scored; the one of the training unless given."""
     episodes: int = 100
@@ -25,18 +29,17 @@ class Ship:
     out: Path | None = None
     """Folder to write into; by default that of the policies that ship with the package."""
 
+    def run(self) -> None:
+        """Score, write, print. ValueError for runs that do not belong together, before anything is written."""
+        from dcgrid_env.agents.policy.policy import FOLDER
+        from dcgrid_env.agents.shipping import ship
+        from dcgrid_env.cli.listing import card_line
 
-def main(cfg: Ship) -> None:
-    """Score, write, print. ValueError for runs that do not belong together, before anything is written."""
-    from dcgrid_env.agents.policy.policy import FOLDER
-    from dcgrid_env.agents.shipping import ship
-    from dcgrid_env.cli.listing import card_line
-
-    if cfg.episodes < 2:
-        raise ValueError(f"episodes is {cfg.episodes}; give at least 2, a score's interval takes them")
-    out = cfg.out or FOLDER
-    console = plain_console()
-    with working(console, f"{len(cfg.folders)} policies, {cfg.episodes} episodes each"):
-        card = ship(cfg.folders, cfg.name, cfg.scenario, cfg.episodes, out)
-    say(console, f"{cfg.name}: {card_line(card)}")
-    say(console, f"wrote {out / cfg.name}.safetensors and .json")
+        if self.episodes < 2:
+            raise ValueError(f"episodes is {self.episodes}; give at least 2, a score's interval takes them")
+        out = self.out or FOLDER
+        console = plain_console()
+        with working(console, f"{len(self.folders)} policies, {self.episodes} episodes each"):
+            card = ship(self.folders, self.name, self.scenario, self.episodes, out)
+        say(console, f"{self.name}: {card_line(card)}")
+        say(console, f"wrote {out / self.name}.safetensors and .json")

@@ -1,13 +1,14 @@
-"""Fetch, show and record power traces."""
+"""The commands ``dcgrid traces fetch``, ``show`` and ``record``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.terminal import plain_console, say, working
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ SHORTEST_S = 2.0
 
 
 @dataclass(frozen=True)
-class Fetch:
+class Fetch(Command):
     """Download a published recording into the user's cache and verify it; interrupted, the same command resumes."""
 
     name: tyro.conf.Positional[str]
@@ -26,9 +27,31 @@ class Fetch:
     cache: Path | None = None
     """Folder for it instead of the user's cache folder (or of the one that DCGRID_CACHE names)."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
+
+    def run(self) -> None:
+        """Download and say under which licence, and what to cite."""
+        from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+
+        from dcgrid_env.traces.recordings import RECORDINGS
+        from dcgrid_env.traces.recordings import fetch as download
+
+        console = plain_console()
+        with Progress(
+            TextColumn(self.name, markup=False), BarColumn(), DownloadColumn(), console=console, transient=True
+        ) as progress:
+            task = progress.add_task(self.name, total=None)
+            path = download(self.name, self.cache, lambda have, size: progress.update(task, completed=have, total=size))
+        recording = RECORDINGS[self.name]
+        say(console, f"{path}\n{recording.description}")
+        say(console, f"licence: {recording.licence}\ncite:    {recording.citation}")
+
 
 @dataclass(frozen=True)
-class Show:
+class Show(Command):
     """Plot a trace: power, ramps, spectrum and duration curve."""
 
     name: tyro.conf.Positional[str]
@@ -44,9 +67,22 @@ class Show:
     out: Path = Path("results/trace.png")
     """The picture; folders are made."""
 
+    def run(self) -> None:
+        """Draw and say what was drawn."""
+        from dcgrid_env.core.files import write_figure
+        from dcgrid_env.traces.figure import trace_figure
+
+        names = [self.name, *([self.against] if self.against else [])]
+        traces = {name: _long_enough(name, _find(name, self), self) for name in names}
+        write_figure(self.out, trace_figure(traces, self.dt_s), dpi=130)
+        console = plain_console()
+        for name, trace in traces.items():
+            say(console, f"{name}: {trace.duration_s:g} s, {trace.provenance}")
+        say(console, f"wrote {self.out}")
+
 
 @dataclass(frozen=True)
-class Record:
+class Record(Command):
     """Record the power of this machine's GPUs through NVML; no setting is changed. Ctrl-C ends it and keeps it."""
 
     out: tyro.conf.Positional[Path]
@@ -60,58 +96,26 @@ class Record:
     overwrite: bool = False
     """Replace a file that is there."""
 
+    def run(self) -> None:
+        """Record, with the power on one line as it comes."""
+        from dcgrid_env.traces.recorder import record as sample
 
-@dataclass(frozen=True)
-class Traces:
-    """Fetch, show and record power traces."""
-
-    action: (
-        Annotated[Fetch, tyro.conf.subcommand("fetch", description=Fetch.__doc__)]
-        | Annotated[Show, tyro.conf.subcommand("show", description=Show.__doc__)]
-        | Annotated[Record, tyro.conf.subcommand("record", description=Record.__doc__)]
-    )
-
-
-def main(cfg: Traces) -> None:
-    """Do what was asked."""
-    if isinstance(cfg.action, Fetch):
-        fetch(cfg.action)
-    elif isinstance(cfg.action, Show):
-        show(cfg.action)
-    else:
-        record(cfg.action)
-
-
-def fetch(cfg: Fetch) -> None:
-    """Download and say under which licence, and what to cite."""
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
-
-    from dcgrid_env.traces.recordings import RECORDINGS
-    from dcgrid_env.traces.recordings import fetch as download
-
-    console = plain_console()
-    with Progress(
-        TextColumn(cfg.name, markup=False), BarColumn(), DownloadColumn(), console=console, transient=True
-    ) as progress:
-        task = progress.add_task(cfg.name, total=None)
-        path = download(cfg.name, cfg.cache, lambda have, size: progress.update(task, completed=have, total=size))
-    recording = RECORDINGS[cfg.name]
-    say(console, f"{path}\n{recording.description}")
-    say(console, f"licence: {recording.licence}\ncite:    {recording.citation}")
-
-
-def show(cfg: Show) -> None:
-    """Draw and say what was drawn."""
-    from dcgrid_env.core.files import write_figure
-    from dcgrid_env.traces.figure import trace_figure
-
-    names = [cfg.name, *([cfg.against] if cfg.against else [])]
-    traces = {name: _long_enough(name, _find(name, cfg), cfg) for name in names}
-    write_figure(cfg.out, trace_figure(traces, cfg.dt_s), dpi=130)
-    console = plain_console()
-    for name, trace in traces.items():
-        say(console, f"{name}: {trace.duration_s:g} s, {trace.provenance}")
-    say(console, f"wrote {cfg.out}")
+        console = plain_console()
+        with working(console, "recording, Ctrl-C to end") as status:
+            noted = sample(
+                self.out,
+                self.hz,
+                self.duration_s,
+                list(self.gpus) or None,
+                progress=lambda time_s, watt: status.update(f"{time_s:.1f} s, {watt:.0f} W, Ctrl-C to end"),
+                overwrite=self.overwrite,
+            )
+        jitter = noted["jitter_s"]
+        say(
+            console,
+            f"wrote {self.out}: {noted['samples']} samples of {len(noted['gpus'])} GPUs, {noted['missed']} missed, "
+            f"jitter mean {1e3 * jitter['mean']:.1f} ms, 99 % {1e3 * jitter['p99']:.1f} ms",
+        )
 
 
 def _find(name: str, cfg: Show) -> PowerTrace:
@@ -137,26 +141,4 @@ def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
     raise TraceError(
         f"{name}: lasts {trace.duration_s:g} s, too short for the picture: it takes 2 steps of --dt-s {cfg.dt_s:g}, "
         f"and {SHORTEST_S:g} s for the spectrum; give {' or '.join(remedies)}"
-    )
-
-
-def record(cfg: Record) -> None:
-    """Record, with the power on one line as it comes."""
-    from dcgrid_env.traces.recorder import record as sample
-
-    console = plain_console()
-    with working(console, "recording, Ctrl-C to end") as status:
-        noted = sample(
-            cfg.out,
-            cfg.hz,
-            cfg.duration_s,
-            list(cfg.gpus) or None,
-            progress=lambda time_s, watt: status.update(f"{time_s:.1f} s, {watt:.0f} W, Ctrl-C to end"),
-            overwrite=cfg.overwrite,
-        )
-    jitter = noted["jitter_s"]
-    say(
-        console,
-        f"wrote {cfg.out}: {noted['samples']} samples of {len(noted['gpus'])} GPUs, {noted['missed']} missed, "
-        f"jitter mean {1e3 * jitter['mean']:.1f} ms, 99 % {1e3 * jitter['p99']:.1f} ms",
     )

@@ -10,19 +10,12 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import processes
 from dcgrid_env.cli.terminal import say
-from dcgrid_env.cli.train import ALGORITHMS, imported
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 MOST_EPISODES = 100
 """Test episodes whose hindsight is published, seeds 0 to 99."""
-
-
-def configuration(algorithm: str) -> type[Any]:
-    """The configuration of an algorithm; ValueError, saying which extra to install, without what it needs."""
-    found = ALGORITHMS[algorithm]
-    return getattr(imported(found), found.config)
 
 
 def chosen(updates: int | None, seeds: int, episodes: int, **others: Any) -> dict[str, Any]:

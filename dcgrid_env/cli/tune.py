@@ -1,11 +1,4 @@
-"""Tune laws on the validation split of scenarios; writes their parameters with the command that made each.
-
-The file is written after each law, so that an interrupted search goes on from there: what stands in it with the same
-command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
-
-`dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json; with
---tuned FILE the first three take them from another file.
-"""
+"""The command ``dcgrid dev tune``."""
 
 from __future__ import annotations
 
@@ -16,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_specs, split_names
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
@@ -32,8 +26,15 @@ Laws = dict[str, dict[str, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
-class Tune:
-    """What to tune."""
+class Tune(Command):
+    """Tune laws on the validation split of scenarios, and write their parameters with the command that made each.
+
+    The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
+    same command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
+
+    `dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json;
+    with --tuned FILE the first three take them from another file.
+    """
 
     laws: str = "all"
     """Laws separated by commas: droop, droop-q, deadband, constant-q, placement; or all."""
@@ -53,6 +54,29 @@ class Tune:
     again: bool = False
     """Whether to search again what stands in the file."""
 
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return "" if self.again else GOES_ON
+
+    def run(self) -> None:
+        """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
+        from dcgrid_env.baselines.tuning.search import TUNABLE
+
+        specs = scenario_specs(self.scenarios, self.set, SPLIT)
+        laws = list(TUNABLE) if self.laws.strip() == "all" else split_names(self.laws)
+        unknown = [law for law in laws if law not in TUNABLE]
+        if unknown or not laws:
+            raise ValueError(f"laws is {self.laws!r}; choose among {', '.join(TUNABLE)}, or all")
+        if self.episodes < 1:
+            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+        jobs = processes(self.jobs)
+        groups = [tuple(specs)] if self.together else [(name,) for name in specs]
+        asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+        _kept(self.out)  # ValueError for another kind of file, before a folder is made
+        with alone_in(self.out.parent, "dcgrid dev tune"):
+            _search(self, asked, jobs)
+
 
 class Search(NamedTuple):
     """A law and the scenarios that are to share its parameters, by their own names."""
@@ -65,25 +89,6 @@ class Search(NamedTuple):
     def key(self) -> str:
         """Where it stands among the law's entries."""
         return ",".join(self.names)
-
-
-def main(cfg: Tune) -> None:
-    """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
-    from dcgrid_env.baselines.tuning.search import TUNABLE
-
-    specs = scenario_specs(cfg.scenarios, cfg.set, SPLIT)
-    laws = list(TUNABLE) if cfg.laws.strip() == "all" else split_names(cfg.laws)
-    unknown = [law for law in laws if law not in TUNABLE]
-    if unknown or not laws:
-        raise ValueError(f"laws is {cfg.laws!r}; choose among {', '.join(TUNABLE)}, or all")
-    if cfg.episodes < 1:
-        raise ValueError(f"episodes is {cfg.episodes}; give at least 1")
-    jobs = processes(cfg.jobs)
-    groups = [tuple(specs)] if cfg.together else [(name,) for name in specs]
-    asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
-    _kept(cfg.out)  # ValueError for another kind of file, before a folder is made
-    with alone_in(cfg.out.parent, "dcgrid tune"):
-        _search(cfg, asked, jobs)
 
 
 def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
@@ -134,15 +139,18 @@ def _identity(search: Search) -> dict[str, Any]:
 
 def _command(search: Search, episodes: int) -> str:
     wheres = ",".join(spec.where for spec in search.specs)
-    words = ["dcgrid", "tune", "--laws", search.law, "--scenarios", wheres]
+    words = ["dcgrid", "dev", "tune", "--laws", search.law, "--scenarios", wheres]
     words += ["--set", *search.specs[0].set] if search.specs[0].set else []
     return shlex.join([*words, "--episodes", str(episodes), *(["--together"] if len(search.names) > 1 else [])])
 
 
 def _stands(kept: Laws, search: Search, episodes: int) -> bool:
+    """Whether an entry is of this very search."""
     entry = kept.get(search.law, {}).get(search.key, {})
-    said = {"command": _command(search, episodes), **_identity(search)}
-    return all(entry.get(name) == value for name, value in said.items())
+    # Entries that ship were made when the command was called `dcgrid tune`.
+    command = str(entry.get("command", "")).replace("dcgrid tune ", "dcgrid dev tune ", 1)
+    wanted = {"command": _command(search, episodes), **_identity(search)}
+    return all((entry | {"command": command}).get(name) == value for name, value in wanted.items())
 
 
 def _kept(path: Path) -> Laws:

@@ -17,7 +17,7 @@ PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_has_its_hundred_test_episodes(name):
     values = published(make_scenario(name, split="test"))
-    assert values is not None, "the preset has changed; make its values anew with dcgrid hindsight"
+    assert values is not None, "the preset has changed; make its values anew with dcgrid dev hindsight"
     assert values.seeds.tolist() == list(range(EPISODES))
     assert np.isfinite(values.J).all()
     assert len(set(values.episode_hashes)) == EPISODES

@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tyro
 
 from dcgrid_env.agents.policy.policy import FOLDER
-from dcgrid_env.cli import main, train
+from dcgrid_env.cli import main
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
@@ -44,9 +43,9 @@ SHORTER = {
     "dcgrid train safe": TRAINING,
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
-    "dcgrid ship": {"--episodes": "2", "--out": "results/ship"},
-    "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
-    "dcgrid hindsight": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
+    "dcgrid dev tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
+    "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
@@ -54,9 +53,9 @@ SHORTER = {
 """Options that are given these values, by how a command begins."""
 
 ELSEWHERE = {
-    "dcgrid pareto": "tests/agents/studies",
-    "dcgrid ablate": "tests/agents/studies",
-    "dcgrid generalise": "tests/agents/studies",
+    "dcgrid dev pareto": "tests/agents/studies",
+    "dcgrid dev ablate": "tests/agents/studies",
+    "dcgrid dev generalise": "tests/agents/studies",
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
@@ -86,6 +85,10 @@ WORD = re.compile(r"(?:\.venv/bin/)?(dcgrid|python3?|ruff|pyright|bash)(?= )")
 SAVED_AS = re.compile(r"\b(\w+\.py):(\w+)")
 
 
+RECORDED = {"docs/pareto.md", "docs/ablations.md", "docs/generalise.md"}
+"""Documents that record the command which made them, when it was called `dcgrid pareto`, not `dcgrid dev pareto`."""
+
+
 class Document:
     """A document's blocks: those of Python, and its commands."""
 
@@ -106,7 +109,9 @@ class Document:
         """Words of every command, in order, as the shell gives them on."""
         for line in self.lines:
             for part in re.split(r" && ", line):
-                yield words(part)
+                command = words(part)
+                is_older = self.name in RECORDED and command[1] in main.DEV.members
+                yield [command[0], "dev", *command[1:]] if is_older else command
 
 
 def words(command):
@@ -149,20 +154,18 @@ def read(arguments):
     """Whether dcgrid's command line can read a command; nothing is done."""
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            if arguments[:1] == ["train"] and arguments[1:2] and not arguments[1].startswith("-"):
-                algorithm = train.ALGORITHMS[arguments[1]]
-                tyro.cli(getattr(train.imported(algorithm), algorithm.config), args=arguments[2:])
-            else:
-                tyro.cli(main.Command, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,))
+            main.COMMANDS.parse(arguments, "dcgrid")
     except SystemExit as stopped:
         return stopped.code in (0, None)
+    except ValueError:  # there is no such command
+        return False
     return True
 
 
 def check_read(command):
     """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
     if command[0] == "dcgrid":
-        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid tune`: what it is about
+        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid dev tune`: what it is about
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(command[2]) is not None, command

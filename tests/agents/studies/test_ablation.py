@@ -39,7 +39,7 @@ def test_a_variant_that_failed_is_a_row_and_says_why(tmp_path):
     assert made.rows[-1][1].startswith("0.000 ")
     assert made.notes[1] == "clock only: training diverged at step 7"
     assert {len(row) for row in made.rows} == {len(made.header)}
-    page = ablation.markdown(made, found, None, "dcgrid ablate")
+    page = ablation.markdown(made, found, None, "dcgrid dev ablate")
     assert (
         f"# clock only\ndcgrid train analytic --scenario toy6 --out {Path(runs['clock only'][0].out)} --act clock"
         in page

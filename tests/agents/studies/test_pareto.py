@@ -46,8 +46,8 @@ def front():
 
 
 def test_the_page_has_figures_and_commands(front):
-    page = pareto.markdown(front, "dcgrid pareto --scenario toy6", "images/pareto.png")
-    assert "Made by\n\n    dcgrid pareto --scenario toy6\n" in page
+    page = pareto.markdown(front, "dcgrid dev pareto --scenario toy6", "images/pareto.png")
+    assert "Made by\n\n    dcgrid dev pareto --scenario toy6\n" in page
     assert "# 4 s\ndcgrid train analytic --delay-limit-s 4\n# none, J as it is\ndcgrid train analytic\n" in page
     assert "(images/pareto.png)" in page
     row = next(line for line in page.splitlines() if line.startswith("| 4 s |"))

@@ -8,7 +8,7 @@ from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.algorithms.ppo import Ppo
 from dcgrid_env.agents.algorithms.safe import Safe
 from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, train_all, trained
-from dcgrid_env.cli.train import configured
+from dcgrid_env.cli.train import ALGORITHMS
 
 
 def tiny(out, **others):
@@ -31,7 +31,7 @@ def tiny(out, **others):
 def test_a_command_means_the_run(config, tmp_path):
     said = command(config).split()
     assert said[:3] == ["dcgrid", "train", type(config).__name__.lower()]
-    assert configured(said[2], said[3:]) == config
+    assert ALGORITHMS[said[2]].configured(said[3:]) == config
 
 
 def test_a_command_names_what_differs_only():

@@ -10,13 +10,13 @@ from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.agents.training.preset_settings import _all, settings
-from dcgrid_env.cli.train import ALGORITHMS, configured, imported, said
+from dcgrid_env.cli.train import ALGORITHMS, shipped_settings
 
 EVERY = [(algorithm, scenario) for algorithm, found in _all().items() for scenario in found]
 
 
 def kind(algorithm):
-    return getattr(imported(ALGORITHMS[algorithm]), ALGORITHMS[algorithm].config)
+    return ALGORITHMS[algorithm].configuration()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -26,7 +26,7 @@ def test_the_plain_command_of_a_card_means_all_that_the_policy_was_made_with(nam
     assert card.command == f"dcgrid train {card.algorithm} --scenario {card.scenario} --seed {card.seed}"
     assert made_with[:3] == ["dcgrid", "train", card.algorithm]
     in_full = tyro.cli(kind(card.algorithm), args=made_with[3:])  # over the algorithm's own defaults
-    assert configured(card.algorithm, shlex.split(card.command)[3:]) == in_full
+    assert ALGORITHMS[card.algorithm].configured(shlex.split(card.command)[3:]) == in_full
     assert kind(card.algorithm).for_scenario(card.scenario, seed=card.seed) == in_full
 
 
@@ -41,9 +41,11 @@ def test_settings_are_fields_that_differ_from_the_defaults(algorithm, scenario):
 
 
 def test_options_stand_before_what_ships_and_the_line_names_the_rest():
-    found = configured("ppo", ["--scenario", "ieee33-weak", "--gamma", "0.9", "--no-nameplate", "--epochs", "5"])
+    found = ALGORITHMS["ppo"].configured(
+        ["--scenario", "ieee33-weak", "--gamma", "0.9", "--no-nameplate", "--epochs", "5"]
+    )
     assert (found.gamma, found.nameplate, found.epochs, found.wait, found.steps) == (0.9, False, 5, 150.0, 4_000_000)
-    assert said(found) == (
+    assert shipped_settings(found) == (
         "settings that ship for ppo on ieee33-weak: outputs droop, wait 150, log_std -1, steps 4000000 "
         "(options stand before them)"
     )
@@ -59,20 +61,20 @@ def test_options_stand_before_what_ships_and_the_line_names_the_rest():
     ],
 )
 def test_elsewhere_are_the_algorithms_own_defaults_and_nothing_is_said(algorithm, options):
-    found = configured(algorithm, options)
+    found = ALGORITHMS[algorithm].configured(options)
     assert found == dataclasses.replace(kind(algorithm)(), scenario=found.scenario, view=found.view)
-    assert said(found) == ""
+    assert shipped_settings(found) == ""
 
 
 def test_help_shows_them(capsys):
     with pytest.raises(SystemExit):
-        configured("ppo", ["--help", "--scenario", "mixed"])
+        ALGORITHMS["ppo"].configured(["--help", "--scenario", "mixed"])
     assert "(default: 3000000)" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 def test_an_option_without_its_value_is_told(capsys):
     with pytest.raises(SystemExit) as ended:
-        configured("ppo", ["--scenario"])
+        ALGORITHMS["ppo"].configured(["--scenario"])
     assert ended.value.code == 2
     assert "--scenario" in capsys.readouterr().err
 

@@ -99,7 +99,7 @@ def test_tuning_did_no_harm(preset):
 def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
     own = make_scenario("toy6", name="mine")
     with pytest.raises(
-        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
+        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid dev tune --laws droop"
     ):
         make_controller("droop-tuned", own)
     with pytest.raises(ValueError, match="'droop-tuned' depends on the scenario; say which"):

@@ -20,7 +20,7 @@ from dcgrid_env.baselines import CONTROLLERS, TUNED, Droop, Published, make_cont
 from dcgrid_env.baselines.benchmark import jobs
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import score
-from dcgrid_env.cli.main import benchmark as benchmark_command
+from dcgrid_env.cli import benchmark as benchmark_command
 from dcgrid_env.cli.main import main
 from dcgrid_env.scenario.presets import make_scenario
 
@@ -298,9 +298,9 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     results = benchmark(tmp_path / "out", "none", scenarios="mine.py:make", episodes=2)
     printed = capsys.readouterr().out
     first, second = (line for line in printed.splitlines() if line.startswith("[/] will have no score: "))
-    assert "`dcgrid tune --laws droop --scenarios mine.py:make`" in first
+    assert "`dcgrid dev tune --laws droop --scenarios mine.py:make`" in first
     assert second.endswith(
-        "of the 2 episodes; solve them with `dcgrid hindsight --scenarios mine.py:make --episodes 2`"
+        "of the 2 episodes; solve them with `dcgrid dev hindsight --scenarios mine.py:make --episodes 2`"
     )
     assert printed.index(first) < printed.index("episodes ")
     assert [f["controller"] for f in results["failures"]] == ["droop-tuned"]

@@ -32,8 +32,8 @@ def a_run(folder):
 TINY = f"--updates 2 --episodes 2 --jobs 1 --runs {NAME}/runs --out {NAME}/out"
 PLAIN = NAME.replace("/", "")
 SAID = {
-    f"curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
-    f"ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
+    f"dev curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
+    f"dev ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
         f"{PLAIN}: {NAME} trained on toy6",
         f"wrote {NAME}/{PLAIN}",
     ),
@@ -41,12 +41,15 @@ SAID = {
     f"traces record {NAME}.gz": (f"wrote {NAME}.gz: 2 samples",),
     f"traces fetch {NAME}": (f"{NAME}/file\na recording", "licence: [/]"),
     f"train analytic --scenario toy6 --updates 2 --lanes 2 --out {NAME}": (f"{NAME}: ",),
-    f"pareto --scenario toy6 --delays 4 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/pareto.md"),
-    f"ablate --scenario toy6 {TINY} --transfer toy6 --policies {NAME}/run/policy.safetensors": (
+    f"dev pareto --scenario toy6 --delays 4 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/pareto.md"),
+    f"dev ablate --scenario toy6 {TINY} --transfer toy6 --policies {NAME}/run/policy.safetensors": (
         f"{NAME}/run/policy.safetensors (on toy6)",
         f"wrote {NAME}/out/ablations.md",
     ),
-    f"generalise --scenarios toy6,ieee33 --vary 0 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/general"),
+    f"dev generalise --scenarios toy6,ieee33 --vary 0 {TINY}": (
+        f"the first: {NAME}/runs/",
+        f"wrote {NAME}/out/general",
+    ),
     f"reproduce --trace {NAME}.csv --out {NAME}/out": (f"load: {NAME}.csv", f"wrote {NAME}/out/reproduction.md"),
 }
 

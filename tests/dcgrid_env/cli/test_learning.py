@@ -1,4 +1,4 @@
-"""dcgrid pareto, ablate, generalise and curves, as a user runs them."""
+"""dcgrid dev pareto, ablate, generalise and curves, as a user runs them."""
 
 import pytest
 
@@ -24,7 +24,7 @@ def here(tmp_path, monkeypatch):
 
 def test_pareto_trains_draws_and_does_nothing_twice(here, monkeypatch, capsys):
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0, 5.0))
-    arguments = ["pareto", "--scenario", "toy6", "--delays", "4", *TINY, "--out", "docs"]
+    arguments = ["dev", "pareto", "--scenario", "toy6", "--delays", "4", *TINY, "--out", "docs"]
     main(arguments)
     said = capsys.readouterr().out
     assert "trainings are done already" not in said
@@ -45,7 +45,7 @@ def test_pareto_trains_draws_and_does_nothing_twice(here, monkeypatch, capsys):
 def test_ablate_scores_variants_and_transfer(here, monkeypatch, capsys):
     monkeypatch.setattr(ablation, "VARIANTS", {"all": {}, "clock only": {"act": "clock"}})
     run = "results/ablate/toy6/act-clock-2-0/policy.safetensors"
-    base = ("ablate", "--scenario", "toy6", *TINY, "--transfer", "toy6,ieee33", "--policies")
+    base = ("dev", "ablate", "--scenario", "toy6", *TINY, "--transfer", "toy6,ieee33", "--policies")
     main([*base, "none"])
     assert "Trained on one scenario" not in (here / "results/ablate/ablations.md").read_text()
     main([*base, run, "--out", "docs"])
@@ -61,11 +61,11 @@ def test_ablate_scores_variants_and_transfer(here, monkeypatch, capsys):
 
 
 def test_generalise_leaves_each_out(here, capsys):
-    main(["generalise", "--scenarios", "toy6,ieee33", "--vary", "0", *TINY, "--out", "docs"])
+    main(["dev", "generalise", "--scenarios", "toy6,ieee33", "--vary", "0", *TINY, "--out", "docs"])
     page = (here / "docs" / "generalise.md").read_text()
     assert "| toy6 | ieee33 | " in page
     assert "| ieee33 | toy6 | " in page
-    main(["curves", "results/generalise/without-toy6/ieee33-vary-0-2-0", "--out", "docs/images/curves.png"])
+    main(["dev", "curves", "results/generalise/without-toy6/ieee33-vary-0-2-0", "--out", "docs/images/curves.png"])
     assert (here / "docs/images/curves.png").read_bytes()[:4] == b"\x89PNG"
     assert "ieee33, analytic: 1 run, J at the end " in capsys.readouterr().out
 
@@ -73,20 +73,26 @@ def test_generalise_leaves_each_out(here, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("pareto", "--scenario", "ieee32"), "unknown scenario 'ieee32'; there are "),
-        (("pareto", "--scenario", "toy6,ieee33"), "scenario is 'toy6,ieee33'; give one"),
-        (("pareto", "--delays", "1,-2"), "delays is '1,-2'; give figures above 0, separated by commas"),
-        (("pareto", "--delays", "nan"), "delays is 'nan'; give figures above 0"),
-        (("pareto", "--updates", "0"), "updates is 0; give at least 1"),
-        (("ablate", "--seeds", "0"), "seeds is 0; give at least 1"),
-        (("ablate", "--episodes", "1"), "episodes is 1; give 2 to 100"),
-        (("ablate", "--transfer", "mars"), "unknown scenario 'mars'"),
-        (("ablate", "--policies", "none-such"), "none-such: no policy of that name ships"),
-        (("generalise", "--scenarios", "ieee33"), "scenarios is 'ieee33'; give at least two, one is left out"),
-        (("generalise", "--vary", "-1"), "vary is -1; give at least 0"),
-        (("generalise", "--jobs", "0"), "jobs is 0; give at least 1"),
-        (("curves", "nowhere"), "nowhere: there is no curve.csv; give the folder of a training run"),
-        (("curves",), "folders is empty; give the folder of at least one training run"),
+        (("dev", "pareto", "--scenario", "ieee32"), "unknown scenario 'ieee32'; there are "),
+        (("dev", "pareto", "--scenario", "toy6,ieee33"), "scenario is 'toy6,ieee33'; give one"),
+        (("dev", "pareto", "--delays", "1,-2"), "delays is '1,-2'; give figures above 0, separated by commas"),
+        (("dev", "pareto", "--delays", "nan"), "delays is 'nan'; give figures above 0"),
+        (("dev", "pareto", "--updates", "0"), "updates is 0; give at least 1"),
+        (("dev", "ablate", "--seeds", "0"), "seeds is 0; give at least 1"),
+        (("dev", "ablate", "--episodes", "1"), "episodes is 1; give 2 to 100"),
+        (("dev", "ablate", "--transfer", "mars"), "unknown scenario 'mars'"),
+        (("dev", "ablate", "--policies", "none-such"), "none-such: no policy of that name ships"),
+        (("dev", "generalise", "--scenarios", "ieee33"), "scenarios is 'ieee33'; give at least two, one is left out"),
+        (("dev", "generalise", "--vary", "-1"), "vary is -1; give at least 0"),
+        (("dev", "generalise", "--jobs", "0"), "jobs is 0; give at least 1"),
+        (("dev", "curves", "nowhere"), "nowhere: there is no curve.csv; give the folder of a training run"),
+        (
+            (
+                "dev",
+                "curves",
+            ),
+            "folders is empty; give the folder of at least one training run",
+        ),
     ],
 )
 def test_bad_input_is_one_line_before_anything_is_trained(here, capsys, arguments, said):
@@ -101,7 +107,7 @@ def test_a_training_that_fails_stops_the_front_and_is_named(here, capsys):
     folder = here / "results/pareto/toy6/delay-4-2-0"
     folder.mkdir(parents=True)
     (folder / "config.json").write_text('{"scenario": "ieee33"}')
-    code, error = stopped(capsys, "pareto", "--scenario", "toy6", "--delays", "4", *TINY)
+    code, error = stopped(capsys, "dev", "pareto", "--scenario", "toy6", "--delays", "4", *TINY)
     assert code == 2
     assert "1 of 2 trainings failed: " in error
     assert "scenario was 'ieee33' and is 'toy6' now" in error
@@ -114,5 +120,5 @@ def test_an_interruption_says_that_the_same_command_goes_on(here, monkeypatch, c
         raise KeyboardInterrupt
 
     monkeypatch.setattr(analytic, "main", interrupted)
-    code, error = stopped(capsys, "pareto", "--scenario", "toy6", *TINY)
+    code, error = stopped(capsys, "dev", "pareto", "--scenario", "toy6", *TINY)
     assert (code, error) == (130, "dcgrid: interrupted; the same command goes on from there\n")

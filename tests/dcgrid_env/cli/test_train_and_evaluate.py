@@ -17,7 +17,6 @@ from dcgrid_env.agents.training.config import Training
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.tuning.tuned import identity
-from dcgrid_env.cli import train
 from dcgrid_env.cli.main import main
 from dcgrid_env.cli.train import ALGORITHMS
 
@@ -69,7 +68,7 @@ def test_bad_training_is_one_line(module, capsys):
 
     code, said = stopped(capsys, "train", "dqn", "--seed", "3")
     assert (code, len(said.splitlines())) == (2, 1)
-    assert said.startswith("dcgrid: unknown algorithm 'dqn'; there are ppo: ")
+    assert said.startswith("dcgrid: `dcgrid train` has no command 'dqn'; there are ppo, ")
     assert all(name in said for name in ALGORITHMS)
 
     def diverges(cfg):
@@ -91,8 +90,8 @@ def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
     for missing in ("torch", "stable_baselines3"):
         with monkeypatch.context() as context:
             context.setitem(sys.modules, missing, None)
-            for name in ("ppo", "sb3", "lanes", "training", "view"):
-                context.delitem(sys.modules, f"dcgrid_env.agents.{name}", raising=False)
+            for name in [name for name in sys.modules if name.startswith("dcgrid_env.agents.")]:
+                context.delitem(sys.modules, name)
             code, said = stopped(capsys, "train", "ppo")
         assert code == 2
         assert missing in said
@@ -106,17 +105,15 @@ def test_help_lists_the_algorithms_without_torch():
         "print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert all(f"{name}: " in done.stdout for name in ALGORITHMS)
+    assert all(algorithm.text.split()[0] in done.stdout for algorithm in ALGORITHMS.values())
     assert done.stdout.splitlines()[-1] == "[]"
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_every_algorithm_is_there_with_its_configuration(name):
-    algorithm = ALGORITHMS[name]
-    module = train.imported(algorithm)
-    settings = getattr(module, algorithm.config)()
+    settings = ALGORITHMS[name].configuration()()
     assert {"scenario", "seed", "out", "device", "resume"} <= set(vars(settings))
-    assert callable(module.main)
+    assert callable(ALGORITHMS[name].module().main)
 
 
 def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
@@ -172,7 +169,9 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
 def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, monkeypatch):
     made = {"algorithm": "ppo", "seed": 0, "training_s": 1.0, "validation_J": 0.3}
     policy().save(tmp_path / "run" / "policy", made)
-    main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
+    main(
+        ["dev", "ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")]
+    )
     assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
     for module, name, value in (
         (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)),
@@ -192,10 +191,10 @@ def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, 
 
 
 def test_bad_shipping_is_one_line(tmp_path, capsys):
-    code, said = stopped(capsys, "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
+    code, said = stopped(capsys, "dev", "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
     assert (code, len(said.strip().splitlines())) == (2, 1)
     assert "nowhere" in said
-    assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
+    assert "episodes is 1; give at least 2" in stopped(capsys, "dev", "ship", "x", "--name", "y", "--episodes", "1")[1]
 
 
 OWN = """
@@ -230,7 +229,7 @@ def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, 
     )
     assert re.search(said + r"about \S+ s to \S+ s \(one linear program took \S+ s, an episode takes 2 to 6", printed)
     assert "constant-q-tuned is left out: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
-    assert "dcgrid tune --laws constant-q --scenarios own.py:make" in printed
+    assert "dcgrid dev tune --laws constant-q --scenarios own.py:make" in printed
     assert "droop-tuned: gains of [/] from results/tuned.json" in printed
     assert not (here / "results" / "hindsight").exists()
     main([*command, "--hindsight"])
@@ -300,5 +299,5 @@ def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
     for algorithm in ("ppo", "analytic"):
         code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "v0_pu=1.0")
         assert (code, len(said.splitlines())) == (2, 1)
-        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
+        assert "find its own with `dcgrid dev tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
     assert not (here / "results" / "train").exists()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.resources import files
 from typing import NamedTuple
 
 import pytest
@@ -20,13 +21,13 @@ from dcgrid_env.cli.main import main
 
 
 def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys):
-    arguments = ["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path)]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path)]
     main([*arguments, "--episodes", "2"])
     path = tmp_path / "toy6.json"
     content = json.loads(path.read_text())
     scenario = make_scenario("toy6", split="test")
     assert content["scenario_hash"] == scenario_hash(scenario)
-    assert content["command"] == "dcgrid hindsight --scenarios toy6 --split test --episodes 2"
+    assert content["command"] == "dcgrid dev hindsight --scenarios toy6 --split test --episodes 2"
     found = hindsight(scenario, 1)
     assert content["episodes"][1] == {
         "seed": 1, "hash": episode_hash(scenario, 1), "J": found.J, "bound": found.bound, "rounds": found.rounds,
@@ -50,7 +51,20 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
 @pytest.mark.slow
 def test_two_processes_solve_what_one_does(tmp_path):
     for jobs in ("1", "2"):
-        main(["hindsight", "--scenarios", "toy6", "--episodes", "3", "--jobs", jobs, "--out", str(tmp_path / jobs)])
+        main(
+            [
+                "dev",
+                "hindsight",
+                "--scenarios",
+                "toy6",
+                "--episodes",
+                "3",
+                "--jobs",
+                jobs,
+                "--out",
+                str(tmp_path / jobs),
+            ]
+        )
     one, two = (json.loads((tmp_path / jobs / "toy6.json").read_text())["episodes"] for jobs in ("1", "2"))
     assert one == two
 
@@ -59,7 +73,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     out = tmp_path / "tuned.json"
     other = {"droop-q": {"mine": {"parameters": {}}}, "droop": {"toy6": {"parameters": {}}}}
     out.write_text(json.dumps({"laws": other}))
-    command = "dcgrid tune --laws droop-q --scenarios toy6 --episodes 1"
+    command = "dcgrid dev tune --laws droop-q --scenarios toy6 --episodes 1"
     main([*command.split()[1:], "--jobs", "1", "--out", str(out)])
     laws = json.loads(out.read_text())["laws"]
     found = tune("droop-q", [make_scenario("toy6", split="validation")], episodes=1)
@@ -70,7 +84,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
 
 def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, capsys, monkeypatch):
     out = tmp_path / "made" / "tuned.json"
-    arguments = ["tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
+    arguments = ["dev", "tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
     arguments += ["--jobs", "1", "--out", str(out)]
     searched = _searches(monkeypatch, stop_at=3)
     with pytest.raises(SystemExit) as stopped:
@@ -95,7 +109,19 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
 
 def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_again(tmp_path, monkeypatch, capsys):
     out = tmp_path / "tuned.json"
-    arguments = ["tune", "--laws", "droop-q", "--scenarios", "toy6", "--jobs", "1", "--out", str(out), "--episodes"]
+    arguments = [
+        "dev",
+        "tune",
+        "--laws",
+        "droop-q",
+        "--scenarios",
+        "toy6",
+        "--jobs",
+        "1",
+        "--out",
+        str(out),
+        "--episodes",
+    ]
     searched = _searches(monkeypatch)
     for more in (["1"], ["1"], ["2"], ["2", "--again"]):
         main([*arguments, *more])
@@ -131,9 +157,9 @@ def _interrupted(*_, **__):
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "a folder; give a file"),
-        (lambda path: path.write_text("{"), "is no file that dcgrid tune wrote; name another"),
-        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid tune wrote"),
-        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid tune wrote"),
+        (lambda path: path.write_text("{"), "is no file that dcgrid dev tune wrote; name another"),
+        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid dev tune wrote"),
+        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid dev tune wrote"),
         (lambda path: path.parent.write_text(""), "no folder"),
     ],
 )
@@ -144,14 +170,14 @@ def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, messag
         out.parent.mkdir()
     make(out)
     with pytest.raises(SystemExit) as stopped:
-        main(["tune", "--laws", "droop-q", "--scenarios", "toy6", "--out", str(out)])
+        main(["dev", "tune", "--laws", "droop-q", "--scenarios", "toy6", "--out", str(out)])
     _is_one_line(stopped, capsys, message)
     assert not searched
 
 
 def test_an_interrupted_hindsight_keeps_its_episodes(tmp_path, capsys, monkeypatch):
     _solutions(monkeypatch, stop_at=3)
-    arguments = ["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes", "4"]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes", "4"]
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 130
@@ -181,7 +207,7 @@ class Solved(NamedTuple):
 def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, monkeypatch):
     # Seed 1 has the largest gap, below the bound; 1 and 2 stopped at six programs, of which 2 agrees.
     _solutions(monkeypatch, s1=(2.0, 2.5, 6), s2=(1.0, 1.0, 6), s3=(4.0, 3.9, 5))
-    arguments = ["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes"]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes"]
     main([*arguments, "8"])
     said = " ".join(capsys.readouterr().out.split())
     assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped at 6 programs with a" in said
@@ -193,7 +219,7 @@ def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, mon
     main([*arguments, "2"])
     content = json.loads(path.read_text())
     assert [e["seed"] for e in content["episodes"]] == [0, 1, 7]
-    assert content["command"] == "dcgrid hindsight --scenarios toy6 --split test --episodes 8"
+    assert content["command"] == "dcgrid dev hindsight --scenarios toy6 --split test --episodes 8"
     assert "5 of the seeds 0 to 7 are missing" in " ".join(capsys.readouterr().out.split())
 
 
@@ -220,7 +246,7 @@ def test_a_damaged_file_is_named(text, message, tmp_path, capsys):
         text = json.dumps({"scenario_hash": about, "episodes": text})
     path.write_text(text)
     with pytest.raises(SystemExit) as stopped:
-        main(["hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
+        main(["dev", "hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
     _is_one_line(stopped, capsys, f"{path} {message}", "; delete it, or choose another --out")
     assert path.read_text() == text
 
@@ -229,7 +255,7 @@ def test_an_out_that_hindsight_cannot_write_is_refused_at_once(tmp_path, capsys,
     _solutions(monkeypatch, stop_at=1)
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stopped:
-        main(["hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path / "file")])
+        main(["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path / "file")])
     _is_one_line(stopped, capsys, "no folder")
 
 
@@ -245,7 +271,7 @@ def _is_one_line(stopped, capsys, *messages):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
-    arguments = ["hindsight", "--scenarios", "toy6", "--episodes", "100", "--jobs", "2", "--out", str(tmp_path)]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--episodes", "100", "--jobs", "2", "--out", str(tmp_path)]
     started = subprocess.Popen(
         [sys.executable, "-m", "dcgrid_env.cli.main", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -263,15 +289,15 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tune", "--laws", "pid"], "laws is 'pid'; choose among droop, droop-q"),
-        (["tune", "--laws", ","], "laws is ','; choose among"),
-        (["tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
-        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
-        (["hindsight", "--scenarios", "toy6", "--jobs", "-1"], "jobs is -1; give at least 1"),
-        (["hindsight", "--scenarios", " , "], "name at least one, or all"),
-        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
+        (["dev", "tune", "--laws", "pid"], "laws is 'pid'; choose among droop, droop-q"),
+        (["dev", "tune", "--laws", ","], "laws is ','; choose among"),
+        (["dev", "tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
+        (["dev", "tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["dev", "tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
+        (["dev", "hindsight", "--scenarios", "toy6", "--jobs", "-1"], "jobs is -1; give at least 1"),
+        (["dev", "hindsight", "--scenarios", " , "], "name at least one, or all"),
+        (["dev", "hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["dev", "hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
@@ -298,10 +324,10 @@ def here(tmp_path, monkeypatch):
 
 
 def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
-    with pytest.raises(ValueError, match="find its own with `dcgrid tune") as raised:
+    with pytest.raises(ValueError, match="find its own with `dcgrid dev tune") as raised:
         make_controller("droop-q-tuned", ScenarioSpec("own.py:make").make("test"))
     advised = str(raised.value).partition("`")[2].rstrip("`")
-    assert advised == "dcgrid tune --laws droop-q --scenarios own.py:make"
+    assert advised == "dcgrid dev tune --laws droop-q --scenarios own.py:make"
     command = [*advised.split()[1:], "--episodes", "1", "--jobs", "1"]
     main(command)
     entry = json.loads((here / "results" / "tuned.json").read_text())["laws"]["droop-q"]["mine"]
@@ -322,7 +348,7 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
 
 def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
     searched = _searches(monkeypatch)
-    arguments = ["tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
+    arguments = ["dev", "tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
     for more in (["--set", "horizon=9"], ["--set", "horizon=9"], ["--set", "horizon=8"], []):
         main([*arguments, *more])
     assert len(searched) == 3
@@ -332,20 +358,20 @@ def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
 
 def test_two_scenarios_of_one_name_are_refused(here, capsys):
     with pytest.raises(SystemExit) as stopped:
-        main(["tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
+        main(["dev", "tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
     _is_one_line(stopped, capsys, "own.py:make and ./own.py:make are both called 'mine'; give each a name of its own")
     assert not (here / "results").exists()
 
 
 def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
     _solutions(monkeypatch)
-    arguments = ["hindsight", "--scenario", "own.py:make", "--jobs", "1", "--episodes", "2", "--set"]
+    arguments = ["dev", "hindsight", "--scenario", "own.py:make", "--jobs", "1", "--episodes", "2", "--set"]
     main([*arguments, "load_sigma=0.1"])
     content = json.loads((here / "results" / "hindsight" / "mine.json").read_text())
     scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("test")
     assert content["scenario_hash"] == scenario_hash(scenario)
     assert content["command"] == (
-        "dcgrid hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
+        "dcgrid dev hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
     )
     known = published(scenario, FOLDER)
     assert known is not None
@@ -364,7 +390,17 @@ def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
 def test_other_processes_rebuild_ones_own_scenario(here):
     for jobs in ("1", "2"):
         common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--jobs", jobs]
-        main(["hindsight", *common, "--out", f"h{jobs}"])
-        main(["tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
+        main(["dev", "hindsight", *common, "--out", f"h{jobs}"])
+        main(["dev", "tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
     for one, two in (("h1/mine.json", "h2/mine.json"), ("t1.json", "t2.json")):
         assert json.loads((here / one).read_text()) == json.loads((here / two).read_text())
+
+
+def test_what_ships_stands_though_the_command_had_another_name(tmp_path, capsys):
+    shipped = files("dcgrid_env.baselines.data") / "tuned.json"
+    (tmp_path / "tuned.json").write_bytes(shipped.read_bytes())
+    main(["dev", "tune", "--laws", "droop", "--scenarios", "toy6,robust", "--out", str(tmp_path / "tuned.json")])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "2 of 2 stand in" in printed
+    assert "nothing to search" in printed
+    assert (tmp_path / "tuned.json").read_bytes() == shipped.read_bytes()

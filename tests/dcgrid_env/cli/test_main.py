@@ -1,0 +1,92 @@
+"""The table of commands: where each stands, what an older spelling gets, and what help says."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+
+import pytest
+
+from dcgrid_env.cli.command import Command, Group
+from dcgrid_env.cli.main import COMMANDS, DEV, main
+
+
+def commands(group=COMMANDS, prog="dcgrid"):
+    """Every command with its words."""
+    for name, member in group.members.items():
+        if isinstance(member, Group):
+            yield from commands(member, f"{prog} {name}")
+        else:
+            yield f"{prog} {name}", member
+
+
+def stopped(capsys, *arguments):
+    with pytest.raises(SystemExit) as raised:
+        main(list(arguments))
+    return raised.value.code, capsys.readouterr()
+
+
+@pytest.mark.parametrize("name", DEV.members)
+def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
+    code, said = stopped(capsys, name, "--jobs", "1")
+    assert (code, said.err) == (2, f"dcgrid: there is no `dcgrid {name}`; it is `dcgrid dev {name}`\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["show"], "there is no `dcgrid show`; it is `dcgrid traces show`"),
+        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, benchmark, train, "),
+        (["dev", "nothing"], "`dcgrid dev` has no command 'nothing'; there are tune, hindsight, "),
+    ],
+)
+def test_a_command_that_there_is_not_is_one_line(capsys, arguments, message):
+    code, said = stopped(capsys, *arguments)
+    assert code == 2
+    assert said.err.startswith(f"dcgrid: {message}")
+    assert len(said.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", [prog.split()[1:] for prog, _ in commands()] + [[], ["dev"], ["train"], ["traces"]])
+def test_every_help_is_shown_and_stands_alone(capsys, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "500")
+    code, said = stopped(capsys, *words, "--help")
+    assert code == 0
+    lines = [line.strip("│ ").strip() for line in said.out.splitlines()]
+    assert lines[0].startswith(" ".join(["usage: dcgrid", *words, "[-h]"]))
+    texts = [lines[2], *(re.sub(r"^(-\S+ |[A-Z]+ |\{.*?\} |\[.*?\] |• \S+|\S+ *$)*", "", line) for line in lines[3:])]
+    for text in (re.split(r" {2,}", text)[-1] for text in texts):
+        assert not re.match(r"(Of|The same|As) ", text), text
+    assert lines[2].endswith((".", ":")), lines[2]
+
+
+@pytest.mark.parametrize("prog", [prog for prog, member in commands() if isinstance(member, type)])
+def test_a_command_is_a_dataclass_that_runs(prog):
+    member = dict(commands())[prog]
+    assert isinstance(member, type)
+    assert issubclass(member, Command)
+    assert dataclasses.is_dataclass(member)
+    assert member.__doc__ is not None
+    assert not getattr(member, "__abstractmethods__", None)  # it has a run() of its own
+
+
+def test_what_goes_on_after_an_interruption():
+    words = {
+        "run": "", "benchmark": "", "evaluate none": "", "evaluate none --hindsight": "the same command",
+        "dev tune": "the same command", "dev tune --again": "", "dev hindsight": "the same command",
+        "traces fetch x": "the same command", "traces show x": "", "train analytic": "the same command with --resume",
+    }  # fmt: skip
+    for line, start in words.items():
+        resumes = COMMANDS.parse(line.split(), "dcgrid").resumes
+        assert resumes.startswith(start), line
+        assert bool(resumes) == bool(start), line
+
+
+def test_the_commands_are_there_without_torch_or_any_algorithm():
+    code = (
+        "import sys\nfrom dcgrid_env.cli.main import main\n"
+        "try: main(['train', '--help'])\nexcept SystemExit: pass\n"
+        "print([m for m in sys.modules if m.startswith(('torch', 'dcgrid_env.agents'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
