@@ -14,10 +14,9 @@ from dcgrid_env.agents.policy.network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.baselines import make_controller
-from dcgrid_env.baselines.evaluation import REFERENCE, evaluate
+from dcgrid_env.baselines.evaluation import evaluate
+from dcgrid_env.baselines.score import REFERENCE, SPLIT
 from dcgrid_env.core.files import write_bytes
-
-SPLIT = "test"
 
 
 def ship(

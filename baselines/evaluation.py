@@ -12,12 +12,6 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.score import Score, score
 
-REFERENCE = "droop-tuned"
-"""The controller of score 0."""
-STATIC = ("constant-q-tuned", "placement-tuned")
-"""Rules that measure nothing: the least that a policy must beat."""
-
-
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
 

@@ -16,6 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import bootstrap, trim_mean
 
+REFERENCE = "droop-tuned"
+"""The controller of score 0."""
+STATIC = ("constant-q-tuned", "placement-tuned")
+"""Rules that measure nothing: the least that a learner must beat."""
+SPLIT = "test"
+"""The split whose episodes a score is over."""
 RESAMPLES = 10_000
 LEVEL = 0.95
 

@@ -4,6 +4,7 @@ from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, Prefi
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
+from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
@@ -28,6 +29,7 @@ __all__ = [
     "FEEDERS",
     "FEEDER_REGISTRY",
     "IDS",
+    "METRICS",
     "PRESETS",
     "SCENARIO_REGISTRY",
     "ActionError",
@@ -46,6 +48,7 @@ __all__ = [
     "Forecast",
     "Inverters",
     "LinearDvfs",
+    "Metric",
     "PowerFlowError",
     "PrefillDecodeDvfs",
     "Recorder",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env import METRICS
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.studies.learning_tables import (
     HEADINGS,
@@ -23,8 +24,8 @@ from dcgrid_env.agents.studies.learning_tables import (
 )
 from dcgrid_env.agents.studies.scored import Scored, droop_on_test, score, scored
 from dcgrid_env.agents.studies.training_runs import command, folder, trained
-from dcgrid_env.baselines.evaluation import REFERENCE
 from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.score import REFERENCE
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "all: both axes, local, preview": {},
@@ -130,7 +131,7 @@ def _cell(policy: Policy, scenario: str, episodes: int) -> str:
             raise
         return NONE
     value = found.score(droop)
-    waits = round(found.mean.means["delay_mean_s"], 2) > round(droop.means["delay_mean_s"], 2)
+    waits = METRICS["delay_mean_s"].is_worse(found.mean.means, droop.means)
     text = ("no score" if value is None else f"{value.value:.2f}") + "*" * waits
     return f"[{text}]" if scenario in map(str.strip, policy.trained_on.split(",")) else text
 

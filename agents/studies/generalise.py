@@ -13,7 +13,7 @@ from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.agents.studies.learning_tables import NONE, SCORE, Table, commands, estimate, page, spread, wrapped
 from dcgrid_env.agents.studies.scored import Scored, droop_on_test, named_on_test, score, scored
 from dcgrid_env.agents.studies.training_runs import command, folder, trained
-from dcgrid_env.baselines.evaluation import STATIC
+from dcgrid_env.baselines.score import STATIC
 
 
 @dataclass(frozen=True)

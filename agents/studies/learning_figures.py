@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from dcgrid_env.agents.studies.curves import Line
 from dcgrid_env.agents.studies.pareto import Front, Learned
 from dcgrid_env.baselines.benchmark.benchmark_figures import FRONT_COLOUR, REFERENCE_COLOUR, REST_COLOUR
-from dcgrid_env.baselines.evaluation import REFERENCE
 from dcgrid_env.baselines.reproduction.drawing import new_figure, say
+from dcgrid_env.baselines.score import REFERENCE
 
 PANELS = (
     ("voltage_deviation_mean_pu", 1e3, "mean |V - 1| (0.001 p.u.)"),

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import textwrap
 from collections.abc import Iterable, Mapping
 
-from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
+from dcgrid_env import METRICS, Metric
+from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table, heading
 from dcgrid_env.baselines.score import Estimate
 
 COLUMNS = (
-    ("J", "J", 4),
-    ("mean \\|V-1\\|, p.u.", "voltage_deviation_mean_pu", 5),
-    ("outside, % of bus-s", "outside_bus_seconds_pct", 2),
-    ("violation cost", "cost_violation", 4),
-    ("J but for waiting", "J_but_delay", 4),
-    ("mean delay, s", "delay_mean_s", 2),
+    METRICS["J"],
+    dataclasses.replace(METRICS["voltage_deviation_mean_pu"], decimals=5),  # variants differ by little
+    METRICS["outside_bus_seconds_pct"],
+    METRICS["cost_violation"],
+    Metric("J_but_delay", "J but for waiting", "", 4, "lower"),
+    METRICS["delay_mean_s"],
 )
-"""Columns that are means over episodes: label as in Markdown, metric, decimals."""
-HEADINGS = tuple(label for label, _, _ in COLUMNS)
+"""Columns that are means over episodes."""
+HEADINGS = tuple(map(heading, COLUMNS))
 SCORE = (
     "Score: 0 is the tuned droop law, 1 perfect foresight; mean(J_droop - J) / mean(J_droop - J_hindsight) over the "
     "test episodes, with its 95 % paired bootstrap interval over episodes. Several training seeds enter with their "
@@ -27,7 +29,7 @@ SCORE = (
 
 def figures(means: Mapping[str, float]) -> tuple[str, ...]:
     """Cells under ``HEADINGS``."""
-    return tuple(f"{means[key]:.{decimals}f}" for _, key, decimals in COLUMNS)
+    return tuple(metric.text(means[metric.name]) for metric in COLUMNS)
 
 
 def estimate(found: Estimate | None, decimals: int = 3) -> str:

@@ -12,7 +12,7 @@ from dcgrid_env.agents.studies.learning_tables import HEADINGS, Table, commands,
 from dcgrid_env.agents.studies.scored import Scored, named_on_test, on_test, scored
 from dcgrid_env.agents.studies.training_runs import command, folder, trained
 from dcgrid_env.baselines import Droop
-from dcgrid_env.baselines.evaluation import REFERENCE
+from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
 K_P_MW_PER_PU = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0)

@@ -12,10 +12,7 @@ import numpy as np
 from dcgrid_env import Scenario, make_scenario
 from dcgrid_env.agents import Evaluation, Policy, evaluate, find_controller
 from dcgrid_env.baselines import Controller
-from dcgrid_env.baselines.evaluation import REFERENCE
-from dcgrid_env.baselines.score import Estimate
-
-SPLIT = "test"
+from dcgrid_env.baselines.score import REFERENCE, SPLIT, Estimate
 
 
 @dataclass(frozen=True)

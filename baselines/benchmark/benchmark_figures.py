@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 
 from dcgrid_env.baselines import rollout
 from dcgrid_env.baselines.benchmark.jobs import V_EDGES_PU, Case
-from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, Summary
+from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary
 from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.user_code import described
 from dcgrid_env.rendering import run_figure
 

@@ -10,25 +10,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dcgrid_env import METRICS, Metric
 from dcgrid_env.baselines.benchmark.columns import fit, folded
-from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, Summary
-from dcgrid_env.baselines.score import Estimate
+from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary
+from dcgrid_env.baselines.score import REFERENCE, Estimate
 
 if TYPE_CHECKING:
     from rich.console import Group
 
 NONE = "–"
 
-COLUMNS = (
-    ("mean \\|V-1\\|, p.u.", "voltage_deviation_mean_pu", 4),
-    ("outside, % of bus-s", "outside_bus_seconds_pct", 2),
-    ("violation cost", "cost_violation", 4),
-    ("mean delay, s", "delay_mean_s", 2),
-    ("p99 delay, s", "delay_p99_s", 1),
-    ("unserved, kW s", "unserved_kws", 1),
-    ("effort, % of rating", "q_effort_pct", 1),
-)
-"""Columns that are means over episodes: label as in Markdown, metric, decimals."""
+COLUMNS = tuple(
+    METRICS[name]
+    for name in (
+        "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "cost_violation", "delay_mean_s", "delay_p99_s",
+        "unserved_kws", "q_effort_pct",
+    )
+)  # fmt: skip
+"""Columns that are means over episodes."""
 
 LEGEND = (
     f"Score: 0 is {REFERENCE}, 1 is perfect foresight; mean(J_ref - J) / mean(J_ref - J_hindsight) over the same test "
@@ -88,6 +87,11 @@ class Table:
         return Group(*shown)
 
 
+def heading(metric: Metric) -> str:
+    """A metric's heading as ``Table`` takes it, in Markdown."""
+    return metric.column.replace("|", "\\|")
+
+
 def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:
     """Scores of all controllers (rows) on all scenarios (columns)."""
     names = [row.controller for row in summaries[0].rows]
@@ -103,7 +107,7 @@ def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> 
 
 def scenario_table(summary: ScenarioSummary) -> Table:
     """Everything about one scenario."""
-    header = ("controller", "score", "J", "IQM of J", f"J - J of {REFERENCE}", *(c[0] for c in COLUMNS), "observes")
+    header = ("controller", "score", "J", "IQM of J", f"J - J of {REFERENCE}", *map(heading, COLUMNS), "observes")
     notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
     if summary.hindsight:
         notes.insert(
@@ -122,9 +126,17 @@ def _figures(row: Summary) -> tuple[str, ...]:
         blank = [NONE] * (len(COLUMNS) + 4)
         return (row.controller, _score_cell(row, True), *blank)
     iqm = NONE if row.interquartile_mean is None else f"{row.interquartile_mean:.4f}"
-    cells = (f"{row.means[key]:.{decimals}f}" for _, key, decimals in COLUMNS)
+    cells = (metric.text(row.means[metric.name]) for metric in COLUMNS)
     difference = _estimate(row.difference, "+.4f")
-    return row.controller, _score_cell(row, True), f"{row.means['J']:.4f}", iqm, difference, *cells, row.observes
+    return (
+        row.controller,
+        _score_cell(row, True),
+        METRICS["J"].text(row.means["J"]),
+        iqm,
+        difference,
+        *cells,
+        row.observes,
+    )
 
 
 def _score_cell(row: Summary, interval: bool) -> str:

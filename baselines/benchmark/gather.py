@@ -11,8 +11,9 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.benchmark.benchmark_figures import Replay, Sheet
 from dcgrid_env.baselines.benchmark.jobs import V_EDGES_PU, Case, Unit
-from dcgrid_env.baselines.benchmark.summary import REFERENCE, ScenarioSummary, summarise
+from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, summarise
 from dcgrid_env.baselines.hindsight_costs import Published
+from dcgrid_env.baselines.score import REFERENCE
 
 
 @dataclass(frozen=True)

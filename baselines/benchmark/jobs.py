@@ -19,9 +19,9 @@ from dcgrid_env.baselines import Controller, Placed, find_controller, rollout
 from dcgrid_env.baselines.registry import is_file
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.score import SPLIT
 from dcgrid_env.baselines.user_code import described, one_line, parse
 
-SPLIT = "test"
 UNIT_EPISODES = 25
 """Episodes of a unit: enough for the batch to pay, few enough that an interruption costs little of a slow controller's
 work. Units are cut alike however many processes there are, so that results do not hang on that."""

@@ -9,10 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.baselines import Published
-from dcgrid_env.baselines.score import Estimate, score
-
-REFERENCE = "droop-tuned"
-"""The controller of score 0."""
+from dcgrid_env.baselines.score import REFERENCE, Estimate, score
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dcgrid_env.cli.command import GOES_ON, Command
-from dcgrid_env.cli.names import scenario_names, split_names
+from dcgrid_env.cli.names import one_scenario, scenario_names, split_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.cli.trainings import Study, do_trainings
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Ablate(Command):
+class Ablate(Study):
     """Train a policy without this or that and score each; and score trained policies on other scenarios than their own.
 
     Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
@@ -25,50 +25,34 @@ class Ablate(Command):
 
     scenario: str = "ieee33-weak"
     """Name of a scenario (dcgrid list)."""
-    updates: int | None = None
-    """Steps of the optimiser of each training; the algorithm's own default unless given."""
-    seeds: int = 1
-    """Training seeds of each variant: 0, 1, .."""
-    episodes: int = 100
-    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
     policies: str = "analytic"
     """Policies to test on other scenarios: analytic for all of that name that ship, or names and files, separated by
     commas; or none. Those that are one network for all agents are left out."""
     transfer: str = "all"
     """Scenarios to test them on, separated by commas, or all."""
-    jobs: int | None = None
-    """Trainings at once; by default one for each core."""
     runs: Path = Path("results/ablate")
     """Folder of the training runs."""
     out: Path = Path("results/ablate")
     """Folder for ablations.md."""
 
-    @property
-    def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
-        return GOES_ON
-
     def run(self) -> None:
         """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
         from dcgrid_env.agents.studies import ablation
         from dcgrid_env.agents.studies.learning_tables import brief
-        from dcgrid_env.cli import trainings
         from dcgrid_env.cli.train import ALGORITHMS
         from dcgrid_env.core.files import write_text
 
-        scenario = scenario_names(self.scenario)
-        if len(scenario) > 1:
-            raise ValueError(f"scenario is {self.scenario!r}; give one")
+        scenario = one_scenario(self.scenario)
         policies, others = _policies(self.policies), scenario_names(self.transfer)
-        chosen = trainings.chosen(self.updates, self.seeds, self.episodes)
+        chosen = self.settings()
         algorithms = {name: ALGORITHMS[name].configuration() for name in ("analytic", "safe")}
-        runs = ablation.configs(algorithms, scenario[0], chosen, self.seeds, self.runs)
+        runs = ablation.configs(algorithms, scenario, chosen, self.seeds, self.runs)
         check_folder(self.out)
         console = plain_console()
-        failures = trainings.do((config for every in runs.values() for config in every), self.jobs, console)
-        with working(console, f"{self.episodes} test episodes of {scenario[0]}"):
-            found = ablation.ablation(scenario[0], self.episodes, runs, failures)
-            ablated = ablation.ablation_table(scenario[0], self.episodes, found)
+        failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
+        with working(console, f"{self.episodes} test episodes of {scenario}"):
+            found = ablation.ablation(scenario, self.episodes, runs, failures)
+            ablated = ablation.ablation_table(scenario, self.episodes, found)
         console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
         transferred = None
         if policies:

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines.benchmark.jobs import Case, Task, Unit
     from dcgrid_env.baselines.benchmark.store import Store
 
-STATIC = ("constant-q-tuned", "placement-tuned")
-"""The simplest rivals of a learner; where they are run they stand just below the reference."""
-
 
 @dataclass(frozen=True)
 class Benchmark(Command):
@@ -60,9 +57,10 @@ class Benchmark(Command):
         """Run what is not done yet, sum up, write. ValueError for bad settings, before anything is written."""
         from dcgrid_env.baselines import published
         from dcgrid_env.baselines.benchmark.gather import gather
-        from dcgrid_env.baselines.benchmark.jobs import SPLIT, Case, plan
+        from dcgrid_env.baselines.benchmark.jobs import Case, plan
         from dcgrid_env.baselines.benchmark.store import Store
         from dcgrid_env.baselines.hindsight_costs import FOLDER
+        from dcgrid_env.baselines.score import SPLIT
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
@@ -96,8 +94,8 @@ def _beforehand(
     """What a scenario lacks for its score, with the commands that make it, and whose gains are not those that ship."""
     from dcgrid_env.baselines import published
     from dcgrid_env.baselines.benchmark.gather import no_hindsight
-    from dcgrid_env.baselines.benchmark.summary import REFERENCE
     from dcgrid_env.baselines.hindsight_costs import FOLDER
+    from dcgrid_env.baselines.score import REFERENCE
 
     said = []
     for case in cases:
@@ -112,7 +110,7 @@ def _controllers(asked: str, case: Case) -> list[str]:
     """The controllers in the order of the tables: the reference, static rules, then as asked for."""
     from dcgrid_env.agents.controllers import TRAINED
     from dcgrid_env.baselines import CONTROLLERS, TUNED
-    from dcgrid_env.baselines.benchmark.summary import REFERENCE
+    from dcgrid_env.baselines.score import REFERENCE, STATIC
 
     by_hand = [*CONTROLLERS, *TUNED]
     groups = {"all": by_hand, "policies": [*TRAINED]}
@@ -172,8 +170,8 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     """The files, the records before the figures, and the scores on the terminal."""
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.benchmark.benchmark_tables import score_table
-    from dcgrid_env.baselines.benchmark.jobs import SPLIT
     from dcgrid_env.baselines.benchmark.output import write_report, write_results
+    from dcgrid_env.baselines.score import SPLIT
 
     hashes = {result.summary.scenario: scenario_hash(result.case.scenario()) for result in results}
     about = meta() | {"split": SPLIT, "episodes": cfg.episodes, "scenarios": hashes}

@@ -62,8 +62,8 @@ class Evaluate(Command):
     def run(self) -> None:
         """Run, print the table and what it says. ValueError for a setting that cannot be."""
         from dcgrid_env.agents import evaluate, find_controller
-        from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
         from dcgrid_env.baselines.hindsight_costs import FOLDER
+        from dcgrid_env.baselines.score import REFERENCE, STATIC
 
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
@@ -94,15 +94,10 @@ class Evaluate(Command):
 
 
 ROWS = (
-    ("J", "J", 4),
-    ("mean |V-1|, p.u.", "voltage_deviation_mean_pu", 4),
-    ("bus-seconds outside, %", "outside_bus_seconds_pct", 2),
-    ("mean delay, s", "delay_mean_s", 2),
-    ("99 % of work within, s", "delay_p99_s", 1),
-    ("unserved at the end, kW s", "unserved_kws", 1),
-    ("effort, % of rating", "q_effort_pct", 1),
-)
-"""Rows of the table: name with unit, metric, decimals."""
+    "J", "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "delay_mean_s", "delay_p99_s", "unserved_kws",
+    "q_effort_pct",
+)  # fmt: skip
+"""Metrics of the table, row by row."""
 
 
 def _file(policy: str) -> str:
@@ -136,8 +131,8 @@ def _scores(
 ) -> tuple[dict[str, Estimate], str | None]:
     """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
     from dcgrid_env.baselines import published
-    from dcgrid_env.baselines.evaluation import REFERENCE
     from dcgrid_env.baselines.hindsight_costs import FOLDER
+    from dcgrid_env.baselines.score import REFERENCE
 
     if REFERENCE not in found:
         return {}, f"no score: it is measured from {REFERENCE}"
@@ -187,31 +182,35 @@ def _duration(seconds: float) -> str:
 
 def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
     """The controllers side by side."""
+    from dcgrid_env import METRICS
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
     rows = []
     if scores:
         for i, label in enumerate(("score", "95 % interval: from", "to")):
             rows.append((label, *(f"{scores[name][i]:.3f}" for name in found)))
-    for label, key, decimals in ROWS:
-        rows.append((label, *(f"{found[name].means[key]:.{decimals}f}" for name in found)))
+    for metric in (METRICS[name] for name in ROWS):
+        rows.append((metric.heading, *(metric.text(one.means[metric.name]) for one in found.values())))
     return Table(title, ("mean over episodes", *found), tuple(rows))
 
 
 def remarks(policy: str, found: Mapping[str, Evaluation]) -> list[str]:
     """What must not be overlooked: delay that pays for voltage, and rules that measure nothing and do better."""
-    from dcgrid_env.baselines.evaluation import REFERENCE, STATIC
+    from dcgrid_env import METRICS
+    from dcgrid_env.baselines.score import REFERENCE, STATIC
 
     said, own = [], found[policy].means
+    delay, j = METRICS["delay_mean_s"], METRICS["J"]
     droop = found[REFERENCE].means if REFERENCE in found else own
-    if round(own["delay_mean_s"], 2) > round(droop["delay_mean_s"], 2):
+    if delay.is_worse(own, droop):
         said.append(
-            f"{policy}: work waits longer than under the tuned droop: mean delay {own['delay_mean_s']:.2f} s, there "
-            f"{droop['delay_mean_s']:.2f} s"
+            f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(own[delay.name])} s, "
+            f"there {delay.text(droop[delay.name])} s"
         )
     best = min((name for name in STATIC if name in found), key=lambda name: found[name].means["J"], default=policy)
-    if policy not in STATIC and round(own["J"], 4) > round(found[best].means["J"], 4):
+    if policy not in STATIC and j.is_worse(own, found[best].means):
         said.append(
-            f"{policy}: J {own['J']:.4f} is above that of {best}, {found[best].means['J']:.4f}, which measures nothing"
+            f"{policy}: J {j.text(own['J'])} is above that of {best}, {j.text(found[best].means['J'])}, which measures "
+            "nothing"
         )
     return said

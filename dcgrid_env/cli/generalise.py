@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.cli.trainings import Study, do_trainings
 from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class Generalise(Command):
+class Generalise(Study):
     """Leave one feeder out: train one policy on all the other scenarios, and score it on the one that it never saw.
 
     Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
@@ -23,29 +23,15 @@ class Generalise(Command):
     """Names of scenarios, at least two, separated by commas (dcgrid list)."""
     vary: int = 6
     """Variants of each scenario to train on: other places, ratings and substation voltages."""
-    updates: int | None = None
-    """Steps of the optimiser of each training; the algorithm's own default unless given."""
-    seeds: int = 1
-    """Training seeds: 0, 1, .."""
-    episodes: int = 100
-    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
-    jobs: int | None = None
-    """Trainings at once; by default one for each core."""
     runs: Path = Path("results/generalise")
     """Folder of the training runs."""
     out: Path = Path("results/generalise")
     """Folder for generalise.md."""
 
-    @property
-    def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
-        return GOES_ON
-
     def run(self) -> None:
         """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
         from dcgrid_env.agents.studies import generalise
         from dcgrid_env.agents.studies.learning_tables import brief
-        from dcgrid_env.cli import trainings
         from dcgrid_env.cli.train import ALGORITHMS
         from dcgrid_env.core.files import write_text
 
@@ -54,11 +40,11 @@ class Generalise(Command):
             raise ValueError(f"scenarios is {self.scenarios!r}; give at least two, one is left out")
         if self.vary < 0:
             raise ValueError(f"vary is {self.vary}; give at least 0")
-        chosen = trainings.chosen(self.updates, self.seeds, self.episodes, vary=self.vary)
+        chosen = self.settings(vary=self.vary)
         runs = generalise.configs(ALGORITHMS["analytic"].configuration(), scenarios, chosen, self.seeds, self.runs)
         check_folder(self.out)
         console = plain_console()
-        failures = trainings.do((config for every in runs.values() for config in every), self.jobs, console)
+        failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
         with working(console, f"{self.episodes} test episodes of each scenario"):
             found = generalise.generalise(self.episodes, runs, failures)
             made = generalise.table(self.episodes, found)

@@ -57,13 +57,16 @@ def described(registry: Registry) -> dict[str, str]:
 
 def card_line(card: Card) -> str:
     """A policy's card on one line."""
+    from dcgrid_env import METRICS
+
     line = f"{card.algorithm} trained on {card.scenario}, {card.n_parameters} figures"
     if card.scored is None:
         return line
+    delay_s = METRICS["delay_mean_s"].text(card.scored.delay_mean_s)
     found, n = card.scored, len(card.scored.seeds)
     value, low, high = found.score
     where = "" if found.scenario == card.scenario else f" on {found.scenario}"
-    line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {found.delay_mean_s:.2f} s"
+    line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {delay_s} s"
     if n < 2:
         return line
     mean, least, most = sum(found.seed_scores) / n, min(found.seed_scores), max(found.seed_scores)

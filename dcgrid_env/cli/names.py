@@ -45,6 +45,14 @@ def scenario_names(text: str) -> list[str]:
     return names
 
 
+def one_scenario(text: str) -> str:
+    """The name of one scenario; ValueError for one that does not exist, none or several."""
+    names = scenario_names(text)
+    if len(names) > 1:
+        raise ValueError(f"scenario is {text!r}; give one")
+    return names[0]
+
+
 def scenario_specs(text: str, overrides: tuple[str, ...], split: str) -> dict[str, ScenarioSpec]:
     """Scenarios by their own names: presets, all of them for ``all``, or the user's, each with the overrides.
 

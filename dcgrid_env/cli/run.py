@@ -122,47 +122,31 @@ def _origin(scenario: Scenario) -> list[dict[str, Any]]:
 
 
 ROWS = (
-    ("J", "", "J", 1.0, 4, "mean"),
-    ("mean |V-1|", "p.u.", "voltage_deviation_mean_pu", 1.0, 4, "mean"),
-    ("std of |V-1|", "p.u.", "voltage_deviation_std_pu", 1.0, 4, "mean"),
-    ("bus-seconds outside", "%", "outside_bus_seconds_pct", 1.0, 2, "mean"),
-    ("buses ever outside", "%", "outside_buses_pct", 1.0, 1, "mean"),
-    ("lowest voltage", "p.u.", "voltage_min_pu", 1.0, 3, "min"),
-    ("highest voltage", "p.u.", "voltage_max_pu", 1.0, 3, "max"),
-    ("1-step voltage change", "1e-3 p.u.", "voltage_step_mean_pu", 1e3, 2, "mean"),
-    ("mean delay", "s", "delay_mean_s", 1.0, 2, "mean"),
-    ("95 % of work within", "s", "delay_p95_s", 1.0, 1, "mean"),
-    ("99 % of work within", "s", "delay_p99_s", 1.0, 1, "mean"),
-    ("time to first token, mean", "s", "ttft_mean_s", 1.0, 2, "mean"),
-    ("time to first token, 99 %", "s", "ttft_p99_s", 1.0, 2, "mean"),
-    ("end to end, mean", "s", "e2e_mean_s", 1.0, 2, "mean"),
-    ("end to end, 99 %", "s", "e2e_p99_s", 1.0, 2, "mean"),
-    ("unserved at the end", "kW s", "unserved_kws", 1.0, 1, "mean"),
-    ("mean loss", "kW", "loss_mean_kw", 1.0, 1, "mean"),
-)
-"""Rows of the table: name, unit, metric, factor, decimals, how episodes are summed up."""
+    "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
+    "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p95_s", "delay_p99_s",
+    "ttft_mean_s", "ttft_p99_s", "e2e_mean_s", "e2e_p99_s", "unserved_kws", "loss_mean_kw",
+)  # fmt: skip
+"""Metrics of the table, row by row."""
+OVER_EPISODES = {"mean": lambda values: sum(values) / len(values), "min": min, "max": max}
 
 
 def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
     """The controllers side by side, summed up over the episodes."""
+    from dcgrid_env import METRICS
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
     n = len(records) // len(names)
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    for label, unit, key, factor, decimals, how in ROWS:
-        if key not in records[0]:
-            continue  # of requests, where the load is made of them
+    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # of requests, where the load is made of them
         cells = []
         for name in names:
             own = [r for r in records if r["controller"] == name]
-            if key.startswith(("ttft", "e2e")):
+            if metric.name.startswith(("ttft", "e2e")):
                 own = [r for r in own if r["requests_sampled"]] or own[:1]
-            values = [factor * r[key] for r in own]
-            value = sum(values) / len(values) if how == "mean" else min(values) if how == "min" else max(values)
-            cells.append(f"{value:.{decimals}f}")
-        rows.append((label, unit, *cells))
+            cells.append(metric.text(OVER_EPISODES[metric.over_episodes]([r[metric.name] for r in own])))
+        rows.append((metric.label, metric.unit, *cells))
     collapsed = sum(1 - r["power_flow_converged"] for r in records)
     notes = (f"{collapsed:g} episodes ended in voltage collapse and are charged for it",) if collapsed else ()
     return Table(title, ("mean over episodes", "unit", *names), tuple(rows), notes)

@@ -1,12 +1,14 @@
-"""Training runs that a command needs: what they are made of, and doing those that have not been done."""
+"""What commands that train and test policies share: their settings, and doing trainings that have not been done."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import processes
 from dcgrid_env.cli.terminal import say
@@ -18,14 +20,33 @@ MOST_EPISODES = 100
 """Test episodes whose hindsight is published, seeds 0 to 99."""
 
 
-def chosen(updates: int | None, seeds: int, episodes: int, **others: Any) -> dict[str, Any]:
-    """Settings of all the trainings of a command; ValueError for one that cannot be."""
-    for field, value in (("updates", updates), ("seeds", seeds)):
-        if value is not None and value < 1:
-            raise ValueError(f"{field} is {value}; give at least 1")
-    if not 2 <= episodes <= MOST_EPISODES:
-        raise ValueError(f"episodes is {episodes}; give 2 to {MOST_EPISODES}, the published test episodes")
-    return others if updates is None else {"updates": updates, **others}
+@dataclass(frozen=True)
+class Study(Command):
+    """A command that trains policies and tests them; trainings are kept, and what is done is not done again."""
+
+    updates: int | None = None
+    """Steps of the optimiser of each training; the algorithm's own default unless given."""
+    seeds: int = 1
+    """Number of training seeds, 0, 1, .., of all that is trained."""
+    episodes: int = 100
+    """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    jobs: int | None = None
+    """Trainings at once; by default one for each core."""
+
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been kept is not done again."""
+        return GOES_ON
+
+    def settings(self, **others: Any) -> dict[str, Any]:
+        """Settings of all the trainings; ValueError for one that cannot be."""
+        for field in ("updates", "seeds"):
+            value = getattr(self, field)
+            if value is not None and value < 1:
+                raise ValueError(f"{field} is {value}; give at least 1")
+        if not 2 <= self.episodes <= MOST_EPISODES:
+            raise ValueError(f"episodes is {self.episodes}; give 2 to {MOST_EPISODES}, the published test episodes")
+        return others if self.updates is None else {"updates": self.updates, **others}
 
 
 def positive_numbers(field: str, text: str) -> list[float]:
@@ -39,7 +60,7 @@ def positive_numbers(field: str, text: str) -> list[float]:
     return values
 
 
-def do(configs: Iterable[Any], jobs: int | None, console: Console) -> dict[Path, str]:
+def do_trainings(configs: Iterable[Any], jobs: int | None, console: Console) -> dict[Path, str]:
     """Do the runs that have not been done, several at once; those that failed, by folder, with why.
 
     ValueError for jobs that cannot be.

@@ -8,8 +8,7 @@ import pytest
 from dcgrid_env import field_names, make_scenario
 from dcgrid_env.agents import Network, Policy, evaluate
 from dcgrid_env.baselines import ConstantQ, Published, make_controller, published, rollout
-from dcgrid_env.baselines.evaluation import REFERENCE
-from dcgrid_env.baselines.score import score
+from dcgrid_env.baselines.score import REFERENCE, score
 
 
 @pytest.fixture(scope="module")

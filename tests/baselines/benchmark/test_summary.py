@@ -35,7 +35,7 @@ OWN = [0.8, 0.9, 0.85, 0.7]
 
 
 def episodes(costs, delay=0.0):
-    beside = {key: 0.5 for _, key, _ in COLUMNS} | {"delay_mean_s": delay}
+    beside = {metric.name: 0.5 for metric in COLUMNS} | {"delay_mean_s": delay}
     return [
         {"scenario": "toy6", "controller": "x", "episode": i, "seed": i, "J": j, **beside} for i, j in enumerate(costs)
     ]

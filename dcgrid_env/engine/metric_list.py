@@ -1,0 +1,92 @@
+"""The metrics of an episode as tables show them; what each means stands in ``metrics``, which computes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How a metric is written."""
+
+    name: str
+    """Its name in records, with the unit of its value."""
+    label: str
+    """What tables call it."""
+    unit: str
+    """Unit of what is shown; empty for a number without one."""
+    decimals: int
+    """Digits after the point."""
+    better: Literal["lower", "higher", "neither"]
+    """Which of two values is to be preferred, all else equal."""
+    short: str = ""
+    """Heading of a narrow column, with the unit; that of other tables where it is empty."""
+    scale: float = 1.0
+    """What a value is multiplied by where it is shown."""
+    over_episodes: Literal["mean", "min", "max"] = "mean"
+    """How the values of several episodes become one."""
+
+    @property
+    def heading(self) -> str:
+        """Label and unit."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    @property
+    def column(self) -> str:
+        """Heading of a narrow column."""
+        return self.short or self.heading
+
+    def is_worse(self, means: Mapping[str, float], others: Mapping[str, float]) -> bool:
+        """Whether it is worse in the first of two records, as far as the digits that are shown tell."""
+        own, other = (round(self.scale * record[self.name], self.decimals) for record in (means, others))
+        return {"lower": own > other, "higher": own < other, "neither": False}[self.better]
+
+    def text(self, value: float) -> str:
+        """The value as tables show it, without its unit."""
+        return f"{self.scale * value:.{self.decimals}f}"
+
+
+_METRICS = (
+    Metric("J", "J", "", 4, "lower"),
+    Metric("cost_voltage", "voltage cost", "", 4, "lower"),
+    Metric("cost_violation", "violation cost", "", 4, "lower"),
+    Metric("cost_backlog", "backlog cost", "", 4, "lower"),
+    Metric("cost_effort", "effort cost", "", 4, "lower"),
+    Metric("cost_clock", "clock movement cost", "", 4, "lower"),
+    Metric("cost_step", "voltage step cost", "", 4, "lower"),
+    Metric("cost_loss", "loss cost", "", 4, "lower"),
+    Metric("cost_leftover", "leftover work cost", "", 4, "lower"),
+    Metric("voltage_deviation_mean_pu", "mean |V-1|", "p.u.", 4, "lower"),
+    Metric("voltage_deviation_std_pu", "std of |V-1|", "p.u.", 4, "lower"),
+    Metric("outside_bus_seconds_pct", "bus-seconds outside", "%", 2, "lower", short="outside, % of bus-s"),
+    Metric("outside_buses_pct", "buses ever outside", "%", 1, "lower"),
+    Metric("voltage_min_pu", "lowest voltage", "p.u.", 3, "neither", over_episodes="min"),
+    Metric("voltage_max_pu", "highest voltage", "p.u.", 3, "neither", over_episodes="max"),
+    Metric("voltage_step_mean_pu", "1-step voltage change", "1e-3 p.u.", 2, "lower", scale=1e3),
+    Metric("delay_mean_s", "mean delay", "s", 2, "lower"),
+    Metric("delay_p50_s", "50 % of work within", "s", 1, "lower", short="p50 delay, s"),
+    Metric("delay_p95_s", "95 % of work within", "s", 1, "lower", short="p95 delay, s"),
+    Metric("delay_p99_s", "99 % of work within", "s", 1, "lower", short="p99 delay, s"),
+    Metric("arrived_kws", "work that arrived", "kW s", 1, "neither"),
+    Metric("unserved_kws", "unserved at the end", "kW s", 1, "lower", short="unserved, kW s"),
+    Metric("loss_mean_kw", "mean loss", "kW", 1, "lower"),
+    Metric("loss_energy_kwh", "energy lost", "kWh", 2, "lower"),
+    Metric("q_effort_pct", "effort", "% of rating", 1, "lower"),
+    Metric("clock_mean_pct", "mean clock", "% of the top clock", 1, "higher"),
+    Metric("steps", "steps done", "", 0, "neither"),
+    Metric("power_flow_converged", "power flow converged", "", 0, "higher"),
+    Metric("requests_sampled", "requests sampled", "", 0, "neither"),
+    Metric("requests_unfinished_pct", "requests unfinished", "%", 1, "lower"),
+    Metric("ttft_mean_s", "time to first token, mean", "s", 2, "lower"),
+    Metric("ttft_p50_s", "time to first token, 50 %", "s", 2, "lower"),
+    Metric("ttft_p95_s", "time to first token, 95 %", "s", 2, "lower"),
+    Metric("ttft_p99_s", "time to first token, 99 %", "s", 2, "lower"),
+    Metric("e2e_mean_s", "end to end, mean", "s", 2, "lower"),
+    Metric("e2e_p50_s", "end to end, 50 %", "s", 2, "lower"),
+    Metric("e2e_p95_s", "end to end, 95 %", "s", 2, "lower"),
+    Metric("e2e_p99_s", "end to end, 99 %", "s", 2, "lower"),
+)
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _METRICS}
+"""Every metric of an episode by its name, in the order of the records."""
