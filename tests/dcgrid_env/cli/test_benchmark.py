@@ -222,20 +222,19 @@ def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monk
 
 
 def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "laws.py").write_text(OWN)
+    (tmp_path / "joining").mkdir()
+    (tmp_path / "joining" / "laws.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
-    monkeypatch.delitem(sys.modules, "mine", raising=False)
     half = {"datacenter": Network([(np.zeros((9, 2)), [0.5] * 2)]), "inverter": Network([(np.zeros((7, 1)), [0.5])])}
     Policy(half).save("half")
-    results = benchmark(tmp_path / "out", "half.safetensors,mine.laws:Still", episodes=2)
+    results = benchmark(tmp_path / "out", "half.safetensors,joining.laws:Still", episodes=2)
     j = {
         name: [r["J"] for r in results["episodes"] if r["controller"] == name]
-        for name in ("half.safetensors", "mine.laws:Still")
+        for name in ("half.safetensors", "joining.laws:Still")
     }
     assert len(j["half.safetensors"]) == 2
-    assert j["half.safetensors"] == j["mine.laws:Still"]
+    assert j["half.safetensors"] == j["joining.laws:Still"]
 
 
 def test_two_processes_give_what_one_gives(tmp_path, own):
