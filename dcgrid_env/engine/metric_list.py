@@ -89,4 +89,4 @@ _METRICS = (
     Metric("e2e_p99_s", "end to end, 99 %", "s", 2, "lower"),
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _METRICS}
-"""Every metric of an episode by its name, in the order of the records."""
+"""Every metric of an episode by its name."""
