@@ -5,6 +5,7 @@ power as a share of the site's rating, of which an episode takes a window.
 """
 
 from dcgrid_env.traces.by_name import is_recording, recorded_trace
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.day_course import load_share, sun_share
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
@@ -27,7 +28,7 @@ from dcgrid_env.traces.serving.site import Site, Tenant, generate_site, generate
 from dcgrid_env.traces.sources import TRACE_SOURCES, TraceSource
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.time_grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
-from dcgrid_env.traces.trace import PowerTrace, RequestTimes, TraceError
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 from dcgrid_env.traces.training.jobs import generate_training
 from dcgrid_env.traces.training.params import TrainingParams
 from dcgrid_env.traces.training.smoothing import PowerSmoothing

@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE
-from dcgrid_env.traces.trace import FloatArray, PowerTrace
+from dcgrid_env.traces.trace import PowerTrace
 
 RESERVE_S = 1.0
 """How long the full boost lasts, s."""

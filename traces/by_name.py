@@ -6,18 +6,19 @@ import math
 import re
 from pathlib import Path
 
-from dcgrid_env.traces.logs.csv_file import RECORDED
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.gpu_columns import split
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.request_log import read_request_log
-from dcgrid_env.traces.logs.text_file import open_text
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP
 from dcgrid_env.traces.recordings import RECORDINGS, load_power, load_requests
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import serve
 from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.sources import TRACE_SOURCES
-from dcgrid_env.traces.trace import PowerTrace, TraceError
+from dcgrid_env.traces.text.csv_file import RECORDED
+from dcgrid_env.traces.text.text_file import open_text
+from dcgrid_env.traces.trace import PowerTrace
 
 LOAD = 0.35
 """Requests without a site of their own are served by as many replicas of Llama 3 70B on H100 as have this load."""

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.inference import generate_inference
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError
+from dcgrid_env.traces.trace import PowerTrace
 
 # Between the idle plateau (0.27) and the deepest dip within a recorded burst (0.53).
 ACTIVE_SHARE = 0.4

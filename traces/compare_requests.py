@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.serving.services import SERVICES, requests
-from dcgrid_env.traces.trace import TraceError
 
 FIGURES = (
     "rate (1/s)",

@@ -7,8 +7,8 @@ long period.
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.sources import TRACE_SOURCES
-from dcgrid_env.traces.trace import FloatArray
 
 TASKS = ("llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
 FIGURES = (

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.time_grid import rounded
-from dcgrid_env.traces.trace import FloatArray
 
 LOAD_PERCENT = (
     64, 60, 58, 56, 56, 58, 64, 76, 87, 95, 99, 100, 99, 100, 100, 97, 96, 96, 93, 92, 92, 93, 87, 72,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 from dcgrid_env.core.files import new_folder
 from dcgrid_env.core.lock import alone
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.checks import TraceError
 
 if TYPE_CHECKING:
     from pooch.typing import Downloader

@@ -18,9 +18,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.time_grid import AWAKE_SHARE, GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
+from dcgrid_env.traces.trace import PowerTrace
 
 # The state at time zero has forgotten the calm start this long before.
 _WARM_UP_S = 100.0

@@ -12,11 +12,12 @@ from operator import index
 import numpy as np
 
 from dcgrid_env.traces.boost import boosted_trace
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.rows import ALL_SPLITS, OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
 from dcgrid_env.traces.sources import TRACE_SOURCES
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, grid_steps
-from dcgrid_env.traces.trace import FloatArray, RequestTimes, TraceError, require_positive, steps_in
+from dcgrid_env.traces.trace import RequestTimes
 
 # Seeds of a split begin here; a library has fewer rows than the distance, so splits share no seed.
 _SEEDS_PER_SPLIT = 1_000_000

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from dcgrid_env.core.install import from_clone
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.checks import TraceError
 
 INSTANT = "NVML_FI_DEV_POWER_INSTANT"
 USAGE = "nvmlDeviceGetPowerUsage"

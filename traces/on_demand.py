@@ -10,9 +10,10 @@ from threading import Lock
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, steps_in
 from dcgrid_env.traces.library import checked, generated_row, row_hour
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, RequestTimes, steps_in
+from dcgrid_env.traces.trace import RequestTimes
 
 
 @lru_cache(maxsize=4)

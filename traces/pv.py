@@ -14,10 +14,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, steps_in
 from dcgrid_env.traces.library import row_seed
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.time_grid import GRID_S, check_range, grid_steps, rounded, stream
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, steps_in
+from dcgrid_env.traces.trace import PowerTrace
 
 SUN = "pv"
 """Name of this generator, as a scenario's ``inverter_trace``."""

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.boost import boosted_trace
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
 from dcgrid_env.traces.time_grid import IDLE_SHARE
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive, steps_in
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 
 # Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.
 _SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}

@@ -22,9 +22,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from dcgrid_env.core.files import whole
-from dcgrid_env.traces.logs.csv_file import RECORDED
+from dcgrid_env.traces.checks import TraceError, require_positive, steps_in
 from dcgrid_env.traces.nvml import GpuReader, open_gpus, started
-from dcgrid_env.traces.trace import TraceError, require_positive, steps_in
+from dcgrid_env.traces.text.csv_file import RECORDED
 
 MAX_HZ = 20.0
 

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.download import Progress, download, sha256_of
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.serving.requests import Requests
-from dcgrid_env.traces.trace import PowerTrace, TraceError
+from dcgrid_env.traces.trace import PowerTrace
 
 CACHE_VARIABLE = "DCGRID_CACHE"
 """Environment variable that names the cache folder."""

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, RequestTimes, TraceError
+from dcgrid_env.traces.trace import RequestTimes
 
 SPLITS = ("train", "validation", "test")
 OUT_OF_DISTRIBUTION = "ood"

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 
+from dcgrid_env.traces.checks import TraceError, require_positive
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.time_grid import IDLE_SHARE, rounded, stream
-from dcgrid_env.traces.trace import PowerTrace, TraceError, require_positive
+from dcgrid_env.traces.trace import PowerTrace
 
 
 def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTrace:

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError, require_positive
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 
 GRID_S = 0.1
 """Resolution of generated traces, s."""

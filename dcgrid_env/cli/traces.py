@@ -130,7 +130,7 @@ def _find(name: str, cfg: Show) -> PowerTrace:
 def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
     """The trace itself; TraceError if a panel would stay empty: ramps need 2 steps, the spectrum SHORTEST_S."""
     from dcgrid_env.traces import TRACE_SOURCES, TraceError
-    from dcgrid_env.traces.trace import require_positive
+    from dcgrid_env.traces.checks import require_positive
 
     needed_s = max(2 * require_positive(cfg.dt_s, "--dt-s", "give a step in seconds"), SHORTEST_S)
     if trace.duration_s >= needed_s * (1 - 1e-9):

@@ -22,7 +22,7 @@ from dcgrid_env.traces import (
     require_window,
     rows_on_demand,
 )
-from dcgrid_env.traces.trace import steps_in
+from dcgrid_env.traces.checks import steps_in
 
 ROW_DURATION_S = 3600.0
 """Length of a generated row; of a longer one what it has to spare beyond an episode, in which windows may begin."""

@@ -1,1 +1,1 @@
-"""Reading text logs of any size: power over time, nvidia-smi, and requests."""
+"""Logs of nvidia-smi, and of requests to a language model, read from text files of any size."""

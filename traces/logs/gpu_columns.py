@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit
-from dcgrid_env.traces.logs.text_file import Block, TextFile
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, bracketed, column_unit
+from dcgrid_env.traces.text.text_file import Block, TextFile
 
 QUERY = "nvidia-smi --query-gpu=timestamp,index,power.draw --format=csv -lms 100"
 # The reading of the instant first: on newer GPUs power.draw is a mean over a second.

@@ -8,13 +8,14 @@ from itertools import chain
 
 import numpy as np
 
-from dcgrid_env.traces.logs.gaps import GapRule
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.logs.gpu_columns import QUERY, GpuColumns, find_columns, split
-from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, require_unit
-from dcgrid_env.traces.logs.text_file import Block, open_text, stem
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, TraceError, require_positive
+from dcgrid_env.traces.text.gaps import GapRule
+from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
+from dcgrid_env.traces.text.text_file import Block, open_text, stem
+from dcgrid_env.traces.trace import PowerTrace
 
 EARLY_READINGS = 1000
 """Readings at the beginning of a log in which rounds of several GPUs are looked for."""
@@ -50,7 +51,7 @@ def read_gpu_log(
     gpus : number of GPUs; needed if no column tells them apart, and then the lines of a round must be complete and in
         the same order.
     max_gap_s, gaps : what to do where readings of a GPU are more than max_gap_s apart, see `GapRule` of
-        `dcgrid_env.traces.logs.gaps`. The same limit holds for the time before a GPU's first reading and after its
+        `dcgrid_env.traces.text.gaps`. The same limit holds for the time before a GPU's first reading and after its
         last; where gaps are filled the log begins when all have reported, and a last reading holds to the end.
     limit_w : highest reading in W that is believed.
     name : of the trace; by default the file's name without suffix.

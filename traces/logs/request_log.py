@@ -6,11 +6,11 @@ from array import array
 
 import numpy as np
 
-from dcgrid_env.traces.logs.text_file import Block, open_text, stem
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP, nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.serving.requests import Requests
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.text.text_file import Block, open_text, stem
 
 COLUMNS = ("TIMESTAMP", "ContextTokens", "GeneratedTokens")
 LIMITS = (10_000_000, 100_000)

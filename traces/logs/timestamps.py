@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.checks import TraceError
 
 TIMESTAMP = r"(?:19|20)\d\d[-/]\d\d[-/]\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?"
 """Pattern without groups; years whose nanoseconds fit 64 bits."""

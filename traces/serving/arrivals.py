@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcgrid_env.traces.trace import FloatArray, TraceError, require_positive
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 
 DAY_S = 86400.0
 # The hour of the day is followed in pieces of this length, s.

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.checks import TraceError
 
 BANDWIDTH_EFFICIENCY = 0.7
 FLOPS_EFFICIENCY = 0.5

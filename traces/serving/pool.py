@@ -18,10 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.serving.hardware import LARGEST_BATCH, Gpu, Replica
 from dcgrid_env.traces.serving.requests import IntArray, Requests
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, as_trace, grid_steps
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 
 # Steps of the grid served at once: bounds what is held.
 _CHUNK = 3000

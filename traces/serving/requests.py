@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, TraceError
 
 IntArray = NDArray[np.int64]
 

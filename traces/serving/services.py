@@ -22,11 +22,11 @@ from statistics import NormalDist
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.serving.arrivals import Arrivals
 from dcgrid_env.traces.serving.requests import IntArray, Requests
 from dcgrid_env.traces.time_grid import stream
-from dcgrid_env.traces.trace import FloatArray, TraceError, require_positive
 
 
 @dataclass(frozen=True)

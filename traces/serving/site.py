@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.serving.hardware import GPUS, Replica
 from dcgrid_env.traces.serving.hardware import replica as find_replica
@@ -22,7 +23,7 @@ from dcgrid_env.traces.serving.pool import Pool, in_chunks, site_shares
 from dcgrid_env.traces.serving.requests import IntArray
 from dcgrid_env.traces.serving.services import Service, find_service
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
-from dcgrid_env.traces.trace import FloatArray, PowerTrace, RequestTimes, TraceError
+from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 from dcgrid_env.traces.training.jobs import generate_training
 
 BLOCK_S = 600.0

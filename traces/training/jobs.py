@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
-from dcgrid_env.traces.trace import FloatArray, PowerTrace
+from dcgrid_env.traces.trace import PowerTrace
 from dcgrid_env.traces.training.params import TrainingParams
 from dcgrid_env.traces.training.smoothing import smoothed
 from dcgrid_env.traces.training.waveform import TrainingJob, draw_job, run_edges

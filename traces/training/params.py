@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, fields
 
+from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.time_grid import IDLE_SHARE, check_range
-from dcgrid_env.traces.trace import TraceError
 from dcgrid_env.traces.training.smoothing import PowerSmoothing
 
 _SHARE = (IDLE_SHARE, 1.0)

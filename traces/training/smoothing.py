@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, check_range
-from dcgrid_env.traces.trace import FloatArray
 
 _RANGES = {
     "floor_share": (IDLE_SHARE, 0.9),

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.traces.checks import FloatArray
 from dcgrid_env.traces.time_grid import GRID_S
-from dcgrid_env.traces.trace import FloatArray
 from dcgrid_env.traces.training.params import TrainingParams
 
 # Iterations are no shorter or longer than this many standard deviations.

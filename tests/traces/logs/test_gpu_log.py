@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import TraceError
-from dcgrid_env.traces.logs import text_file
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
+from dcgrid_env.traces.text import text_file
 
 
 @pytest.fixture

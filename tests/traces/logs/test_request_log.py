@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import TraceError
-from dcgrid_env.traces.logs import text_file
 from dcgrid_env.traces.logs.request_log import read_request_log
+from dcgrid_env.traces.text import text_file
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "traces"
 HEADER = "TIMESTAMP,ContextTokens,GeneratedTokens\n"

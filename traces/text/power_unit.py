@@ -2,7 +2,7 @@
 
 import re
 
-from dcgrid_env.traces.trace import TraceError
+from dcgrid_env.traces.checks import TraceError
 
 KW_PER_UNIT = {"W": 1e-3, "kW": 1.0, "MW": 1e3, "mW": 1e-6}
 # Spellings in small letters that can only mean one unit; "mw" could mean two.

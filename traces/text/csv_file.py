@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.traces.logs.gaps import GapRule
-from dcgrid_env.traces.logs.power_unit import KW_PER_UNIT, bracketed, column_unit, last_word, require_unit
-from dcgrid_env.traces.logs.text_file import Block, TextFile, open_text
+from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.trace import FloatArray, TraceError, check_samples, require_positive
+from dcgrid_env.traces.text.gaps import GapRule
+from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, bracketed, column_unit, last_word, require_unit
+from dcgrid_env.traces.text.text_file import Block, TextFile, open_text
 
 RECORDED = "# dcgrid trace "
 """Begins the first line of a recorder's file; a JSON object follows."""
@@ -75,7 +75,7 @@ def read_csv(
         the published recordings are.
     header : whether the first line holds names; by default it does if none of its cells is a number.
     delimiter : between cells, one character.
-    max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.logs.gaps.GapRule`;
+    max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.text.gaps.GapRule`;
         by default every distance is accepted.
     limit_kw : highest power of one cell in kW that is believed; the default is 1 GW.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcgrid_env.traces.trace import FloatArray, TraceError, require_positive
+from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 
 GAP_RULES = ("error", "hold", "linear")
 FILL_LIMIT = 1_000_000

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import PowerTrace, TraceError
-from dcgrid_env.traces.logs import text_file
+from dcgrid_env.traces.text import text_file
 
 
 @pytest.fixture
