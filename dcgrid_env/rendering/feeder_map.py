@@ -1,4 +1,4 @@
-"""The one-line diagram of a feeder: where its buses go, and drawing it on any matplotlib Axes."""
+"""The one-line diagram of a feeder, drawn on any matplotlib Axes; ``bus_positions`` says where its buses go."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ FloatArray = NDArray[np.float64]
 AGENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 VOLTAGE_CMAP = "RdBu_r"
 INK = "#333333"
-_WIDTH_TO_HEIGHT = 1.35
 _MARGIN_PT = 28.0
 _FEW_BUSES = 40
 """Feeders up to this size have their bus numbers written on the map."""
@@ -40,104 +39,6 @@ def voltage_norm(band_pu: float = 0.05) -> Normalize:
 def agent_colour(i: int) -> str:
     """Colour of data centre ``i``; they repeat after seven."""
     return AGENT_COLOURS[i % len(AGENT_COLOURS)]
-
-
-def positions(feeder: Feeder) -> FloatArray:
-    """Where each bus goes in a drawing, shape (n_bus, 2); distinct, finite and the same at each call.
-
-    The published coordinates where the feeder has them. A bus without, or on top of another, goes beside the bus that
-    it hangs on. Where fewer than half are known: a tree that grows to the right from the substation, the longest path
-    straight, laterals to either side of it and no branch across another.
-    """
-    xy = np.column_stack((feeder.x, feeder.y))
-    xy[~np.isfinite(xy).all(axis=1)] = np.nan
-    _, first = np.unique(xy, axis=0, return_index=True)
-    xy[np.setdiff1d(np.arange(feeder.n_bus), first)] = np.nan
-    known = np.isfinite(xy[:, 0])
-    if 2 * known.sum() < feeder.n_bus or known.sum() < 2:
-        return _tree(feeder)
-    return xy if known.all() else _beside(feeder, xy)
-
-
-def _beside(feeder: Feeder, xy: FloatArray) -> FloatArray:
-    """Fill in missing rows near a neighbour that is placed, in the direction with the most room."""
-    upstream = np.concatenate(([-1], feeder.parent))
-    lengths = np.linalg.norm(xy[1:] - xy[feeder.parent], axis=1)
-    reach = 0.5 * np.nanmedian(lengths) if np.isfinite(lengths).any() else 0.02 * np.nanmax(np.ptp(xy, axis=0))
-    angle = 2.0 * np.pi * np.arange(16) / 16
-    around = reach * np.column_stack((np.cos(angle), np.sin(angle)))
-    while not np.isfinite(xy).all():
-        for i in feeder.depth_first:
-            near = [upstream[i], *(np.flatnonzero(feeder.parent == i) + 1)]
-            near = [j for j in near if j >= 0 and np.isfinite(xy[j, 0])]
-            if np.isfinite(xy[i, 0]) or not near:
-                continue
-            candidates = xy[near[0]] + around
-            placed = xy[np.isfinite(xy[:, 0])]
-            room = np.linalg.norm(candidates[:, None] - placed, axis=2).min(axis=1)
-            xy[i] = candidates[np.argmax(np.round(room / reach, 6))]
-    return xy
-
-
-class _Block:
-    """A path of buses on one row with its laterals above and below; rows relative to it, columns absolute."""
-
-    def __init__(self, chain: list[int], column: int, n_columns: int):
-        self.at = {bus: (column + k, 0) for k, bus in enumerate(chain)}
-        self.low = np.full(n_columns, np.inf)
-        self.high = np.full(n_columns, -np.inf)
-        # One column more than the path has, so that paths on the same row do not read as one.
-        span = slice(column, column + len(chain) + 1)
-        self.low[span] = self.high[span] = 0
-
-    def attach(self, lateral: _Block, side: int | None) -> int:
-        """Put a lateral as near as it goes, above (side 1) or mirrored below (-1), or where it comes nearer."""
-        up = max(1.0, float((self.high - lateral.low).max()) + 1.0)
-        down = max(1.0, float((-lateral.low - self.low).max()) + 1.0)
-        if side is None:
-            side = 1 if (up, self.high.max()) <= (down, -self.low.min()) else -1
-        shift = int(up if side > 0 else down)
-        self.at |= {bus: (column, side * (row + shift)) for bus, (column, row) in lateral.at.items()}
-        edges = side * (lateral.low + shift), side * (lateral.high + shift)
-        here = np.isfinite(lateral.low)
-        self.low[here] = np.minimum(self.low, np.minimum(*edges))[here]
-        self.high[here] = np.maximum(self.high, np.maximum(*edges))[here]
-        return side
-
-
-def _tree(feeder: Feeder) -> FloatArray:
-    children: list[list[int]] = [[] for _ in range(feeder.n_bus)]
-    weight = [(1, 1)] * feeder.n_bus  # buses on the longest way down, buses in all
-    for j in feeder.depth_first[::-1].tolist():
-        below = [weight[k] for k in children[j]]
-        weight[j] = (1 + max((b[0] for b in below), default=0), 1 + sum(b[1] for b in below))
-        if j > 0:
-            children[feeder.parent[j - 1]].append(j)
-
-    def block(start: int, column: int, hanging: bool) -> _Block:
-        chain = [start]
-        while children[chain[-1]]:
-            chain.append(max(children[chain[-1]], key=lambda k: (weight[k], -k)))
-        result = _Block(chain, column, 2 * feeder.n_bus + 1)
-        # From the far end back: a lateral nearer to the root then passes outside those beyond it.
-        for k in range(len(chain) - 1, -1, -1):
-            laterals = sorted((b for b in children[chain[k]] if b not in chain), key=lambda b: (weight[b], b))
-            # One lateral can stand straight on either side of a bus, but not where the bus itself hangs on another;
-            # any more lean to the right beneath them.
-            straight = 1 if hanging and k == 0 else 2
-            for bus in laterals[:-straight]:
-                result.attach(block(bus, column + k + 1, False), None)
-            side = 1 if straight == 1 else None
-            for bus in laterals[-straight:]:
-                taken = result.attach(block(bus, column + k, True), side)
-                side = -taken
-        return result
-
-    at = block(0, 0, False).at
-    xy = np.array([at[i] for i in range(feeder.n_bus)], dtype=np.float64)
-    width, height = np.maximum(np.ptp(xy, axis=0), 1.0)
-    xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 2.5)
-    return xy
 
 
 class FeederMap:
@@ -323,7 +224,7 @@ def draw_feeder(
         Its axis lines are switched off and its aspect set to equal. Its place in the figure should be final, as the
         names of the devices are put where there is room.
     feeder, xy
-        The feeder and the positions of its buses, (n_bus, 2), see :func:`positions`.
+        The feeder and the positions of its buses, (n_bus, 2), see ``bus_positions.positions``.
     v_pu
         Voltage at each bus, p.u., (n_bus,).
     dc_buses, inv_buses

@@ -12,7 +12,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
-from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, positions, voltage_norm
+from dcgrid_env.rendering.bus_positions import positions
+from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, voltage_norm
 from dcgrid_env.rendering.history import History
 from dcgrid_env.rendering.lettering import Lettering
 from dcgrid_env.scenario.scenario import Scenario
