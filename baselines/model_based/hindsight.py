@@ -1,58 +1,29 @@
-"""What perfect foresight of a whole episode can do, and what the linear program behind it says.
+"""The least cost of a whole episode that is known beforehand, and the lower bound of the linear program behind it.
 
-A linear program over the episode, on the power flow linearised around a trajectory:
-
-    minimise  (1/T) sum_t c_t + leftover        the benchmark's cost, see ``dcgrid_env.engine.reward``
-    over      d, b   served work and backlog of each data centre        b_t = b_{t-1} + (a_t - d_t) dt,  b >= 0
-              q, g   reactive injection of each agent and its magnitude, within the limit
-              e, w   deviation of each bus's voltage, and its excess over the band
-    with      |v_t + J_p (d_t - d0_t) + J_q (q_t - q0_t) - 1| <= e_t,  w_t >= e_t - band,
-              cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
-
-so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. The
-program is solved again around its own solution until the environment, in which its actions are replayed, agrees. The
-replay's J is the hindsight cost; the program's own optimum stands beside it as the bound. It is a bound on the grid
-linearised around the last trajectory: against the exact one it may be off by the curvature between that trajectory and
-a better one, a few 1e-5 of J where that was looked for. Solved with HiGHS (Q. Huangfu
-and J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming Computation 10, 2018).
+The program of ``episode_program`` is solved again around its own solution until the environment, in which its actions
+are replayed, agrees. The replay's J is the hindsight cost; the program's own optimum stands beside it as the bound. It
+is a bound on the grid linearised around the last trajectory: against the exact one it may be off by the curvature
+between that trajectory and a better one, a few 1e-5 of J where that was looked for.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.optimize import linprog
 
-from dcgrid_env import (
-    CostWeights,
-    DcgridVectorEnv,
-    Forecast,
-    LinearDvfs,
-    Recorder,
-    Scenario,
-    action_layout,
-    distflow,
-    forecast,
-    lindistflow,
-)
+from dcgrid_env import CostWeights, DcgridVectorEnv, LinearDvfs, Recorder, Scenario, forecast
 from dcgrid_env.baselines.controller import require_known_devices
-
-Sparse = Any  # scipy's sparse matrices and arrays of every layout
-Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
+from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
 """Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
-TANGENTS = 24
-"""Tangents of a quadrant of the capability circle."""
-_SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
 
 class Hindsight(NamedTuple):
-    """What perfect foresight makes of an episode."""
+    """The least cost of an episode whose course is known from the beginning."""
 
     J: float
     """Cost of the actions, replayed in the environment."""
@@ -96,18 +67,17 @@ def hindsight(
         the constraint that cannot be met, where and when.
     """
     _check(scenario)
-    known = forecast(scenario, seed)
-    program = _Program(scenario, known, keep_band)
+    program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band)
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
         cost = recorder.metrics()[0]["J"]
-        found = Hindsight(cost, bound, actions, done, recorder)
+        replayed = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
         # A program around a better trajectory knows better, so the last one's optimum is the bound.
-        best = found if best is None or cost <= best.J else best._replace(bound=bound, rounds=done)
-        if settled or abs(found.gap) <= tolerance * abs(cost):
+        best = replayed if best is None or cost <= best.J else best._replace(bound=bound, rounds=done)
+        if settled or abs(replayed.gap) <= tolerance * abs(cost):
             break
     assert best is not None
     return best
@@ -136,192 +106,3 @@ def _check(scenario: Scenario) -> None:
     priced = [name for name in ("clock", "step", "loss") if getattr(scenario.weights, name)]
     if priced:
         raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
-
-
-class _Program:
-    """The linear program of an episode, around the trajectory of its last solution.
-
-    Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation).
-    """
-
-    def __init__(self, scenario: Scenario, known: Forecast, keep_band: bool) -> None:
-        s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
-        self.scenario, self.known, self.keep_band = s, known, keep_band
-        self.base_kw = np.minimum(known.p_ref_kw, dc.p_idle_kw)
-        self.arrived_kw = np.maximum(known.p_ref_kw - dc.p_idle_kw, 0.0)
-        # The first program is around serving all work as it arrives, without reactive power.
-        self.served_kw, self.q_kvar = self.arrived_kw, np.zeros((s.horizon, s.n_agents))
-        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
-        room = np.sqrt(np.maximum(self.s_rated_kva[n_dc:] ** 2 - known.p_inverter_kw**2, 0.0))
-        self.q_limit_kvar = np.tile(s.q_scale_kvar, (s.horizon, 1))
-        self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
-        self.q_limit_kvar *= known.available
-        n_bus = s.feeder.n_bus - 1
-        widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
-        self.sizes = {name: s.horizon * width for name, width in widths.items()}
-        self.same = [self._band(), self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
-
-    def solve(self) -> tuple[float, np.ndarray]:
-        """Optimum and the actions (T, n_action) behind it; the next program is around them."""
-        s = self.scenario
-        v_pu, by_p, by_q = self._slopes()
-        at_zero = v_pu - np.einsum("tnd,td->tn", by_p, self.served_kw) - np.einsum("tna,ta->tn", by_q, self.q_kvar)
-        p_part, q_part = (sparse.block_diag(list(slopes), format="csr") for slopes in (by_p, by_q))
-        apart, minus = (at_zero - 1.0).ravel(), -sparse.identity(at_zero.size, format="csr")
-        limits = [
-            (self._rows(d=p_part, q=q_part, e=minus), -apart),
-            (self._rows(d=-p_part, q=-q_part, e=minus), apart),
-            *self.same,
-        ]
-        result = self._optimum(limits, self._prices(), inf_w=not self.keep_band)
-        if result.status != 0:
-            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
-        found = self._named(result.x)
-        self.served_kw = found["d"].reshape(s.horizon, -1)
-        self.q_kvar = found["q"].reshape(s.horizon, -1)
-        return float(result.fun), self._actions()
-
-    def _optimum(self, limits: Limits, prices: np.ndarray, inf_w: bool) -> Any:
-        rows, bounds = zip(*limits, strict=True)
-        conserved, amount = self._conservation()
-        return linprog(
-            prices,
-            A_ub=sparse.vstack(rows, format="csr"),
-            b_ub=np.concatenate(bounds),
-            A_eq=conserved,
-            b_eq=amount,
-            bounds=self._ranges(inf_w),
-            method="highs-ds",
-        )
-
-    def _named(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        return dict(zip(self.sizes, np.split(x, np.cumsum(list(self.sizes.values()))[:-1]), strict=True))
-
-    def _unmet(self, limits: Limits, result: Any) -> str:
-        """Which constraint cannot be met and when: only the band can be asked for in vain."""
-        if not self.keep_band:
-            return result.message
-        excess_only = np.concatenate([np.full(size, float(name == "w")) for name, size in self.sizes.items()])
-        excess = self._named(self._optimum(limits, excess_only, inf_w=True).x)["w"].reshape(self.scenario.horizon, -1)
-        step, bus = np.unravel_index(np.argmax(excess), excess.shape)
-        return (
-            f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]!r} the voltage is at least "
-            f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten "
-            "the load"
-        )
-
-    def _slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Voltages (T, n), p.u., of the buses but the substation around the trajectory, and their slopes.
-
-        By work served, (T, n, n_dc), and by reactive injection, (T, n, n_agent).
-        """
-        s, known, n_dc = self.scenario, self.known, self.scenario.n_datacenters
-        p_agent = np.concatenate((self.base_kw + self.served_kw, -known.p_inverter_kw), axis=1) * known.available
-        p_kw, q_kvar = known.p_load_kw.copy(), known.q_load_kvar.copy()
-        p_kw[:, known.buses] += p_agent
-        q_kvar[:, known.buses] -= self.q_kvar
-        moved = np.eye(s.feeder.n_bus)[known.buses] * _SPAN
-        none = np.zeros((1, s.feeder.n_bus))
-        by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved))[:, None]
-        by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved))[:, None]
-        solve = distflow if s.power_flow == "distflow" else lindistflow
-        shape = (1 + n_dc + s.n_agents, s.horizon, s.feeder.n_bus)
-        loads = (p_kw + by_p).reshape(-1, shape[2]), (q_kvar - by_q).reshape(-1, shape[2])
-        solution = solve(s.feeder, *loads, s.v0_pu)
-        unsolved = np.flatnonzero(~solution.converged.reshape(shape[:2]).all(axis=0))
-        if unsolved.size:
-            raise ValueError(
-                f"hindsight of scenario {s.name!r}: the power flow around the trajectory has no solution at step "
-                f"{unsolved[0] + 1}; give the feeder less load"
-            )
-        v_pu = solution.v_pu.reshape(shape)[:, :, 1:]
-        # What a tripped data centre draws, the grid does not see.
-        seen = np.concatenate((known.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
-        slopes = np.moveaxis(v_pu[1:] - v_pu[0], 0, -1) / _SPAN * seen[:, None]
-        return v_pu[0], slopes[..., :n_dc], slopes[..., n_dc:]
-
-    def _prices(self) -> np.ndarray:
-        """What each unknown costs, as shares of J."""
-        s, w = self.scenario, self.scenario.weights
-        rated_kw = s.datacenter.p_rated_kw.sum() or 1.0
-        backlog = np.full((s.horizon, s.n_datacenters), w.backlog / rated_kw)
-        backlog[-1] += w.leftover / rated_kw
-        effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
-        n_bus = s.feeder.n_bus - 1
-        prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
-        return (
-            np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
-            / s.horizon
-        )
-
-    def _ranges(self, inf_w: bool) -> np.ndarray:
-        """Least and largest value of each unknown, (n, 2)."""
-        # What arrives above the rating may be served at once, as in the environment.
-        dc = self.scenario.datacenter
-        top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
-        # At its lowest clock a site serves this much of what arrives. It serves as much of a backlog too, which no
-        # linear constraint says: there the program may do less than the environment.
-        least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)
-        q_kvar, inf = self.q_limit_kvar.ravel(), np.inf
-        ranges = {
-            "d": (least_kw.ravel(), top_kw.ravel()),
-            "b": (0.0, inf),
-            "q": (-q_kvar, q_kvar),
-            "w": (0.0, inf if inf_w else 0.0),
-        }
-        sides = [ranges.get(name, (0.0, inf)) for name in self.sizes]
-        return np.concatenate(
-            [
-                np.stack([np.broadcast_to(side, size) for side in pair], axis=1)
-                for pair, size in zip(sides, self.sizes.values(), strict=True)
-            ]
-        )
-
-    def _conservation(self) -> tuple[Sparse, np.ndarray]:
-        """b_t - b_{t-1} + d_t dt = a_t dt."""
-        n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.n_datacenters
-        step = sparse.identity(n, format="csr") - sparse.eye(n, k=-n_dc, format="csr")
-        return self._rows(d=dt_s * sparse.identity(n, format="csr"), b=step), self.arrived_kw.ravel() * dt_s
-
-    def _band(self) -> tuple[Sparse, np.ndarray]:
-        """e - w <= band."""
-        one = sparse.identity(self.sizes["e"], format="csr")
-        return self._rows(e=one, w=-one), np.full(self.sizes["e"], self.scenario.band_pu)
-
-    def _magnitude(self, sign: float) -> tuple[Sparse, np.ndarray]:
-        """sign q - g <= 0."""
-        one = sparse.identity(self.sizes["q"], format="csr")
-        return self._rows(q=sign * one, g=-one), np.zeros(self.sizes["q"])
-
-    def _capability(self) -> Limits:
-        """cos(theta) (base + d) + sin(theta) g <= s_rated of the data centres, for each tangent of a quadrant.
-
-        Above its rating, where a boost may take it, a converter gives no reactive power, which no linear constraint
-        says: there the circle is as large as the draw.
-        """
-        s, n_dc = self.scenario, self.scenario.n_datacenters
-        most_kw = self.base_kw + np.maximum(s.datacenter.p_dynamic_kw, self.arrived_kw)
-        s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], most_kw)
-        one = sparse.identity(self.sizes["d"], format="csr")
-        theirs = sparse.kron(sparse.identity(s.horizon), sparse.eye(n_dc, s.n_agents), format="csr")
-        found = []
-        for theta in 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS:
-            room = s_rated_kva - np.cos(theta) * self.base_kw
-            found.append((self._rows(d=np.cos(theta) * one, g=np.sin(theta) * theirs), room.ravel()))
-        return found
-
-    def _rows(self, **parts: Sparse) -> Sparse:
-        """Rows with these parts at their unknowns and nothing elsewhere."""
-        n = next(iter(parts.values())).shape[0]
-        columns = [parts.get(name, sparse.csr_matrix((n, size))) for name, size in self.sizes.items()]
-        return sparse.hstack(columns, format="csr")
-
-    def _actions(self) -> np.ndarray:
-        """(T, n_action) in [-1, 1]: the clock whose ceiling is the work served, and shares of the reactive limit."""
-        s, dc = self.scenario, self.scenario.datacenter
-        ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
-        f_mhz = np.clip(self.served_kw / ceiling_kw * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz)
-        span = np.where(dc.f_max_mhz > dc.f_min_mhz, dc.f_max_mhz - dc.f_min_mhz, 1.0)
-        q = self.q_kvar / np.where(s.q_scale_kvar > 0, s.q_scale_kvar, 1.0)
-        clock = 2.0 * (f_mhz - dc.f_min_mhz) / span - 1.0
-        return np.clip(action_layout(s).joint(clock=clock, q=q), -1.0, 1.0)

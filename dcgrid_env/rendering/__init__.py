@@ -7,12 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dcgrid_env.rendering.feeder_map import INK, draw_feeder, positions
+    from dcgrid_env.rendering.bus_positions import positions
+    from dcgrid_env.rendering.feeder_map import INK, draw_feeder
     from dcgrid_env.rendering.side_by_side import run_figure
 
 __all__ = ["INK", "draw_feeder", "positions", "run_figure"]
 
-_MODULES = {"INK": "feeder_map", "draw_feeder": "feeder_map", "positions": "feeder_map", "run_figure": "side_by_side"}
+_MODULES = {"INK": "feeder_map", "draw_feeder": "feeder_map", "positions": "bus_positions", "run_figure": "side_by_side"}
 
 
 def __getattr__(name: str) -> Any:

@@ -83,7 +83,7 @@ def test_the_best_of_its_rounds_is_kept(monkeypatch, costs, best):
         def metrics(self):
             return [{"J": self.j}]
 
-    monkeypatch.setattr(module._Program, "solve", lambda self: (bound := next(bounds), np.full((2, 4), bound)))
+    monkeypatch.setattr(module.EpisodeProgram, "solve", lambda self: (bound := next(bounds), np.full((2, 4), bound)))
     monkeypatch.setattr(module, "replay", lambda scenario, actions, seed: Replayed(next(left)))
     found = hindsight(make_scenario("toy6", horizon=2), 0, rounds=3)
     assert found.J == found.recorder.metrics()[0]["J"] == min(costs)
