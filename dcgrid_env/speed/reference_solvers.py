@@ -1,7 +1,8 @@
 """The same balanced feeder in other power-flow libraries, to check figures and speed against.
 
-Each function here takes a :class:`~dcgrid_env.Feeder` and the substation voltage and returns a :class:`Yardstick`. The
-libraries come with the extra ``bench`` and are imported in the function that needs them, no sooner.
+Each function here takes a :class:`~dcgrid_env.Feeder` and the substation voltage and returns a
+:class:`ReferenceSolver`. The libraries come with the extra ``bench`` and are imported in the function that needs them,
+no sooner.
 
 A branch without impedance (a closed switch) is a bus-bus switch in pandapower, which fuses its two buses, and a link of
 1e6 p.u. or more in power-grid-model. lightsim2grid and OpenDSS get a reactance of ``SWITCH_X_PU`` instead: 3 Mvar
@@ -32,7 +33,7 @@ TOLERANCE_PU = 1e-8
 
 
 @dataclass(frozen=True)
-class Yardstick:
+class ReferenceSolver:
     """A feeder set up in another library.
 
     Attributes
@@ -43,7 +44,8 @@ class Yardstick:
         From loads p_kw, q_kvar, shape (n_bus,), consumption positive, to voltage magnitudes in p.u., shape (n_bus,), in
         the order of ``feeder.bus_ids``. RuntimeError, or the library's own error, where it finds no solution.
     solve_batch
-        The same for loads of shape (lane, n_bus) in one call of the library; None where it has no such call.
+        From loads of shape (lane, n_bus), a lane for each feeder, to voltages of that shape in one call of the library;
+        None where it has no such call.
     """
 
     name: str
@@ -51,17 +53,17 @@ class Yardstick:
     solve_batch: Solve | None = None
 
 
-def pandapower_defaults(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def pandapower_defaults(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """pandapower as it comes: ``runpp(net)``, which borrows lightsim2grid's Newton where that is installed."""
     return _pandapower("pandapower, runpp(net)", feeder, v0_pu)
 
 
-def pandapower_numba(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def pandapower_numba(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """pandapower's own Newton with numba."""
     return _pandapower("pandapower, runpp(net, numba=True), its own Newton", feeder, v0_pu, **_NUMBA)
 
 
-def pandapower_recycled(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def pandapower_recycled(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """pandapower's own Newton with numba, everything but the loads kept from call to call: its quickest."""
     options = {**_NUMBA, "recycle": {"bus_pq": True, "trafo": False, "gen": False}}
     return _pandapower("pandapower, the same with recycle", feeder, v0_pu, **options)
@@ -70,7 +72,7 @@ def pandapower_recycled(feeder: Feeder, v0_pu: float | None = None) -> Yardstick
 _NUMBA: dict[str, Any] = {"numba": True, "lightsim2grid": False}
 
 
-def _pandapower(name: str, feeder: Feeder, v0_pu: float | None, **options: Any) -> Yardstick:
+def _pandapower(name: str, feeder: Feeder, v0_pu: float | None, **options: Any) -> ReferenceSolver:
     import pandapower as pp
 
     net = pp.create_empty_network(sn_mva=1.0)
@@ -88,7 +90,7 @@ def _pandapower(name: str, feeder: Feeder, v0_pu: float | None, **options: Any) 
         pp.runpp(net, tolerance_mva=TOLERANCE_PU, **options)
         return net.res_bus.vm_pu.to_numpy(copy=True)
 
-    return Yardstick(name, solve)
+    return ReferenceSolver(name, solve)
 
 
 def _pandapower_lines(net: Any, from_bus: Any, to_bus: Any, r_ohm: FloatArray, x_ohm: FloatArray) -> None:
@@ -98,7 +100,7 @@ def _pandapower_lines(net: Any, from_bus: Any, to_bus: Any, r_ohm: FloatArray, x
     pp.create_lines_from_parameters(net, from_bus, to_bus, length_km=1.0, **impedance)
 
 
-def power_grid_model(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def power_grid_model(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """power-grid-model by iterative current injection: exact, and on a radial feeder its quickest such method.
 
     The batch runs on ``n_threads()`` threads. The source's short-circuit power of 1e18 VA leaves no drop behind it.
@@ -130,7 +132,7 @@ def power_grid_model(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
         data = update(p_kw, q_kvar)
         return model.calculate_power_flow(update_data=data, threading=n_threads(), **options)["node"]["u_pu"]
 
-    return Yardstick("power-grid-model, iterative current", solve, solve_batch)
+    return ReferenceSolver("power-grid-model, iterative current", solve, solve_batch)
 
 
 def _pgm_network(pgm: Any, feeder: Feeder, v0_pu: float) -> dict[str, Any]:
@@ -159,7 +161,7 @@ def _table(pgm: Any, dataset: str, kind: str, ids: Any, **columns: Any) -> Any:
     return table
 
 
-def lightsim2grid(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def lightsim2grid(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """lightsim2grid: Newton with KLU, from a flat start; the batch on ``n_threads()`` threads.
 
     A single solve sets the loads by its vectorised call, which takes them in float32 (some 1e-8 p.u. of voltage).
@@ -196,10 +198,10 @@ def lightsim2grid(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
             raise RuntimeError(f"lightsim2grid found no power flow in a lane of feeder {feeder.name!r}")
         return np.abs(sweep.get_voltages())
 
-    return Yardstick("lightsim2grid, Newton", solve, solve_batch)
+    return ReferenceSolver("lightsim2grid, Newton", solve, solve_batch)
 
 
-def opendss(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
+def opendss(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
     """OpenDSS (dss_capi) with a three-phase circuit of three equal, uncoupled phases, in an engine context of its own.
 
     A solve starts from the one before it, as OpenDSS does; more than half of its time goes into setting the loads, one
@@ -225,7 +227,7 @@ def opendss(feeder: Feeder, v0_pu: float | None = None) -> Yardstick:
             raise RuntimeError(f"OpenDSS found no power flow on feeder {feeder.name!r}")
         return np.asarray(dss.Circuit.AllBusMagPu())[first_class]
 
-    return Yardstick("OpenDSS by OpenDSSDirect.py", solve)
+    return ReferenceSolver("OpenDSS by OpenDSSDirect.py", solve)
 
 
 def _dss_commands(feeder: Feeder, v0_pu: float) -> list[str]:
@@ -265,8 +267,8 @@ def _x_ohm(feeder: Feeder) -> FloatArray:
     return np.where(_switches(feeder), SWITCH_X_PU * impedance_base_ohm(feeder.base_kv), feeder.x_ohm)
 
 
-Build = Callable[[Feeder, float | None], Yardstick]
-YARDSTICKS: dict[str, tuple[Build, tuple[str, ...]]] = {
+Build = Callable[[Feeder, float | None], ReferenceSolver]
+REFERENCE_SOLVERS: dict[str, tuple[Build, tuple[str, ...]]] = {
     "pandapower, defaults": (pandapower_defaults, ("pandapower",)),
     "pandapower, numba": (pandapower_numba, ("pandapower",)),
     "pandapower, recycled": (pandapower_recycled, ("pandapower",)),
@@ -274,9 +276,9 @@ YARDSTICKS: dict[str, tuple[Build, tuple[str, ...]]] = {
     "lightsim2grid": (lightsim2grid, ("lightsim2grid", "pandapower")),
     "OpenDSS": (opendss, ("opendssdirect",)),
 }
-"""Each yardstick's function and the modules that it imports."""
+"""Each solver's function and the modules that it imports."""
 
 
 def missing(name: str) -> list[str]:
-    """Modules that the yardstick of this name needs and that are not installed."""
-    return [module for module in YARDSTICKS[name][1] if find_spec(module) is None]
+    """Modules that the reference solver of this name needs and that are not installed."""
+    return [module for module in REFERENCE_SOLVERS[name][1] if find_spec(module) is None]

@@ -1,7 +1,7 @@
 """How fast batches of torch tensors step, with and without the derivative: a part of ``python -m dcgrid_env.speed``.
 
-The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many lanes are
-copies of a few, so that what is measured is the steps. With the derivative, their cost is differentiated by every
+The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many environments
+are copies of a few, so that what is measured is the steps. With the derivative, their cost is differentiated by every
 action.
 """
 
@@ -18,8 +18,8 @@ from dcgrid_env.envs.tensor import TensorEnv
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.speed.measuring import Row, rate
 
-LANES = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
-"""Batches that are measured, by the kind of device."""
+NUM_ENVS = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
+"""Environments in the batches that are measured, by the kind of device."""
 EPISODES = 256  # different ones in a batch
 WINDOW = 20  # steps in a call, and so those through which a derivative reaches back
 UNIT = "environment steps/s"
@@ -33,42 +33,44 @@ def tensor_rows(scenario: Scenario, device: str, seconds: float) -> Iterator[Row
     """
     if find_spec("torch") is None:
         return iter([Row("TensorEnv, torch", None, MISSING)])
-    return _rows(scenario, device, LANES[kind_of(device)], seconds)
+    return _rows(scenario, device, NUM_ENVS[kind_of(device)], seconds)
 
 
 def _rows(scenario: Scenario, device: str, sizes: Iterable[int], seconds: float) -> Iterator[Row]:
-    for lanes in sizes:
+    for num_envs in sizes:
         for gradient in (False, True):
-            name = f"TensorEnv, {lanes} lanes, torch {device}" + (f", gradient over {WINDOW} steps" if gradient else "")
-            per_s = _measured(scenario, device, lanes, gradient, seconds)
+            name = f"TensorEnv, {num_envs} environments, torch {device}" + (
+                f", gradient over {WINDOW} steps" if gradient else ""
+            )
+            per_s = _measured(scenario, device, num_envs, gradient, seconds)
             yield Row(name, per_s, UNIT if per_s is not None else "does not fit into memory")
 
 
 def kind_of(device: str) -> str:
-    """The kind of a device, a key of ``LANES``; ValueError for one that is not there."""
+    """The kind of a device, a key of ``NUM_ENVS``; ValueError for one that is not there."""
     import torch
 
-    known = f"give one of {', '.join(LANES)}"
+    choice = f"give one of {', '.join(NUM_ENVS)}"
     try:
-        found = torch.device(device)
+        parsed = torch.device(device)
     except RuntimeError:
-        raise ValueError(f"device is {device!r}, which torch does not know; {known}") from None
-    if found.type not in LANES:
-        raise ValueError(f"device is {device!r}; {known}")
-    if found.type == "cuda":
+        raise ValueError(f"device is {device!r}, which torch does not know; {choice}") from None
+    if parsed.type not in NUM_ENVS:
+        raise ValueError(f"device is {device!r}; {choice}")
+    if parsed.type == "cuda":
         count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-        if (found.index or 0) >= count:
+        if (parsed.index or 0) >= count:
             raise ValueError(f"device is {device!r}, but torch finds {count} of that kind here; give cpu")
-    return found.type
+    return parsed.type
 
 
-def _measured(scenario: Scenario, device: str, lanes: int, gradient: bool, seconds: float) -> float | None:
+def _measured(scenario: Scenario, device: str, num_envs: int, gradient: bool, seconds: float) -> float | None:
     """Environment steps in a second, or None where the memory does not hold the batch."""
     import torch
 
     try:
-        work, steps = _window(scenario, device, lanes, gradient)
-        return rate(work, steps * lanes, seconds)
+        work, steps = _window(scenario, device, num_envs, gradient)
+        return rate(work, steps * num_envs, seconds)
     except torch.OutOfMemoryError:
         return None
     finally:
@@ -77,17 +79,17 @@ def _measured(scenario: Scenario, device: str, lanes: int, gradient: bool, secon
             torch.cuda.empty_cache()
 
 
-def _window(scenario: Scenario, device: str, lanes: int, gradient: bool) -> tuple[Callable[[], object], int]:
+def _window(scenario: Scenario, device: str, num_envs: int, gradient: bool) -> tuple[Callable[[], object], int]:
     """What drives a batch through the first window of its episodes, and the window's steps."""
     import torch
 
     env = TensorEnv(scenario, like=torch.empty(0, device=device))
     steps = min(WINDOW, scenario.horizon)
     n_action = len(action_layout(scenario))
-    made = torch.Generator(device).manual_seed(0)
-    drawn = 2.0 * torch.rand((steps, lanes, n_action), generator=made, device=device) - 1.0
+    generator = torch.Generator(device).manual_seed(0)
+    drawn = 2.0 * torch.rand((steps, num_envs, n_action), generator=generator, device=device) - 1.0
     drawn.requires_grad_(gradient)
-    env.reset(range(min(EPISODES, lanes)), copies=-(-lanes // EPISODES))
+    env.reset(range(min(EPISODES, num_envs)), copies=-(-num_envs // EPISODES))
 
     def window() -> None:
         again = copy(env)  # the same episodes, without drawing them

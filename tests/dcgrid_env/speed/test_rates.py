@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
-from dcgrid_env.speed import rates, tensors
-from dcgrid_env.speed.rates import Case, Row, Speed
-from dcgrid_env.speed.reference_solvers import YARDSTICKS, Yardstick
+from dcgrid_env.speed import power_flow_rates, rates, tensors
+from dcgrid_env.speed.environment_rates import memory_row
+from dcgrid_env.speed.measuring import Row
+from dcgrid_env.speed.power_flow_rates import Case
+from dcgrid_env.speed.rates import Speed
+from dcgrid_env.speed.reference_solvers import REFERENCE_SOLVERS, ReferenceSolver
 
-QUICK = Speed(seconds=0.02, scenario="toy6", batch=3, feeders=40, lanes=6000, yardsticks=False)
+QUICK = Speed(seconds=0.02, scenario="toy6", num_envs=3, feeders=40, memory_num_envs=6000, reference_solvers=False)
 
 
 def check(rows: list[Row], worst_pu: float) -> None:
@@ -28,7 +30,7 @@ def check(rows: list[Row], worst_pu: float) -> None:
 
 
 def test_every_row_is_a_positive_finite_figure(monkeypatch):
-    monkeypatch.setattr(tensors, "LANES", {"cpu": (3,)})
+    monkeypatch.setattr(tensors, "NUM_ENVS", {"cpu": (3,)})
     rows = list(rates.measure(QUICK))
     exact = [row for row in rows if not row.name.startswith("lindistflow")]
     check(exact, worst_pu=1e-7)
@@ -38,26 +40,26 @@ def test_every_row_is_a_positive_finite_figure(monkeypatch):
     agents = len(make_scenario("toy6").agents)
     a_step, of_agents = (row.value or 0.0 for row in rows if row.name.startswith("DcgridVectorEnv"))
     assert math.isclose(of_agents, agents * a_step)
-    assert not any(row.name.startswith(tuple(YARDSTICKS)) for row in rows)
+    assert not any(row.name.startswith(tuple(REFERENCE_SOLVERS)) for row in rows)
     of_tensors = [row.name for row in rows if row.name.startswith("TensorEnv")]
     assert of_tensors == [
-        "TensorEnv, 3 lanes, torch cpu", "TensorEnv, 3 lanes, torch cpu, gradient over 20 steps",
+        "TensorEnv, 3 environments, torch cpu", "TensorEnv, 3 environments, torch cpu, gradient over 20 steps",
     ]  # fmt: skip
 
 
-def test_yardsticks_are_measured_or_named_as_missing(monkeypatch):
+def test_reference_solvers_are_measured_or_reported_as_missing(monkeypatch):
     def build(feeder, v0_pu):
         case = Case.draw(make_scenario("toy6"), 40)
         exact = {p_kw.tobytes(): v_pu for p_kw, v_pu in zip(case.p_kw, case.v_pu, strict=True)}
-        return Yardstick("known", lambda p, q: exact[p.tobytes()] + 1e-5, lambda p, q: case.v_pu + 2e-5)
+        return ReferenceSolver("exact", lambda p, q: exact[p.tobytes()] + 1e-5, lambda p, q: case.v_pu + 2e-5)
 
     def outdated(feeder, v0_pu):
         raise ImportError("no such name")
 
-    known = {"known": (build, ()), "OpenDSS": (build, ()), "old": (outdated, ())}
-    monkeypatch.setattr(rates, "YARDSTICKS", known)
-    monkeypatch.setattr(rates, "missing", lambda name: ["opendssdirect"] if name == "OpenDSS" else [])
-    single, batch, absent, old = rates.yardstick_rows(Case.draw(make_scenario("toy6"), 40), QUICK)
+    solvers = {"exact": (build, ()), "OpenDSS": (build, ()), "old": (outdated, ())}
+    monkeypatch.setattr(power_flow_rates, "REFERENCE_SOLVERS", solvers)
+    monkeypatch.setattr(power_flow_rates, "missing", lambda name: ["opendssdirect"] if name == "OpenDSS" else [])
+    single, batch, absent, old = power_flow_rates.reference_rows(Case.draw(make_scenario("toy6"), 40), QUICK.seconds)
     check([single, batch], worst_pu=1e-4)
     np.testing.assert_allclose([single.error_pu or 0.0, batch.error_pu or 0.0], [1e-5, 2e-5])
     assert absent == Row("OpenDSS", None, "not installed (in a clone of the repository: pip install -e '.[bench]')")
@@ -79,7 +81,7 @@ def test_tensors_step_through_the_same_window_of_many_copies(monkeypatch):
     monkeypatch.setattr(tensors, "TensorEnv", Counted)
     monkeypatch.setattr(tensors, "rate", lambda work, amount, seconds: [work(), work()] and amount)
     scenario = make_scenario("toy6")
-    monkeypatch.setattr(tensors, "LANES", {"cpu": (512,)})
+    monkeypatch.setattr(tensors, "NUM_ENVS", {"cpu": (512,)})
     plain, gradient = tensors.tensor_rows(scenario, "cpu", 0.01)
     assert plain.value == gradient.value == 20 * 512
     assert begun == [(256, 2)] * 2
@@ -131,18 +133,18 @@ def test_the_changed_loads_are_a_fifth_of_a_per_cent_off():
 
 
 def test_the_command_prints_a_table_and_writes_json(tmp_path, capsys, monkeypatch):
-    rows = [Row("steps [of some kind]", 1234.5, "steps/s", 1.5e-9), Row("absent", None, rates.MISSING)]
+    rows = [Row("steps [of some kind]", 1234.5, "steps/s", 1.5e-9), Row("absent", None, power_flow_rates.MISSING)]
     monkeypatch.setattr(rates, "measure", lambda cfg: iter(rows))
     monkeypatch.setenv("COLUMNS", "140")
     path = tmp_path / "new" / "speed.json"
-    rates.main(["--seconds", "0.02", "--no-yardsticks", "--json", str(path)])
+    rates.main(["--seconds", "0.02", "--no-reference-solvers", "--json", str(path)])
     printed = capsys.readouterr().out
     for text in ("steps [of some kind]", "1,23", "1.5e-09", "absent", "not installed", "numpy "):
         assert text in printed
     read = json.loads(path.read_text(encoding="utf-8"))
     assert [Row(**row) for row in read["rows"]] == rows
     assert read["settings"]["seconds"] == 0.02
-    assert read["settings"]["yardsticks"] is False
+    assert read["settings"]["reference_solvers"] is False
     assert read["meta"]["command"].startswith("python -m dcgrid_env.speed")
     assert read["meta"]["versions"]["numpy"]
     assert read["meta"]["machine"]["cores"] >= 1
@@ -150,7 +152,14 @@ def test_the_command_prints_a_table_and_writes_json(tmp_path, capsys, monkeypatc
 
 
 @pytest.mark.parametrize(
-    "bad", [["--seconds", "0"], ["--batch", "0"], ["--feeders", "0"], ["--lanes", "-1"], ["--scenario", "nowhere"]]
+    "bad",
+    [
+        ["--seconds", "0"],
+        ["--num-envs", "0"],
+        ["--feeders", "0"],
+        ["--memory-num-envs", "-1"],
+        ["--scenario", "nowhere"],
+    ],
 )
 def test_bad_settings_end_with_one_line_and_status_2(bad, capsys):
     with pytest.raises(SystemExit, match="2"):
@@ -160,4 +169,4 @@ def test_bad_settings_end_with_one_line_and_status_2(bad, capsys):
 
 def test_a_memory_measurement_that_fails_says_why():
     with pytest.raises(RuntimeError, match="nowhere"):
-        rates.memory_row(replace(QUICK, scenario="nowhere"))
+        memory_row("nowhere", 1)

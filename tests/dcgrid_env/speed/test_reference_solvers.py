@@ -1,4 +1,4 @@
-"""The yardsticks solve the same feeder as distflow, so that their speeds compare."""
+"""The reference solvers solve the same feeder as distflow, so that their speeds compare."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from dcgrid_env import Feeder, distflow, load_feeder
 from dcgrid_env.core.install import from_clone
-from dcgrid_env.speed.reference_solvers import YARDSTICKS, Yardstick, missing
+from dcgrid_env.speed.reference_solvers import REFERENCE_SOLVERS, ReferenceSolver, missing
 
 LANES = 6
 # p.u. The closed switches of ieee123 are a reactance of 1e-7 p.u. in lightsim2grid and OpenDSS and drop up to 3e-7. All
@@ -20,13 +20,13 @@ def feeder(request: pytest.FixtureRequest) -> Feeder:
     return load_feeder(request.param)
 
 
-@pytest.fixture(params=YARDSTICKS)
-def yardstick(request: pytest.FixtureRequest, feeder: Feeder) -> Yardstick:
-    """Each yardstick, at a substation voltage of 1.04 p.u."""
+@pytest.fixture(params=REFERENCE_SOLVERS)
+def solver(request: pytest.FixtureRequest, feeder: Feeder) -> ReferenceSolver:
+    """Each reference solver, at a substation voltage of 1.04 p.u."""
     lacking = missing(request.param)
     if lacking:
         pytest.skip(f"{', '.join(lacking)} not installed ({from_clone('bench')})")
-    return YARDSTICKS[request.param][0](feeder, 1.04)
+    return REFERENCE_SOLVERS[request.param][0](feeder, 1.04)
 
 
 @pytest.fixture
@@ -40,17 +40,17 @@ def loads(feeder: Feeder) -> tuple[np.ndarray, np.ndarray]:
     return p_kw, q_kvar
 
 
-def test_solves_agree_with_distflow(yardstick, feeder, loads):
+def test_solves_agree_with_distflow(solver, feeder, loads):
     p_kw, q_kvar = loads
     ours = distflow(feeder, p_kw, q_kvar, 1.04, tolerance_kva=1e-8)
     assert ours.converged.all()
     assert np.ptp(ours.v_pu[0]) > 1e-3
     for lane in (0, 3, 5, 0):  # the first again: nothing is left over from the lanes between
-        v_pu = yardstick.solve(p_kw[lane], q_kvar[lane])
+        v_pu = solver.solve(p_kw[lane], q_kvar[lane])
         assert v_pu.shape == (feeder.n_bus,)
         np.testing.assert_allclose(v_pu, ours.v_pu[lane], rtol=0.0, atol=CLOSE)
-    for lanes in (LANES, 2) if yardstick.solve_batch else ():
-        v_pu = yardstick.solve_batch(p_kw[:lanes], q_kvar[:lanes])
+    for lanes in (LANES, 2) if solver.solve_batch else ():
+        v_pu = solver.solve_batch(p_kw[:lanes], q_kvar[:lanes])
         np.testing.assert_allclose(v_pu, ours.v_pu[:lanes], rtol=0.0, atol=CLOSE)
 
 
@@ -58,10 +58,12 @@ def test_the_substation_voltage_is_the_feeders_own_unless_given(feeder):
     lacking = missing("pandapower, defaults")
     if lacking:
         pytest.skip(f"{', '.join(lacking)} not installed ({from_clone('bench')})")
-    v_pu = YARDSTICKS["pandapower, defaults"][0](feeder, None).solve(np.zeros(feeder.n_bus), np.zeros(feeder.n_bus))
+    v_pu = REFERENCE_SOLVERS["pandapower, defaults"][0](feeder, None).solve(
+        np.zeros(feeder.n_bus), np.zeros(feeder.n_bus)
+    )
     np.testing.assert_allclose(v_pu, feeder.v0_pu, rtol=0.0, atol=1e-9)
 
 
-def test_what_is_not_installed_is_named(monkeypatch):
-    monkeypatch.setitem(YARDSTICKS, "none", (YARDSTICKS["OpenDSS"][0], ("sys", "no_such_module")))
+def test_the_modules_that_are_not_installed_are_listed(monkeypatch):
+    monkeypatch.setitem(REFERENCE_SOLVERS, "none", (REFERENCE_SOLVERS["OpenDSS"][0], ("sys", "no_such_module")))
     assert missing("none") == ["no_such_module"]
