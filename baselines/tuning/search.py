@@ -1,4 +1,4 @@
-"""Finds the parameters of a law on the validation split, so that every yardstick stands at its best.
+"""Finds the parameters of a law on the validation split, so that every controller to compare with is at its best.
 
 Minimised is the mean J over episodes, on several scenarios together the mean of J as a share of the J of no control.
 The search is COBYQA's (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without derivatives) from the

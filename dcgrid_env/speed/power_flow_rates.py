@@ -41,11 +41,11 @@ class Case:
     v_pu: FloatArray
 
     @classmethod
-    def draw(cls, scenario: Scenario, lanes: int) -> Case:
+    def draw(cls, scenario: Scenario, n_feeders: int) -> Case:
         """The scenario's feeder with its own load, each bus's times 0.5 to 1.5 at random, and its capacitors."""
         feeder, rng = scenario.feeder, np.random.default_rng(0)
-        p_kw = feeder.p_load_kw * rng.uniform(0.5, 1.5, (lanes, feeder.n_bus))
-        q_kvar = feeder.q_load_kvar * rng.uniform(0.5, 1.5, (lanes, feeder.n_bus)) - feeder.capacitor_kvar
+        p_kw = feeder.p_load_kw * rng.uniform(0.5, 1.5, (n_feeders, feeder.n_bus))
+        q_kvar = feeder.q_load_kvar * rng.uniform(0.5, 1.5, (n_feeders, feeder.n_bus)) - feeder.capacitor_kvar
         return cls._exact(feeder, scenario.v0_pu, p_kw, q_kvar)
 
     def changed(self) -> Case:
@@ -71,26 +71,26 @@ class Case:
 
 def power_flow_rows(case: Case, seconds: float) -> Iterator[Row]:
     """The power flow alone: batches from a cold and a warm start, linearised, in torch; one feeder from Python."""
-    lanes, loads, v0 = len(case.p_kw), (case.p_kw, case.q_kvar), case.v0_pu
+    n_feeders, loads, v0 = len(case.p_kw), (case.p_kw, case.q_kvar), case.v0_pu
     changed = case.changed()
 
     def timed(name: str, against: Case, solve: Callable[[], Solution]) -> Row:
-        return Row(name, rate(solve, lanes, seconds), "power flows/s", against.error_pu(solve().v_pu))
+        return Row(name, rate(solve, n_feeders, seconds), "power flows/s", against.error_pu(solve().v_pu))
 
     cold = distflow(case.feeder, *loads, v0)
-    yield timed(f"distflow, {lanes} feeders, cold start", case, lambda: distflow(case.feeder, *loads, v0))
+    yield timed(f"distflow, {n_feeders} feeders, cold start", case, lambda: distflow(case.feeder, *loads, v0))
     yield timed(
-        f"distflow, {lanes} feeders, warm start, loads {CHANGE:.1%} off",
+        f"distflow, {n_feeders} feeders, warm start, loads {CHANGE:.1%} off",
         changed,
         lambda: distflow(changed.feeder, changed.p_kw, changed.q_kvar, v0, warm=cold),
     )
-    name = f"lindistflow, {lanes} feeders (its error is the model's)"
+    name = f"lindistflow, {n_feeders} feeders (its error is the model's)"
     yield timed(name, case, lambda: lindistflow(case.feeder, *loads, v0))
     if find_spec("torch") is not None:
         import torch
 
         p_kw, q_kvar = torch.tensor(case.p_kw), torch.tensor(case.q_kvar)
-        name = f"distflow, {lanes} feeders, cold start, torch tensors on the CPU"
+        name = f"distflow, {n_feeders} feeders, cold start, torch tensors on the CPU"
         yield timed(name, case, lambda: distflow(case.feeder, p_kw, q_kvar, v0))
     yield from _single_rows(case, changed, seconds)
 

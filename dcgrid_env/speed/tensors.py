@@ -1,8 +1,8 @@
 """How fast batches of torch tensors step, with and without the derivative: a part of ``python -m dcgrid_env.speed``.
 
-The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many environments
-are copies of a few, so that what is measured is the steps. With the derivative, their cost is differentiated by every
-action.
+The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many
+environments are copies of a few, so that what is measured is the steps. With the derivative, their cost is
+differentiated by every action.
 """
 
 from __future__ import annotations
