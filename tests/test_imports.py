@@ -23,7 +23,6 @@ FOR_ALL = ("core", "traces", "baselines")
 ON_TENSORS = ("dcgrid_env.powerflow.balanced.implicit",)
 """Imported by who is given torch tensors, and so has torch already."""
 YET_TO_MEND = {
-    "dcgrid_env.agents.algorithms.analytic", "dcgrid_env.agents.training.sb3",
 }  # fmt: skip
 """Modules that break a rule of this file since before it was written; each leaves this list as it is mended."""
 

@@ -6,16 +6,14 @@ back-propagation through time).
 
     loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
 
-Under a limit the price of what is limited, of waiting or of the violation, is multiplied by a factor that begins at 1,
-rises while the limit is exceeded and falls while it is kept.
+Under a limit on the delay or the violation its price is multiplied by a factor that follows it (``training.limits``).
 
 One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
 (``view``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own rating.
 
 Truncated gradients through differentiable simulators: J. Xu et al., "Accelerated policy learning with parallel
-differentiable simulation", arXiv 2204.07137. The multiplier: dual ascent as in C. Tessler, D. Mankowitz and S. Mannor,
-"Reward constrained policy optimization", arXiv 1805.11074. By Little's law the mean delay is the mean backlog over the
-mean work that arrives, which has a derivative.
+differentiable simulation", arXiv 2204.07137. By Little's law the mean delay is the mean backlog over the mean work that
+arrives, which has a derivative.
 """
 
 from __future__ import annotations
@@ -33,6 +31,7 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout
 from dcgrid_env.agents.policy.interface import View
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.run import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
@@ -67,6 +66,11 @@ class Analytic(Training):
     """Batches of episodes from one validation to the next."""
     checkpoint_every: int = 8
     """Batches of episodes from one checkpoint to the next."""
+
+    @property
+    def limits(self) -> Limits:
+        """What the policy must keep."""
+        return Limits(self.delay_limit_s, self.violation_limit_pu)
 
 
 class Learner:
@@ -169,8 +173,9 @@ class Learner:
             losses.append(float(loss.detach()))
             self.spent_s["backward"] += time.perf_counter() - began_s
         delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
-        self._raise("delay", cfg.delay_limit_s, delay_s)
-        self._raise("violation", cfg.violation_limit_pu, excess_pu / env.scenario.horizon)
+        measured = {"delay": delay_s, "violation": excess_pu / env.scenario.horizon}
+        for name, limit in zip(measured, cfg.limits, strict=True):
+            self.factors[name] = updated_factor(self.factors[name], limit, measured[name], cfg.dual_rate)
         return {"loss": float(np.mean(losses)), "gradient_norm": norm}
 
     def _priced(self, step: TensorStep) -> torch.Tensor:
@@ -183,12 +188,6 @@ class Learner:
         """Charge for the backlog at a window's end, as at an episode's."""
         rated_kw, weight = float(env.scenario.datacenter.p_rated_kw.sum()) or 1.0, env.scenario.weights.leftover
         return self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
-
-    def _raise(self, name: str, limit: float | None, found: float) -> None:
-        """Move a multiplier by how far its limit is exceeded or kept, as a share of the limit."""
-        if limit is not None:
-            off = min(max(found / limit - 1.0, -1.0), 1.0)
-            self.factors[name] = min(max(self.factors[name] * math.exp(self.cfg.dual_rate * off), 1e-3), 1e3)
 
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
         """Joint action after a joint observation of grid i."""
@@ -240,25 +239,10 @@ def episode_seeds(seed: int, iteration: int, lanes: int) -> range:
     return range(first, first + lanes)
 
 
-def merit(cfg: Analytic, figures: Mapping[str, float]) -> float:
-    """What the best policy has least of: J less what is limited, dearly paid beyond the limits."""
-    left, beyond = figures["J"], 0.0
-    if cfg.delay_limit_s is not None:
-        left -= figures["J_waiting"]
-        beyond += max(figures["delay_mean_s"] / cfg.delay_limit_s - 1.0, 0.0)
-    if cfg.violation_limit_pu is not None:
-        left -= figures["J_violation"]
-        beyond += max(figures["excess_mean_pu"] / cfg.violation_limit_pu - 1.0, 0.0)
-    return left * (1.0 + 10.0 * beyond)
-
-
-def check_limits(cfg: Analytic) -> None:
-    """ValueError, naming the field, for settings that cannot be."""
+def check_settings(cfg: Analytic) -> None:
+    """Raise ValueError, naming the field, for settings that cannot be."""
     check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
-    for field in ("delay_limit_s", "violation_limit_pu"):
-        value = getattr(cfg, field)
-        if value is not None and not value > 0:
-            raise ValueError(f"{field} is {value}; give more than 0, or leave it out")
+    cfg.limits.check()
     if cfg.vary < 0:
         raise ValueError(f"vary is {cfg.vary}; give at least 0")
 
@@ -272,7 +256,7 @@ def grids_of(cfg: Analytic) -> list[Scenario]:
 
 def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     """Train; the folder written."""
-    check_limits(cfg)
+    check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     grids = grids_of(cfg)
     if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
@@ -303,8 +287,8 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 policy = model.policy()
                 found = validate(policy)
-                if merit(cfg, found) < best:
-                    best = merit(cfg, found)
+                if cfg.limits.merit(found) < best:
+                    best = cfg.limits.merit(found)
                     made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": found["J"]}
                     policy.save(run.folder / "policy.safetensors", made | {"algorithm": algorithm})
                 run.record(found | figures | model.progress())

@@ -22,8 +22,10 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.utils import set_random_seed
 
-from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.batched_envs import JointLanes, Outputs
 from dcgrid_env.agents.training.run import torch
 
@@ -204,8 +206,8 @@ class LanePpo(PPO):
 
 def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
     """The algorithm at its beginning."""
-    sb3.set_random_seed(cfg.seed)
-    known = sb3.normalise(lanes, cfg.seed, cfg.gamma)
+    set_random_seed(cfg.seed)
+    known = sb3_models.normalise(lanes, cfg.seed, cfg.gamma)
     rollout = lanes.num_envs * lanes.scenario.horizon
     model = LanePpo(
         LanePolicy,
@@ -234,11 +236,11 @@ def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
     return model
 
 
-def exported(cfg: Ppo, lanes: JointLanes, model: LanePpo) -> sb3.Policy:
+def exported(cfg: Ppo, lanes: JointLanes, model: LanePpo) -> Policy:
     """The policy's mean as it stands, as NumPy arrays."""
     policy: Any = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
-    return sb3.export(
+    return sb3_models.export(
         cfg, lanes, policy.features_extractor, layers, "tanh", "clip" if cfg.outputs == "setpoint" else "none"
     )
 

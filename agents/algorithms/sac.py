@@ -11,7 +11,8 @@ from typing import Any
 
 from stable_baselines3 import SAC
 
-from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.batched_envs import JointLanes
 from dcgrid_env.agents.training.run import torch
 
@@ -27,14 +28,14 @@ class Sac(sb3.OffPolicy):
 def make(cfg: Sac, lanes: JointLanes) -> SAC:
     """The algorithm at its beginning."""
     entropy = cfg.entropy_per_action * float(lanes.used.sum(-1).mean())
-    model = SAC("MlpPolicy", lanes, **sb3.off_policy(cfg, lanes), target_entropy=entropy)
-    return sb3.begun(model, lanes, model.actor.mu)
+    model = SAC("MlpPolicy", lanes, **sb3_models.off_policy(cfg, lanes), target_entropy=entropy)
+    return sb3_models.begun(model, lanes, model.actor.mu)
 
 
-def exported(cfg: Sac, lanes: JointLanes, model: SAC) -> sb3.Policy:
+def exported(cfg: Sac, lanes: JointLanes, model: SAC) -> Policy:
     """The policy's mean as it stands, as NumPy arrays."""
     actor: Any = model.actor
-    return sb3.export(cfg, lanes, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
+    return sb3_models.export(cfg, lanes, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
 
 
 def main(cfg: Sac) -> Path:
@@ -47,5 +48,5 @@ def main(cfg: Sac) -> Path:
             iterations=cfg.iterations(lanes),
             exported=lambda: exported(cfg, lanes, model),
             learning_rate=cfg.rate,
-            extra=lambda: sb3.remembered(model) | temperature,
+            extra=lambda: sb3_models.remembered(model) | temperature,
         )  # fmt: skip

@@ -14,7 +14,8 @@ import numpy as np
 from stable_baselines3 import TD3
 from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
 
-from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.batched_envs import JointLanes
 
 
@@ -47,18 +48,18 @@ def make(cfg: Td3, lanes: JointLanes) -> TD3:
     """The algorithm at its beginning."""
     noise = LaneNoise(cfg.noise, lanes.num_envs, lanes.action_space.shape[0])  # pyright: ignore
     model = TD3(
-        "MlpPolicy", lanes, **sb3.off_policy(cfg, lanes), action_noise=noise, target_policy_noise=cfg.target_noise,
-        target_noise_clip=2.0 * cfg.target_noise,
+        "MlpPolicy", lanes, **sb3_models.off_policy(cfg, lanes), action_noise=noise,
+        target_policy_noise=cfg.target_noise, target_noise_clip=2.0 * cfg.target_noise,
     )  # fmt: skip
-    model = sb3.begun(model, lanes, model.actor.mu[-2])
+    model = sb3_models.begun(model, lanes, model.actor.mu[-2])
     model.actor_target.load_state_dict(model.actor.state_dict())
     return model
 
 
-def exported(cfg: Td3, lanes: JointLanes, model: TD3) -> sb3.Policy:
+def exported(cfg: Td3, lanes: JointLanes, model: TD3) -> Policy:
     """The policy as it stands, as NumPy arrays."""
     actor: Any = model.actor
-    return sb3.export(cfg, lanes, actor.features_extractor, actor.mu, "relu", "tanh")
+    return sb3_models.export(cfg, lanes, actor.features_extractor, actor.mu, "relu", "tanh")
 
 
 def main(cfg: Td3) -> Path:
@@ -70,5 +71,5 @@ def main(cfg: Td3) -> Path:
             iterations=cfg.iterations(lanes),
             exported=lambda: exported(cfg, lanes, model),
             learning_rate=cfg.rate,
-            extra=lambda: sb3.remembered(model),
+            extra=lambda: sb3_models.remembered(model),
         )  # fmt: skip

@@ -13,11 +13,10 @@ from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.algorithms.analytic import (
     Analytic,
     Learner,
-    check_limits,
+    check_settings,
     episode_seeds,
     grids_of,
     main,
-    merit,
     windows,
 )
 from dcgrid_env.agents.policy.interface import View
@@ -213,21 +212,6 @@ def test_what_is_left_at_a_windows_end_has_the_price_of_waiting():
         assert float(learner._left(env, waiting)) == pytest.approx(factor * plain)
 
 
-def test_the_multiplier_stays_within_its_range():
-    learner = Learner(dataclasses.replace(TINY, dual_rate=50.0), grids_of(TINY))
-    for found, expected in ((9.0, 1e3), (0.0, 1e-3), (1.0, 1e-3)):
-        learner._raise("delay", 1.0, found)
-        assert learner.factors["delay"] == pytest.approx(expected)
-
-
-def test_under_a_limit_the_rest_of_j_counts():
-    figures = {"J": 3.0, "J_waiting": 1.0, "delay_mean_s": 1.5, "J_violation": 0.5, "excess_mean_pu": 2e-3}
-    assert merit(TINY, figures) == 3.0
-    assert merit(dataclasses.replace(TINY, delay_limit_s=2.0), figures) == 2.0
-    assert merit(dataclasses.replace(TINY, delay_limit_s=1.0), figures) == pytest.approx(2.0 * 6.0)
-    assert merit(dataclasses.replace(TINY, violation_limit_pu=1e-3), figures) == pytest.approx(2.5 * 11.0)
-
-
 @pytest.mark.parametrize(
     ("horizon", "window", "expected"),
     [(120, 40, [40, 40, 40]), (100, 40, [50, 50]), (100, 33, [33, 33, 34]), (10, 40, [10]), (5, 1, [1] * 5)],
@@ -263,7 +247,7 @@ def test_batches_share_no_episode():
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):
     cfg = dataclasses.replace(TINY, out=tmp_path / "run", **settings)
     with pytest.raises(ValueError, match=message):
-        check_limits(cfg)
+        check_settings(cfg)
     with pytest.raises(ValueError, match=message):
         main(cfg)
     assert not (tmp_path / "run").exists()
