@@ -6,11 +6,10 @@ import sys
 from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from helpers.places import ROOT
 
 ROOMS = ("core", "traces", "grid", "powerflow", "devices", "scenario", "engine", "rendering", "envs")
 """Each room may import those before it, and itself; then comes what the package gives under its own name."""

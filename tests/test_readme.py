@@ -15,8 +15,8 @@ from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.score import score
 from dcgrid_env.cli.main import main
+from helpers.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 

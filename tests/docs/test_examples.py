@@ -12,8 +12,9 @@ import torch
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Policy, find_controller
 from dcgrid_env.baselines import rollout
+from helpers.places import ROOT
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+EXAMPLES = ROOT / "docs" / "examples"
 README = (EXAMPLES / "README.md").read_text()
 
 

@@ -5,14 +5,14 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from dcgrid_env.agents import Policy
 from dcgrid_env.core.install import from_clone
+from helpers.places import ROOT
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+EXAMPLES = ROOT / "docs" / "examples"
 LIMIT_S = 420
 
 

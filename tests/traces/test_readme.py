@@ -1,15 +1,14 @@
 """The tables of traces/README.md are what their commands print."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dcgrid_env.traces import compare, compare_requests, compare_tasks
+from helpers.places import GPU_RECORDING, ROOT, require
 
-README = Path(__file__).resolve().parents[2] / "traces" / "README.md"
-RECORDING = Path(__file__).resolve().parents[3] / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
+README = ROOT / "traces" / "README.md"
 
 
 def rows(text):
@@ -27,9 +26,7 @@ def rows(text):
 @pytest.mark.parametrize("command", ["recording", "requests", "tasks"])
 def test_tables_are_what_the_command_prints(command, capsys):
     if command == "recording":
-        if not RECORDING.exists():
-            pytest.skip("the recording is not in ../shared/traces beside the checkout")
-        compare.main([str(RECORDING)])
+        compare.main([str(require(GPU_RECORDING))])
     elif command == "requests":
         compare_requests.main([])
     else:

@@ -4,29 +4,24 @@ The recording is not shipped; where the folder `shared` beside the checkout is a
 """
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dcgrid_env.traces import PowerTrace, from_recordings
 from dcgrid_env.traces.compare import ACTIVE_SHARE, comparison, figures, main
+from helpers.places import GPU_RECORDING, needs_gpu_recording
 
-RECORDING = Path(__file__).resolve().parents[3] / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
 SHA256 = "c0c15af80a91a73fd23434c571d48a8156fa28119df7bccf4015141d67b52d83"
-
-needs_recording = pytest.mark.skipif(
-    not RECORDING.exists(), reason=f"the recording {RECORDING.name} is not in ../shared/traces beside the checkout"
-)
 
 
 @pytest.fixture(scope="module")
 def recording():
-    assert hashlib.sha256(RECORDING.read_bytes()).hexdigest() == SHA256
-    return PowerTrace.from_csv(RECORDING)
+    assert hashlib.sha256(GPU_RECORDING.read_bytes()).hexdigest() == SHA256
+    return PowerTrace.from_csv(GPU_RECORDING)
 
 
-@needs_recording
+@needs_gpu_recording
 def test_published_figures(recording):
     # 8 GPUs over 555 s, sum 546 to 2395 W, samples 0.1 to 3 s apart.
     assert len(recording.power_kw) == 1695
@@ -35,12 +30,12 @@ def test_published_figures(recording):
     assert recording.duration_s == pytest.approx(555.5, abs=0.1)
     gaps_s = np.diff(recording.time_s)
     assert 0.1 <= gaps_s.min() <= gaps_s.max() <= 3.01
-    one_gpu = PowerTrace.from_csv(RECORDING, power_columns=[1])
+    one_gpu = PowerTrace.from_csv(GPU_RECORDING, power_columns=[1])
     assert 0.064 <= one_gpu.power_kw.min() <= 0.085
     assert 0.329 <= one_gpu.power_kw.max() <= 0.345
 
 
-@needs_recording
+@needs_gpu_recording
 def test_figures_of_the_recording(recording):
     recorded = figures(recording.as_share())
     assert recorded["lowest level"] == pytest.approx(0.228, abs=5e-4)
@@ -51,13 +46,13 @@ def test_figures_of_the_recording(recording):
     assert np.mean(recording.as_share().power_kw > ACTIVE_SHARE) == pytest.approx(0.10, abs=0.01)
 
 
-@needs_recording
+@needs_gpu_recording
 def test_energy_of_the_recording_is_kept(recording):
     dt_s = recording.duration_s / 1000
     assert recording.resample(dt_s).sum() * dt_s == pytest.approx(recording.energy_kws, rel=1e-9)
 
 
-@needs_recording
+@needs_gpu_recording
 def test_generated_windows_surround_the_recording(recording):
     table = comparison(recording, n_windows=60)
     for name in (
@@ -80,7 +75,7 @@ def test_generated_windows_surround_the_recording(recording):
         assert abs(recorded - middle) <= tolerance, name
 
 
-@needs_recording
+@needs_gpu_recording
 def test_splits_of_the_recording(recording):
     rows = from_recordings([recording], "train", 1.0, window_s=120.0).p_share
     assert rows.shape == (1, 333)

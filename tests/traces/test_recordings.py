@@ -9,13 +9,12 @@ import pytest
 
 from dcgrid_env.traces import TraceError
 from dcgrid_env.traces.recordings import RECORDINGS, cache_folder, fetch, load_power, load_requests
+from helpers.places import SHARED_TRACES, require
 
-# The recordings are not shipped; where the folder `shared` beside the checkout is absent, their tests are skipped.
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "traces"
 FILES = {
-    "chen-zhang-2025-inference": SHARED / "chen_zhang_2025_gpu_inference.csv",
-    "azure-2023-conversation": SHARED / "azure_2023_conversation.csv",
-    "azure-2023-code": SHARED / "azure_2023_code.csv",
+    "chen-zhang-2025-inference": SHARED_TRACES / "chen_zhang_2025_gpu_inference.csv",
+    "azure-2023-conversation": SHARED_TRACES / "azure_2023_conversation.csv",
+    "azure-2023-code": SHARED_TRACES / "azure_2023_code.csv",
 }
 
 POWER = b"0,100,200\n0.5,110,210\n2,120,220\n"
@@ -44,9 +43,7 @@ def test_entries_are_pinned_and_credited():
 
 @pytest.mark.parametrize("name", FILES)
 def test_entries_fit_the_files(name):
-    if not FILES[name].exists():
-        pytest.skip(f"the recording {FILES[name].name} is not in ../shared/traces beside the checkout")
-    content = FILES[name].read_bytes()
+    content = require(FILES[name]).read_bytes()
     assert entry(name, content) == RECORDINGS[name]
     if RECORDINGS[name].kind == "power":
         trace = load_power(name, FILES[name])

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 import torch
-from helpers.states import with_fields
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
@@ -21,6 +20,7 @@ from dcgrid_env.agents.algorithms.analytic import (
 )
 from dcgrid_env.agents.policy.interface import View
 from dcgrid_env.agents.training.run import TrainingError, read_curve
+from helpers.states import with_fields
 
 TINY = Analytic(
     scenario="toy6", updates=24, lanes=16, window=25, hidden=(8,), validation_episodes=4, validate_every=2,

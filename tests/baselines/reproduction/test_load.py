@@ -1,7 +1,6 @@
 """The load of the study: recorded where it is at hand, generated otherwise, and the table says which."""
 
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +9,7 @@ from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.reproduction.load import choose_load
 from dcgrid_env.baselines.reproduction.study_runs import Setting
 from dcgrid_env.traces import TraceError
-
-RECORDING = Path(__file__).resolve().parents[4] / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
-needs_recording = pytest.mark.skipif(
-    not RECORDING.exists(), reason=f"the recording {RECORDING.name} is not in ../shared/traces beside the checkout"
-)
+from helpers.places import GPU_RECORDING, needs_gpu_recording
 
 
 def test_auto_is_the_generator_where_nothing_has_been_fetched(tmp_path, monkeypatch):
@@ -26,19 +21,19 @@ def test_auto_is_the_generator_where_nothing_has_been_fetched(tmp_path, monkeypa
         choose_load("recorded")
 
 
-@needs_recording
+@needs_gpu_recording
 def test_auto_is_the_recording_once_it_is_in_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("DCGRID_CACHE", str(tmp_path))
-    shutil.copy(RECORDING, tmp_path / "chen-zhang-2025-inference.csv")
+    shutil.copy(GPU_RECORDING, tmp_path / "chen-zhang-2025-inference.csv")
     load = choose_load("auto")
     assert load.kind == "recorded"
     assert "sha256 c0c15af80a91" in load.description
     assert "MIT" in load.description
 
 
-@needs_recording
+@needs_gpu_recording
 def test_the_whole_recording_is_drawn_from():
-    load = choose_load(str(RECORDING))
+    load = choose_load(str(GPU_RECORDING))
     assert load.kind == "recorded"
     run = rollout(Setting(load, episodes=20).scenario(5), NoControl(), range(20))
     starts = np.concatenate([run.lane(i).trace_start for i in range(20)])

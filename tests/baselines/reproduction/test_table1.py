@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +10,7 @@ from dcgrid_env.baselines.reproduction import table1
 from dcgrid_env.baselines.reproduction.load import choose_load
 from dcgrid_env.baselines.reproduction.paper import COUNTS, K_P_MW_PER_PU
 from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
-
-ROOT = Path(__file__).resolve().parents[3]
-RECORDING = ROOT.parent / "shared" / "traces" / "chen_zhang_2025_gpu_inference.csv"
+from helpers.places import GPU_RECORDING, ROOT, needs_gpu_recording
 
 
 def test_table_one_and_the_split_of_its_gain(few):
@@ -54,15 +51,13 @@ def test_stability_is_that_of_the_bound(few):
     assert radius[5, 1.0] <= 1.0 < radius[5, 20.0]
 
 
-@pytest.mark.skipif(
-    not RECORDING.exists(), reason=f"the recording {RECORDING.name} is not in ../shared/traces beside the checkout"
-)
+@needs_gpu_recording
 def test_the_document_holds_what_the_runs_give():
     text = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
     episodes = re.search(r"(\d+) episodes of 120 s", text)
     assert episodes is not None
     assert "Load: **recorded**" in text
-    runs = Runs(Setting(choose_load(str(RECORDING)), int(episodes[1])))
+    runs = Runs(Setting(choose_load(str(GPU_RECORDING)), int(episodes[1])))
     for law, label in (("none", "no control"), ("inverters", "inverters only"), ("both", "both axes")):
         line = re.search(rf"^\| 5 \| {label} \| (.*) \|$", text, re.MULTILINE)
         assert line is not None

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from dcgrid_env.core.install import from_clone
+from helpers.places import ROOT
 
-ROOT = Path(__file__).parents[3]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
 

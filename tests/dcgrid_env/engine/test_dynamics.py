@@ -7,14 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
-from helpers.states import fields_of
 
 from dcgrid_env import PrefillDecodeDvfs, Scenario, Solution, action_layout, distflow, lindistflow, make_scenario
 from dcgrid_env.engine import dynamics, episode, reward
 from dcgrid_env.engine.state import Exogenous, State
-
-FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form that a scenario takes."""
+from helpers.forms import FORMS
+from helpers.states import fields_of
 
 LAWS: dict[str, dict[str, Any]] = {"linear": {}, "work_classes": {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}}
 

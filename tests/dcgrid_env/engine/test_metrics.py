@@ -14,9 +14,7 @@ from dcgrid_env.engine.metrics import Series
 from dcgrid_env.engine.reward import Costs
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows
-
-FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form that a scenario takes."""
+from helpers.forms import FORMS
 
 NAMES = {
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",

@@ -6,22 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.states import fields_of, state_of, with_fields
 
 from dcgrid_env import CostWeights, Feeder, PrefillDecodeDvfs, Scenario, field_names, make_scenario
 from dcgrid_env.devices import Work
 from dcgrid_env.engine import episode, observation
 from dcgrid_env.engine.observation import Placement
 from dcgrid_env.engine.simulation import Simulation, Transition
-
-FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form that a scenario takes."""
+from helpers.forms import FORMS, WORK_CLASSES
+from helpers.states import fields_of, state_of, with_fields
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 SITE = (*COMMON, "p_ref_next", "backlog")
 LAWS: dict[str, dict[str, Any]] = {
     "linear": {},
-    "work_classes": {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"},
+    "work_classes": WORK_CLASSES,
 }
 TWO_CLASSES = (*SITE, "p_ref_next_compute", "backlog_compute")
 

@@ -6,16 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.states import state_of, with_fields
 
 from dcgrid_env import CostWeights, Scenario, Solution, action_layout, distflow, make_scenario
 from dcgrid_env.engine import reward
 from dcgrid_env.engine.reward import Costs, charged, largest_costs, local_costs, team_costs, total, voltage_cost
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import State
-
-FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form that a scenario takes."""
+from helpers.forms import FORMS
+from helpers.states import state_of, with_fields
 
 KINDS = ("l1", "l2", "bowl", "courant_beltrami", "bump")
 EVERY = CostWeights(clock=2.0, step=50.0, loss=3.0)

@@ -6,9 +6,7 @@ import pytest
 from dcgrid_env import LinearDvfs, PrefillDecodeDvfs, make_scenario
 from dcgrid_env.baselines import Droop, NoControl, rollout
 from dcgrid_env.traces import TRACE_SOURCES
-
-FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form that a scenario takes."""
+from helpers.forms import FORMS
 
 
 @pytest.mark.parametrize("preset", FORMS)

@@ -6,12 +6,13 @@ import sys
 import numpy as np
 import pytest
 import torch
-from helpers.states import fields_of
 
-from dcgrid_env import DcgridVectorEnv, PrefillDecodeDvfs, TensorEnv, make_scenario
+from dcgrid_env import DcgridVectorEnv, TensorEnv, make_scenario
 from dcgrid_env.engine.observation import joint_bounds
 from dcgrid_env.powerflow.balanced.distflow import TOLERANCE_KVA
 from dcgrid_env.traces import PowerTrace
+from helpers.forms import VARIANTS, variant_of
+from helpers.states import fields_of
 
 # Kind of array, then how far an observation, in bands, and a step's cost may be from the environment's, which observes
 # in float32 and counts in float64. float32 knows a voltage to some 1e-7 p.u. and charges up to 1000 for each beyond.
@@ -19,21 +20,6 @@ KINDS = {
     "numpy": (np.empty(0), 2e-7, 1e-12),
     "float64": (torch.empty(0, dtype=torch.float64), 2e-7, 1e-12),
     "float32": (torch.empty(0), 2e-4, 2e-3),
-}
-CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
-FORMS = {
-    "toy6": ("toy6", {"horizon": 25}),
-    "placed at random": ("ieee123", {"horizon": 20}),
-    "noise and delay": ("robust", {"horizon": 20}),
-    "faults": ("fault", {}),
-    "pv": ("mixed", {"horizon": 20}),
-    "steps of 0.1 s": ("training", {"horizon": 20}),
-    "two work classes": ("ieee33-weak", CLASSES | {"horizon": 20}),
-    "neighbours": ("ieee123", {"observe": "neighbours", "horizon": 8}),
-    "feeder, noise and delay": ("robust", {"observe": "feeder", "horizon": 8}),
-    "feeder": ("toy6", {"observe": "feeder", "horizon": 8}),
-    "linear": ("ieee33", {"power_flow": "lindistflow", "horizon": 8}),
-    "other costs": ("ieee33", {"weights": {"clock": 1.0, "step": 10.0, "loss": 2.0}, "horizon": 8}),
 }
 
 
@@ -46,19 +32,10 @@ def actions(scenario, lanes, seed=0):
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (scenario.horizon, lanes, n)).astype(np.float32)
 
 
-def scenario_of(form):
-    name, changes = FORMS[form]
-    if "weights" in changes:
-        from dcgrid_env import CostWeights
-
-        changes = changes | {"weights": CostWeights(**changes["weights"])}
-    return make_scenario(name, split="test", **changes)
-
-
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", VARIANTS)
 def test_episodes_are_those_of_the_environment(form, kind):
-    (like, seen_off, cost_off), scenario, lanes = KINDS[kind], scenario_of(form), 5
+    (like, seen_off, cost_off), scenario, lanes = KINDS[kind], variant_of(form), 5
     ours, theirs = TensorEnv(scenario, like=like), DcgridVectorEnv(lanes, scenario)
     low, high = joint_bounds(scenario)
 
@@ -152,7 +129,7 @@ def j_of(scenario, given, seeds):
 @pytest.mark.parametrize("form", ["toy6", "noise and delay", "faults", "pv", "two work classes"])
 def test_the_derivative_of_j_fits_finite_differences(form, monkeypatch):
     monkeypatch.setitem(TOLERANCE_KVA, 8, 1e-9)  # far below the differences
-    scenario, seeds, rng = scenario_of(form).replace(horizon=12), [2, 3], np.random.default_rng(1)
+    scenario, seeds, rng = variant_of(form).replace(horizon=12), [2, 3], np.random.default_rng(1)
     given = torch.tensor(0.9 * actions(scenario, 2, seed=2), dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(j_of(scenario, given, seeds), given)
     assert slope[0].any()  # the first action matters at the end

@@ -9,10 +9,11 @@ from gymnasium.wrappers import vector
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs
+from dcgrid_env import DcgridEnv, DcgridVectorEnv
 from dcgrid_env.traces import PowerTrace
+from helpers.forms import WORK_CLASSES
 
-CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "site_correlation": 0.5, "trace": "mixed"}
+CLASSES = WORK_CLASSES | {"site_correlation": 0.5}
 
 
 @pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])

@@ -3,14 +3,12 @@
 import math
 import tomllib
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dcgrid_env import FEEDERS, Feeder, FeederError, load_feeder
-
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "feeders"
+from helpers.places import SHARED_FEEDERS, require
 
 # buses, kW and kvar in all, base kV, substation. ieee33 and ieee123 as their sources print the sums; das69 and khodr141
 # as their published bus data add up.
@@ -53,9 +51,7 @@ def test_source_stands_with_the_data(name):
 
 @pytest.mark.parametrize("name", FEEDERS)
 def test_shipped_data_are_the_published_data(name):
-    if not SHARED.is_dir():
-        pytest.skip("the published tables (shared/feeders beside the repository) are not here")
-    published, shipped = Feeder.from_csv(SHARED / name), load_feeder(name)
+    published, shipped = Feeder.from_csv(require(SHARED_FEEDERS) / name), load_feeder(name)
     assert published.bus_ids == shipped.bus_ids
     assert (published.base_kv, published.v0_pu) == (shipped.base_kv, shipped.v0_pu)
     for field in ("p_load_kw", "q_load_kvar", "capacitor_kvar", "parent", "r_ohm", "x_ohm", "x", "y"):

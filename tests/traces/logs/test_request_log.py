@@ -2,7 +2,6 @@
 
 import gzip
 import hashlib
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -13,8 +12,8 @@ from hypothesis import strategies as st
 from dcgrid_env.traces import TraceError
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.text import text_file
+from helpers.places import SHARED_TRACES, require
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "traces"
 HEADER = "TIMESTAMP,ContextTokens,GeneratedTokens\n"
 TWO = "2023-11-16 18:15:46.6805900,374,44\n2023-11-16 18:15:50.9951690,396,109\n"
 
@@ -43,9 +42,7 @@ TWO = "2023-11-16 18:15:46.6805900,374,44\n2023-11-16 18:15:50.9951690,396,109\n
     ],
 )
 def test_the_published_logs(name, sha256, n, rate, variation, context, generated):
-    if not (SHARED / name).exists():
-        pytest.skip(f"the request log {name} is not in ../shared/traces beside the checkout")
-    requests = read_request_log(SHARED / name)
+    requests = read_request_log(require(SHARED_TRACES / name))
     assert (len(requests), requests.provenance.sha256) == (n, sha256)
     assert requests.duration_s == requests.arrival_s[-1]
     assert n / requests.duration_s == pytest.approx(rate, abs=0.005)

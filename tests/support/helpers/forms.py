@@ -1,0 +1,29 @@
+"""The forms that a scenario takes: what code that must run on any scenario is tried on."""
+
+from dcgrid_env import CostWeights, PrefillDecodeDvfs, make_scenario
+
+FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
+"""Presets of every form: a scripted trace, drawn buses, given buses, PV, faults."""
+WORK_CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"}
+"""Overrides that give data centres two classes of work, and draws above the rating."""
+VARIANTS = {
+    "toy6": ("toy6", {"horizon": 25}),
+    "placed at random": ("ieee123", {"horizon": 20}),
+    "noise and delay": ("robust", {"horizon": 20}),
+    "faults": ("fault", {}),
+    "pv": ("mixed", {"horizon": 20}),
+    "steps of 0.1 s": ("training", {"horizon": 20}),
+    "two work classes": ("ieee33-weak", WORK_CLASSES | {"site_correlation": 0.5, "horizon": 20}),
+    "neighbours": ("ieee123", {"observe": "neighbours", "horizon": 8}),
+    "feeder, noise and delay": ("robust", {"observe": "feeder", "horizon": 8}),
+    "feeder": ("toy6", {"observe": "feeder", "horizon": 8}),
+    "linear": ("ieee33", {"power_flow": "lindistflow", "horizon": 8}),
+    "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
+}
+"""By name a preset and overrides, short, so that every option that changes what is computed comes up."""
+
+
+def variant_of(name, split="test"):
+    """The scenario of a variant."""
+    preset, overrides = VARIANTS[name]
+    return make_scenario(preset, split=split, **overrides)

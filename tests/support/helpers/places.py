@@ -1,0 +1,25 @@
+"""Where the repository's files are, and the published data beside it, which are not shipped."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+SHARED_FEEDERS = ROOT.parent / "shared" / "feeders"
+SHARED_TRACES = ROOT.parent / "shared" / "traces"
+GPU_RECORDING = SHARED_TRACES / "chen_zhang_2025_gpu_inference.csv"
+
+
+def lacks(path):
+    """Why a test that needs a published file or folder is skipped."""
+    return f"{path.name} is not in {path.parent.relative_to(ROOT.parent)} beside the checkout"
+
+
+def require(path):
+    """Skip the test that calls this where a published file or folder is not there; the path."""
+    if not path.exists():
+        pytest.skip(lacks(path))
+    return path
+
+
+needs_gpu_recording = pytest.mark.skipif(not GPU_RECORDING.exists(), reason=lacks(GPU_RECORDING))
