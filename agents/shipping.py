@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from dcgrid_env.agents.policy.card import Card, Scored
 from dcgrid_env.agents.policy.network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.evaluation import evaluate
 from dcgrid_env.baselines.score import REFERENCE, SPLIT
@@ -27,9 +27,9 @@ def ship(
     Parameters
     ----------
     folders
-        Of the runs, each with policy.safetensors and policy.json.
+        Folders of the runs, each with policy.safetensors and policy.json.
     name
-        Of the policy; ``PRESET-NAME`` is found as NAME on that preset.
+        Name of the policy; ``PRESET-NAME`` is found as NAME on that preset.
     scenario
         Preset on whose test split they are scored; that of the training unless given.
     episodes
@@ -40,7 +40,7 @@ def ship(
     Returns
     -------
     Card
-        As written.
+        The card that was written.
 
     Raises
     ------
@@ -50,8 +50,8 @@ def ship(
     ValueError
         Where there is no score, see :meth:`Evaluation.score`.
     """
-    made = [_read(folder) for folder in folders]
-    cards = [card for _, card in made]
+    runs = [_read(folder) for folder in folders]
+    cards = [card for _, card in runs]
     _check(cards, folders, name)
     trained_on = cards[0].scenario
     if scenario is None and trained_on not in PRESETS:
@@ -59,7 +59,7 @@ def ship(
     test = make_scenario(scenario or trained_on, split=SPLIT)
     seeds = range(episodes)
     droop = evaluate(make_controller(REFERENCE, test), test, seeds)
-    evaluations = [evaluate(policy, test, seeds) for policy, _ in made]
+    evaluations = [evaluate(policy, test, seeds) for policy, _ in runs]
     scores = [evaluation.score(droop).score for evaluation in evaluations]
     best = min(range(len(cards)), key=lambda i: cards[i].validation_J or 0.0)
     scored = Scored(
@@ -72,7 +72,7 @@ def ship(
         droop_delay_mean_s=droop.means["delay_mean_s"],
         score=(scores[best].value, scores[best].low, scores[best].high),
         seeds=tuple(card.seed or 0 for card in cards),
-        seed_scores=tuple(found.value for found in scores),
+        seed_scores=tuple(estimate.value for estimate in scores),
     )
     card = dataclasses.replace(cards[best], scored=scored)
     write_bytes(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
@@ -119,9 +119,9 @@ def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
 
 def _check_settings(folders: Sequence[Path]) -> None:
     """PolicyError where configurations that the runs kept differ in more than seed and place."""
-    kept = {folder: json.loads(path.read_text()) for folder in folders if (path := folder / "config.json").exists()}
-    for folder, settings in kept.items():
-        first, other = next(iter(kept.items()))
+    configurations = {folder: settings for folder in folders if (settings := stored_config(folder)) is not None}
+    for folder, settings in configurations.items():
+        first, other = next(iter(configurations.items()))
         for field in sorted(set(settings) | set(other)):
             if field not in ("seed", "out", "resume") and settings.get(field) != other.get(field):
                 raise PolicyError(

@@ -100,7 +100,7 @@ class LocalController:
         self._p_scale = np.concatenate((dc.p_rated_kw, inv.s_rated_kva))
         self._q_scale = env_info.q_scale_kvar
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
         raise NotImplementedError
 
@@ -117,15 +117,15 @@ class LocalController:
         wide = joint.astype(np.float64)
         none = np.zeros((*wide.shape[:-1], 0))
         band = self.scenario.band_pu or 1.0
-        seen = {name: wide[..., at] for name, at in self._at.items()}
+        fields = {name: wide[..., at] for name, at in self._at.items()}
         return Local(
-            v_pu=1.0 + band * seen["v_deviation"],
-            p_kw=seen["p"] * self._p_scale,
-            q_kvar=seen["q"] * self._q_scale,
-            p_ref_next_kw=seen.get("p_ref_next", none) * rated,
-            backlog_kws=seen.get("backlog", none) * rated,
-            r_pu_per_mw=band * seen["r"],
-            x_pu_per_mvar=band * seen["x"],
+            v_pu=1.0 + band * fields["v_deviation"],
+            p_kw=fields["p"] * self._p_scale,
+            q_kvar=fields["q"] * self._q_scale,
+            p_ref_next_kw=fields.get("p_ref_next", none) * rated,
+            backlog_kws=fields.get("backlog", none) * rated,
+            r_pu_per_mw=band * fields["r"],
+            x_pu_per_mvar=band * fields["x"],
         )
 
     def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:

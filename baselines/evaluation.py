@@ -50,16 +50,17 @@ class Evaluation:
         return score(self.J, droop.J, _costs(self.scenario, self.seeds, hindsight or published(self.scenario)))
 
 
-def _costs(scenario: Scenario, seeds: tuple[int, ...], known: Published | None) -> np.ndarray:
+def _costs(scenario: Scenario, seeds: tuple[int, ...], hindsight: Published | None) -> np.ndarray:
     """Hindsight's costs of these episodes, (n_episode,), once it is sure that they are the same here."""
-    if known is None:
+    if hindsight is None:
         raise ValueError(
             f"no score: hindsight is published for the test split of the presets as they are, not for this "
             f"{scenario.name} ({scenario.split} split)"
         )
-    if missing := known.missing(seeds):
-        raise ValueError(f"no score: hindsight is published for {len(known.seeds)} episodes, not for seed {missing[0]}")
-    own = known.of(seeds)
+    if missing := hindsight.missing(seeds):
+        n = len(hindsight.seeds)
+        raise ValueError(f"no score: hindsight is published for {n} episodes, not for seed {missing[0]}")
+    own = hindsight.of(seeds)
     if own.episode_hashes not in _checked.get(scenario, ()):
         own.check_episodes(scenario, len(seeds))
         _checked.setdefault(scenario, set()).add(own.episode_hashes)

@@ -38,8 +38,8 @@ class Published(NamedTuple):
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
         """Those of the seeds that have not been solved."""
-        known = set(self.seeds.tolist())
-        return [seed for seed in seeds if seed not in known]
+        solved_seeds = set(self.seeds.tolist())
+        return [seed for seed in seeds if seed not in solved_seeds]
 
     def of(self, seeds: Sequence[int]) -> Published:
         """The episodes of these seeds, in their order; all must have been solved."""
@@ -51,10 +51,10 @@ class Published(NamedTuple):
     def check_episodes(self, scenario: Scenario, n: int) -> None:
         """Raise ValueError unless the first ``n`` episodes are drawn here as they were where the values were made."""
         for seed, expected in list(zip(self.seeds.tolist(), self.episode_hashes, strict=True))[:n]:
-            found = episode_hash(scenario, seed)
-            if found != expected:
+            drawn_hash = episode_hash(scenario, seed)
+            if drawn_hash != expected:
                 raise ValueError(
-                    f"episode {seed} of {scenario.name!r}, {scenario.split} split, has the hash {found} here and "
+                    f"episode {seed} of {scenario.name!r}, {scenario.split} split, has the hash {drawn_hash} here and "
                     f"{expected} in the published values; compute them here with `dcgrid dev hindsight`"
                 )
 
@@ -80,13 +80,13 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     ValueError
         Where the scenario's file in the folder is damaged; one of another scenario of that name counts for nothing.
     """
-    found = _shipped(scenario.name)
+    shipped = _shipped(scenario.name)
     about = scenario_hash(scenario)
     solved: dict[int, dict[str, Any]] = {}
     if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in content["episodes"]}
-    if found is not None and found["scenario_hash"] == about:
-        solved |= {episode["seed"]: episode for episode in found["episodes"]}
+    if shipped is not None and shipped["scenario_hash"] == about:
+        solved |= {episode["seed"]: episode for episode in shipped["episodes"]}
     if not solved:
         return None
     episodes = [solved[seed] for seed in sorted(solved)]

@@ -13,7 +13,7 @@ def require_non_negative(controller: str, **values: float) -> None:
 
 
 def require_finite(controller: str, **values: float) -> None:
-    """The same for numbers of either sign."""
+    """Check numbers of either sign."""
     for name, value in values.items():
         if not math.isfinite(value):
             raise ValueError(f"{controller}: {name} is {value!r}; give a finite number")

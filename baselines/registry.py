@@ -20,7 +20,7 @@ from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.tuning.search import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
-from dcgrid_env.baselines.user_code import Named, OwnCodeError, described, load, parse, place
+from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
 
 CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
@@ -125,9 +125,9 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
         For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario;
         an ``OwnCodeError`` where the user's code fails.
     """
-    named = parse(spec)
-    if named is not None:
-        made = _construct(spec, named, load(named, f"controller {spec!r}"))
+    reference = parse(spec)
+    if reference is not None:
+        made = _construct(spec, reference, load(reference, f"controller {spec!r}"))
         if not isinstance(made, Controller):
             raise ValueError(f"controller {spec!r}: {type(made).__name__} is no controller; give it reset and act")
         return made
@@ -155,13 +155,13 @@ def _forms() -> str:
     )
 
 
-def _construct(spec: str, named: Named, kind: object) -> object:
+def _construct(spec: str, reference: CodeReference, kind: object) -> object:
     if not callable(kind):
-        raise ValueError(f"controller {spec!r}: {named.name!r} of {named.where} is no class; {_forms()}")
+        raise ValueError(f"controller {spec!r}: {reference.name!r} of {reference.where} is no class; {_forms()}")
     try:
-        return kind(*named.positional, **dict(named.keywords))
+        return kind(*reference.positional, **dict(reference.keywords))
     except (Exception, SystemExit) as error:
-        how = "" if named.positional or named.keywords else " without arguments"
+        how = "" if reference.positional or reference.keywords else " without arguments"
         raise OwnCodeError(
             f"controller {spec!r}: constructing it{how} fails{place(error)}: {described(error)}"
         ) from error

@@ -30,10 +30,10 @@ class ControllerError(OwnCodeError):
     def __init__(self, name: str, during: str, cause: BaseException, refuses: str | None = None):
         plain = isinstance(cause, ActionError) or refuses is not None  # what tells all without its kind
         at = place(cause)
-        self.refuses, self.told = refuses, one_line(cause) if plain else described(cause)
+        self.refuses, self.reason = refuses, one_line(cause) if plain else described(cause)
         self.where, self.traced = f"{during}{at}", not plain
         doing = f"fails in {self.where}" if refuses is None else f"cannot drive {refuses}{at}"
-        super().__init__(f"controller {name!r} {doing}: {self.told}")
+        super().__init__(f"controller {name!r} {doing}: {self.reason}")
 
 
 def rollout(

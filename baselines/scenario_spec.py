@@ -66,7 +66,7 @@ class ScenarioSpec:
         for field in chosen:
             if field in overrides:
                 raise ValueError(f"set: {field} is an option of its own here; give --{field} instead")
-        return _made(self, _base(self.where), split, tuple(chosen.items()))
+        return _scenario_of(self, _base(self.where), split, tuple(chosen.items()))
 
     @property
     def is_preset(self) -> bool:
@@ -96,16 +96,16 @@ def options_of(scenario: Scenario, flag: str) -> str:
 
 def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
     """Values by field of texts ``FIELD=VALUE``; ValueError for anything else, or a field that is there twice."""
-    found: dict[str, Any] = {}
+    overrides: dict[str, Any] = {}
     for text in texts:
         field, sign, value = text.partition("=")
         field = field.strip()
         if not sign or not field.isidentifier():
             raise ValueError(f"set: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
-        if field in found:
-            raise ValueError(f"set: {field} is there twice, as {found[field]!r} and as {value}; give it once")
-        found[field] = value.strip() if field == "name" else read_value(field, value.strip())
-    return found
+        if field in overrides:
+            raise ValueError(f"set: {field} is there twice, as {overrides[field]!r} and as {value}; give it once")
+        overrides[field] = value.strip() if field == "name" else read_value(field, value.strip())
+    return overrides
 
 
 def read_value(field: str, text: str) -> Any:
@@ -142,18 +142,19 @@ def _base(where: str) -> str | Scenario:
         return _read(where, status and (status.st_mtime_ns, status.st_size))
     if where.endswith(".py"):
         raise ValueError(f"scenario {where!r}: say which function of it makes the scenario, {where}:make for instance")
-    named = parse(where)
-    if named is None and where in SCENARIO_REGISTRY:
+    reference = parse(where)
+    if reference is None and where in SCENARIO_REGISTRY:
         return where
-    if named is None or named.positional or named.keywords:
+    if reference is None or reference.positional or reference.keywords:
         raise ScenarioError(f"{SCENARIO_REGISTRY.unknown(where)}; or give {FORMS}")
-    found = load(named, f"scenario {where!r}")
-    made = _called(where, found) if callable(found) else found
-    if not isinstance(made, Scenario):
+    loaded = load(reference, f"scenario {where!r}")
+    scenario = _called(where, loaded) if callable(loaded) else loaded
+    if not isinstance(scenario, Scenario):
         raise ValueError(
-            f"scenario {where!r} is of type {type(made).__name__}; it must be a Scenario, or a function that gives one"
+            f"scenario {where!r} is of type {type(scenario).__name__}; it must be a Scenario, or a function that "
+            "gives one"
         )
-    return made
+    return scenario
 
 
 @lru_cache(maxsize=64)
@@ -172,12 +173,12 @@ def _called(where: str, function: Callable[[], Any]) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _made(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: tuple[tuple[str, Any], ...]) -> Scenario:
+def _scenario_of(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: tuple[tuple[str, Any], ...]) -> Scenario:
     """The scenario; one object for one spec, so that what is derived from it is shared."""
     try:
-        made = make_scenario(base, **read_overrides(spec.set), **dict(chosen), split=split)
+        scenario = make_scenario(base, **read_overrides(spec.set), **dict(chosen), split=split)
     except (TypeError, OverflowError, MemoryError) as error:
         is_field = "unexpected keyword argument" not in str(error)
         raise ValueError(f"set: {f'{shlex.join(spec.set)} cannot be: ' * is_field}{error}") from None
-    _specs[made] = spec
-    return made
+    _specs[scenario] = spec
+    return scenario

@@ -41,7 +41,7 @@ class Score(NamedTuple):
     difference: Estimate
     """Mean of J - J_droop: what the policy costs more than the tuned droop."""
     interquartile_mean: float
-    """Of J over the middle half of the episodes."""
+    """Mean of J over the middle half of the episodes."""
 
 
 def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 0) -> Score:
@@ -52,7 +52,7 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
     j, j_droop, j_hindsight
         Costs of the same episodes in the same order, (n_episode,) each.
     seed
-        Of the resampling; the same costs and seed give the same interval.
+        Seed of the resampling; the same costs and seed give the same interval.
 
     Raises
     ------
@@ -89,8 +89,8 @@ def _mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def _estimate(statistic, samples: tuple[np.ndarray, ...], rng: np.random.Generator) -> Estimate:
-    found = bootstrap(
+    resampled = bootstrap(
         samples, statistic, n_resamples=RESAMPLES, paired=True, vectorized=True, confidence_level=LEVEL,
         method="percentile", rng=rng,
     )  # fmt: skip
-    return Estimate(float(statistic(*samples)), *map(float, found.confidence_interval))
+    return Estimate(float(statistic(*samples)), *map(float, resampled.confidence_interval))

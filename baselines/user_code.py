@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-_NAMED = re.compile(r"(?P<where>.+?):(?P<name>[A-Za-z_]\w*)(?P<arguments>\(.*\))?", re.DOTALL)
+_REFERENCE = re.compile(r"(?P<where>.+?):(?P<name>[A-Za-z_]\w*)(?P<arguments>\(.*\))?", re.DOTALL)
 _LONGEST = 300
 _files: dict[Path, tuple[str, ModuleType]] = {}
 """Files that this process has imported: digest of the content, and the module."""
@@ -31,7 +31,7 @@ class OwnCodeError(ValueError):
     """Whether a traceback says more than the message."""
 
 
-class Named(NamedTuple):
+class CodeReference(NamedTuple):
     """What a text such as ``file.py:Class(gain=0.5)`` names."""
 
     where: str
@@ -46,12 +46,12 @@ class Named(NamedTuple):
         return Path(self.where) if self.where.endswith(".py") else None
 
 
-def parse(spec: str) -> Named | None:
+def parse(spec: str) -> CodeReference | None:
     """Take a text apart; None where it has no such form, ValueError for arguments that are no literals."""
-    found = _NAMED.fullmatch(spec.strip())
-    if found is None:
+    match = _REFERENCE.fullmatch(spec.strip())
+    if match is None:
         return None
-    return Named(found["where"], found["name"], *_arguments(spec, found["arguments"]))
+    return CodeReference(match["where"], match["name"], *_arguments(spec, match["arguments"]))
 
 
 def _arguments(spec: str, text: str | None) -> tuple[tuple[Any, ...], tuple[tuple[str, Any], ...]]:
@@ -82,7 +82,7 @@ def _literal(node: ast.expr) -> Any:
         raise ValueError(f"{ast.unparse(node)!r} is no literal") from None
 
 
-def load(named: Named, what: str) -> object:
+def load(reference: CodeReference, what: str) -> object:
     """The object that is named, after its module was imported.
 
     Parameters
@@ -99,16 +99,16 @@ def load(named: Named, what: str) -> object:
     OwnCodeError
         Where importing fails.
     """
-    if named.path and not named.path.is_file():
-        raise ValueError(f"{what}: there is no file {named.where}; give the path of one")
+    if reference.path and not reference.path.is_file():
+        raise ValueError(f"{what}: there is no file {reference.where}; give the path of one")
     try:
-        module = _from_file(named.path) if named.path else _from_module(named.where)
+        module = _from_file(reference.path) if reference.path else _from_module(reference.where)
     except (Exception, SystemExit) as error:
-        raise OwnCodeError(f"{what}: importing {named.where} fails{place(error)}: {described(error)}") from error
-    if not hasattr(module, named.name):
-        own = [name for name, held in vars(module).items() if getattr(held, "__module__", "") == module.__name__]
-        raise ValueError(f"{what}: {module.__file__} has no {named.name!r}; it has {', '.join(own) or 'nothing'}")
-    return getattr(module, named.name)
+        raise OwnCodeError(f"{what}: importing {reference.where} fails{place(error)}: {described(error)}") from error
+    if not hasattr(module, reference.name):
+        own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+        raise ValueError(f"{what}: {module.__file__} has no {reference.name!r}; it has {', '.join(own) or 'nothing'}")
+    return getattr(module, reference.name)
 
 
 def _from_module(dotted: str) -> ModuleType:
@@ -124,15 +124,15 @@ def _from_file(path: Path) -> ModuleType:
     if path in _files and _files[path][0] == digest:
         return _files[path][1]
     # Named after the content, so that two files of one name do not stand in each other's place.
-    found = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}_{digest[:16]}", path)
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    sys.modules[found.name] = module  # where dataclasses and pickle look for it
+    spec = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}_{digest[:16]}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses and pickle look for it
     try:
-        found.loader.exec_module(module)
+        spec.loader.exec_module(module)
     except BaseException:
-        del sys.modules[found.name]
+        del sys.modules[spec.name]
         raise
     _files[path] = digest, module
     return module
@@ -140,13 +140,13 @@ def _from_file(path: Path) -> ModuleType:
 
 def place(error: BaseException) -> str:
     """Where the user's own code raised an error, ``, own.py line 12``; empty where none of it has a part."""
-    found = ""
+    at = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         file, module = Path(frame.f_code.co_filename), str(frame.f_globals.get("__name__", ""))
         ours = module == "dcgrid_env" or module.startswith("dcgrid_env.")
         if file.suffix == ".py" and not ours and not _is_installed(file):
-            found = f", {file.name} line {line}"
-    return found
+            at = f", {file.name} line {line}"
+    return at
 
 
 def _is_installed(file: Path) -> bool:

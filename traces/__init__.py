@@ -29,9 +29,9 @@ from dcgrid_env.traces.sources import TRACE_SOURCES, TraceSource
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.time_grid import AWAKE_SHARE, GRID_S, IDLE_SHARE
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes
-from dcgrid_env.traces.training.jobs import generate_training
 from dcgrid_env.traces.training.params import TrainingParams
 from dcgrid_env.traces.training.smoothing import PowerSmoothing
+from dcgrid_env.traces.training.training_site import generate_training
 
 __all__ = [
     "ALL_SPLITS",

@@ -47,12 +47,12 @@ def boosted_trace(trace: PowerTrace, boost_share: float) -> PowerTrace:
     assert compute is not None
     # A trace may hold a level for longer than a step of the grid.
     drawn, compute = boosted(trace.resample(GRID_S), compute, boost_share)
-    known = trace.provenance
+    provenance = trace.provenance
     return PowerTrace(
         trace.time_s[0] + np.arange(len(drawn) + 1) * GRID_S,
         np.append(drawn, drawn[-1]),
         trace.name,
-        replace(known, parameters={**known.parameters, "boost_share": boost_share}),
+        replace(provenance, parameters={**provenance.parameters, "boost_share": boost_share}),
         np.append(compute, compute[-1]),
         trace.requests,
         trace.rated_kw,

@@ -86,13 +86,13 @@ def distances(recording: PowerTrace, n_windows: int = 200) -> dict[str, tuple[fl
     windows = [generate_inference(recording.duration_s, seed) for seed in range(n_windows)]
     recorded = _samples(recording.as_share())
     single = [_samples(as_logged(window, time_s)) for window in windows]
-    found = {}
+    distances = {}
     for name, sample in recorded.items():
         pooled = np.concatenate([s[name] for s in single])
         chance = [_ks(s[name], pooled) for s in single if s[name].size]
         ks = _ks(sample, pooled)
-        found[name] = (float(wasserstein_distance(sample, pooled)), ks, np.quantile(chance, [0.5, 0.95]))
-    return found
+        distances[name] = (float(wasserstein_distance(sample, pooled)), ks, np.quantile(chance, [0.5, 0.95]))
+    return distances
 
 
 def _ks(a: FloatArray, b: FloatArray) -> float:

@@ -37,21 +37,22 @@ TOLERANCE = (0.03, 0.08, 0.08, 0.15, *(0.15,) * 10)
 """Relative, of the mean over seeds of 24 h."""
 
 
-def figures(made: Requests) -> np.ndarray:
+def figures(sample: Requests) -> np.ndarray:
     """FIGURES of requests, (14,) float64."""
-    distance_s = np.diff(made.arrival_s)
+    distance_s = np.diff(sample.arrival_s)
     tokens = [
         [*np.quantile(counts, [0.5, 0.9, 0.95, 0.99]), counts.mean()]
-        for counts in (made.context_tokens, made.generated_tokens)
+        for counts in (sample.context_tokens, sample.generated_tokens)
     ]
     spread = distance_s.std() / distance_s.mean()
-    return np.array([len(made) / made.duration_s, spread, fano(made, 1.0), fano(made, 60.0), *tokens[0], *tokens[1]])
+    rate_per_s = len(sample) / sample.duration_s
+    return np.array([rate_per_s, spread, fano(sample, 1.0), fano(sample, 60.0), *tokens[0], *tokens[1]])
 
 
-def fano(made: Requests, window_s: float) -> float:
+def fano(sample: Requests, window_s: float) -> float:
     """Variance over mean of the number of arrivals in windows; an incomplete last window is left out."""
-    n = int(made.duration_s / window_s + 1e-9)
-    counts = np.bincount((made.arrival_s / window_s).astype(np.int64), minlength=n)[:n]
+    n = int(sample.duration_s / window_s + 1e-9)
+    counts = np.bincount((sample.arrival_s / window_s).astype(np.int64), minlength=n)[:n]
     return float(counts.var() / counts.mean())
 
 
@@ -62,10 +63,10 @@ def main(arguments: Sequence[str], seeds: int = 10) -> int:
         print(f"\n| `{name}` | recorded | generated, mean of {seeds} days | least .. most | off by | tolerance |")
         print("|---|---|---|---|---|---|")
         rows = zip(FIGURES, RECORDED[name], drawn.mean(0), drawn.min(0), drawn.max(0), TOLERANCE, strict=True)
-        for figure, known, mean, low, high, tolerance in rows:
-            numbers = (f"{x:.0f}" if "tokens" in figure else f"{x:.2f}" for x in (known, mean, low, high))
+        for figure, target, mean, low, high, tolerance in rows:
+            numbers = (f"{x:.0f}" if "tokens" in figure else f"{x:.2f}" for x in (target, mean, low, high))
             cells = "| {} | {} | {} | {} .. {} |".format(figure, *numbers)
-            print(f"{cells} {100 * (mean / known - 1):+.0f} % | {100 * tolerance:.0f} % |")
+            print(f"{cells} {100 * (mean / target - 1):+.0f} % | {100 * tolerance:.0f} % |")
     from dcgrid_env.traces.logs.request_log import read_request_log
 
     for path in arguments:

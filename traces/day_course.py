@@ -18,7 +18,7 @@ from dcgrid_env.traces.time_grid import rounded
 LOAD_PERCENT = (
     64, 60, 58, 56, 56, 58, 64, 76, 87, 95, 99, 100, 99, 100, 100, 97, 96, 96, 93, 92, 92, 93, 87, 72,
 )  # fmt: skip
-"""Of each hour from midnight on."""
+"""Share of each hour from midnight on."""
 LATITUDE_DEG = 40.0
 DECLINATION_DEG = 23.45
 

@@ -14,7 +14,7 @@ import numpy as np
 from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.rows import ALL_SPLITS, OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
+from dcgrid_env.traces.rows import ALL_SPLITS, OUT_OF_DISTRIBUTION, SPLITS, TraceRows, checked_boost, checked_split
 from dcgrid_env.traces.sources import TRACE_SOURCES
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, grid_steps
 from dcgrid_env.traces.trace import RequestTimes
@@ -25,7 +25,7 @@ _SEEDS_PER_SPLIT = 1_000_000
 
 def row_seed(split: str, row: int) -> int:
     """Return the generator seed of a row of a split; no two splits share one."""
-    return ALL_SPLITS.index(known_split(split)) * _SEEDS_PER_SPLIT + row
+    return ALL_SPLITS.index(checked_split(split)) * _SEEDS_PER_SPLIT + row
 
 
 def library(
@@ -81,9 +81,9 @@ def checked(source: str, split: str, dt_s: float, duration_s: float, count: int,
         raise TraceError(f"duration_s = {duration_s:g} is shorter than one step of {dt_s:g} s; give a longer one")
     if not 1 <= index(count) <= _SEEDS_PER_SPLIT:
         raise TraceError(f"count = {count!r} is not in 1 to {_SEEDS_PER_SPLIT}")
-    if known_split(split) == OUT_OF_DISTRIBUTION and TRACE_SOURCES[source].shifted is None:
+    if checked_split(split) == OUT_OF_DISTRIBUTION and TRACE_SOURCES[source].shifted is None:
         raise TraceError(f"trace source {source!r} has no split {split!r}; choose one of {', '.join(SPLITS)}")
-    return Law(source, split, dt_s, duration_s, index(count), known_boost(boost_share))
+    return Law(source, split, dt_s, duration_s, index(count), checked_boost(boost_share))
 
 
 def generated_row(law: Law, row: int) -> tuple[FloatArray, FloatArray, RequestTimes | None, Provenance]:
@@ -110,8 +110,8 @@ def row_hour(source: str, split: str, row: int) -> int | None:
 @lru_cache(maxsize=32)
 def _generated(law: Law) -> TraceRows:
     power, compute, requests, provenance = zip(*(generated_row(law, row) for row in range(law.count)), strict=True)
-    known = tuple(found for found in requests if found is not None)
-    return TraceRows(_read_only(power), _read_only(compute), known, provenance)
+    present = tuple(drawn for drawn in requests if drawn is not None)
+    return TraceRows(_read_only(power), _read_only(compute), present, provenance)
 
 
 def _read_only(rows: Sequence[FloatArray]) -> FloatArray:

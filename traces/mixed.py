@@ -8,7 +8,7 @@ from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.provenance import generated
 from dcgrid_env.traces.time_grid import as_trace, stream
 from dcgrid_env.traces.trace import PowerTrace
-from dcgrid_env.traces.training.jobs import TrainingParams, generate_training
+from dcgrid_env.traces.training.training_site import TrainingParams, generate_training
 
 
 def generate_mixed(

@@ -57,8 +57,8 @@ class RowsOnDemand:
         for row in np.unique(rows).tolist():
             with self._lock:
                 if row not in self._provenance:
-                    made = generated_row(self._law, row)
-                    self.p_share[row], self.compute_share[row], self._requests[row], self._provenance[row] = made
+                    row_values = generated_row(self._law, row)
+                    self.p_share[row], self.compute_share[row], self._requests[row], self._provenance[row] = row_values
 
     @property
     def requests(self) -> dict[int, RequestTimes]:

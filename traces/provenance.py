@@ -16,7 +16,7 @@ class Provenance:
     parameters: dict[str, Any] = field(default_factory=dict)
     """A generator's parameters, or what a recorder noted; JSON values."""
     sha256: str = ""
-    """Of the file's bytes, as hexadecimal."""
+    """SHA-256 of the file's bytes, hexadecimal."""
     licence: str = ""
     citation: str = ""
 
@@ -37,8 +37,8 @@ class Provenance:
 
 def generated(generator: str, seed: int, duration_s: float, **params: Any) -> Provenance:
     """Provenance of a generated trace; dataclasses among `params` are taken apart."""
-    known = {name: _plain(value) for name, value in params.items()}
-    return Provenance(f"generator {generator}", seed=int(seed), parameters={"duration_s": float(duration_s), **known})
+    parameters = {"duration_s": float(duration_s)} | {name: _plain(value) for name, value in params.items()}
+    return Provenance(f"generator {generator}", seed=int(seed), parameters=parameters)
 
 
 def _plain(value: Any) -> Any:

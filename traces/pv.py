@@ -97,6 +97,6 @@ def pv_rows(split: str, dt_s: float, duration_s: float, count: int) -> FloatArra
     """
     n_steps = steps_in(duration_s, dt_s)
     rows = [generate_pv(duration_s, row_seed(split, i)).resample(dt_s)[:n_steps] for i in range(count)]
-    found = np.array(rows)
-    found.setflags(write=False)
-    return found
+    shares = np.array(rows)
+    shares.setflags(write=False)
+    return shares

@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, known_boost, known_split
+from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, checked_boost, checked_split
 from dcgrid_env.traces.time_grid import IDLE_SHARE
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 
@@ -52,7 +52,7 @@ def from_recordings(
     TraceError
         If there is no recording, or a recording's part of the split is shorter than one step or `window_s`.
     """
-    if known_split(split) == OUT_OF_DISTRIBUTION:
+    if checked_split(split) == OUT_OF_DISTRIBUTION:
         raise TraceError(
             "recordings have no split 'ood'; give recordings of another GPU or service as the trace instead"
         )
@@ -62,7 +62,7 @@ def from_recordings(
     if not (np.isfinite(window_s) and window_s >= 0):
         raise TraceError(f"window_s = {window_s!r} is not a finite number of at least 0; give a length in seconds")
     needed = max(1, -steps_in(-window_s, require_positive(dt_s, "dt_s", "give a step in seconds")))
-    boost_share = known_boost(boost_share)
+    boost_share = checked_boost(boost_share)
     if by == "recording":
         traces, low, high = _whole_recordings(traces, split), 0.0, 1.0
     elif by != "time":
@@ -84,8 +84,10 @@ def from_recordings(
 
 
 def _noted(trace: PowerTrace, boost_share: float) -> Provenance:
-    known = trace.provenance
-    return known if boost_share == 1.0 else replace(known, parameters={**known.parameters, "boost_share": boost_share})
+    provenance = trace.provenance
+    if boost_share == 1.0:
+        return provenance
+    return replace(provenance, parameters={**provenance.parameters, "boost_share": boost_share})
 
 
 class _Part(NamedTuple):

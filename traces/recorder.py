@@ -117,9 +117,9 @@ class _Log:
         self.late_s.append(late_s)
         self._start = self._start or clock_mhz
         self._end = clock_mhz
-        for seen, now in zip(self._clocks, clock_mhz, strict=True):
+        for counts, now in zip(self._clocks, clock_mhz, strict=True):
             if now is not None:
-                seen[now] += 1
+                counts[now] += 1
 
     def summary(self) -> dict[str, Any]:
         jitter_s = np.abs(np.asarray(self.late_s))
@@ -139,13 +139,13 @@ class _Log:
             {
                 "start": start,
                 "end": end,
-                "min": min(seen),
-                "mean": round(sum(mhz * n for mhz, n in seen.items()) / seen.total(), 1),
-                "max": max(seen),
+                "min": min(counts),
+                "mean": round(sum(mhz * n for mhz, n in counts.items()) / counts.total(), 1),
+                "max": max(counts),
             }
-            if seen
+            if counts
             else None
-            for seen, start, end in zip(self._clocks, self._start, self._end, strict=True)
+            for counts, start, end in zip(self._clocks, self._start, self._end, strict=True)
         ]
 
 

@@ -29,7 +29,7 @@ class Recording:
     kind: Literal["power", "requests"]
     url: str
     sha256: str
-    """Of the file's bytes, as hexadecimal."""
+    """SHA-256 of the file's bytes, hexadecimal."""
     size_bytes: int
     licence: str
     citation: str
@@ -88,9 +88,9 @@ RECORDINGS: dict[str, Recording] = {
 
 def cache_folder() -> Path:
     """Folder of fetched files: $DCGRID_CACHE, or the place for caches of this user on this system."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named).expanduser()
+    folder = os.environ.get(CACHE_VARIABLE)
+    if folder:
+        return Path(folder).expanduser()
     import pooch
 
     return pooch.os_cache("dcgrid")
@@ -111,7 +111,7 @@ def fetch(recording: Recording | str, cache: str | Path | None = None, progress:
         For an unknown name, or a download that fails; the message says what to do, with the path for a download by
         hand. A call after a broken one resumes.
     """
-    recording = _known(recording)
+    recording = _recording(recording)
     path = (Path(cache) if cache is not None else cache_folder()) / recording.file_name
     return download(recording.url, recording.sha256, recording.size_bytes, path, progress)
 
@@ -129,19 +129,19 @@ def load_power(recording: Recording | str, path: str | Path | None = None) -> Po
     TraceError
         For an unknown name, a recording of another kind, or a file that is not there or not the recording.
     """
-    recording = _known(recording, "power")
+    recording = _recording(recording, "power")
     trace = PowerTrace.from_csv(_checked(recording, path), name=recording.name)
     return replace(trace, provenance=_credited(trace.provenance, recording))
 
 
 def load_requests(recording: Recording | str, path: str | Path | None = None) -> Requests:
     """Load a fetched recording of requests; like `load_power`."""
-    recording = _known(recording, "requests")
+    recording = _recording(recording, "requests")
     requests = read_request_log(_checked(recording, path))
     return replace(requests, name=recording.name, provenance=_credited(requests.provenance, recording))
 
 
-def _known(recording: Recording | str, kind: str | None = None) -> Recording:
+def _recording(recording: Recording | str, kind: str | None = None) -> Recording:
     if not isinstance(recording, Recording):
         if recording not in RECORDINGS:
             raise TraceError(f"recording {recording!r} is unknown; choose one of {', '.join(RECORDINGS)}")
@@ -157,10 +157,10 @@ def _checked(recording: Recording, path: str | Path | None) -> Path:
     remedy = f"get it with `dcgrid traces fetch {recording.name}`"
     if not path.is_file():
         raise TraceError(f"recording {recording.name!r}: there is no file {path}; {remedy}")
-    found = sha256_of(path)
-    if found != recording.sha256:
+    digest = sha256_of(path)
+    if digest != recording.sha256:
         raise TraceError(
-            f"recording {recording.name!r}: {path} is not it: its SHA-256 is {found}, not {recording.sha256}; {remedy}"
+            f"recording {recording.name!r}: {path} is not it: its SHA-256 is {digest}, not {recording.sha256}; {remedy}"
         )
     return path
 

@@ -42,8 +42,8 @@ def require_window(rows: TraceRows, n_steps: int, dt_s: float, name: str) -> Non
         )
 
 
-def known_boost(boost_share: float) -> float:
-    """Return it; TraceError unless it is in 1 to 2."""
+def checked_boost(boost_share: float) -> float:
+    """Return the share; raise TraceError unless it is in 1 to 2."""
     if not (np.isfinite(boost_share) and 1.0 <= boost_share <= 2.0):
         raise TraceError(
             f"boost_share = {boost_share!r} is not in 1 to 2; give the highest draw as a share of the rating"
@@ -51,8 +51,8 @@ def known_boost(boost_share: float) -> float:
     return float(boost_share)
 
 
-def known_split(split: str) -> str:
-    """Return it; TraceError unless it is one of ALL_SPLITS."""
+def checked_split(split: str) -> str:
+    """Return the split; raise TraceError unless it is one of ALL_SPLITS."""
     if split not in ALL_SPLITS:
         raise TraceError(f"split {split!r} is unknown; choose one of {', '.join(ALL_SPLITS)}")
     return split

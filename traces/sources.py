@@ -13,7 +13,7 @@ from dcgrid_env.traces.serving.services import SERVICES, Service, TokenLaw
 from dcgrid_env.traces.serving.site import Site, Tenant, generate_site
 from dcgrid_env.traces.step import generate_step
 from dcgrid_env.traces.trace import PowerTrace
-from dcgrid_env.traces.training.jobs import TrainingParams, generate_training
+from dcgrid_env.traces.training.training_site import TrainingParams, generate_training
 
 Generate = Callable[[float, int], PowerTrace]
 

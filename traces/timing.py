@@ -29,17 +29,17 @@ def main(hours: float = 24.0, sources: Iterable[str] = TRACE_SOURCES) -> None:
     generate_site(1.0, 0)
     site = Site()
     for service in ("chat", "code"):
-        made, took_s = timed(requests, service, hours, 0)
-        print(f"requests({service!r}, hours={hours:g}): {len(made):,} requests, {took_s:.2f} s")
+        drawn, took_s = timed(requests, service, hours, 0)
+        print(f"requests({service!r}, hours={hours:g}): {len(drawn):,} requests, {took_s:.2f} s")
     before = peak_mib()
     trace, took_s = timed(generate_site, 3600.0 * hours, 0)
     assert trace.requests is not None
     assert trace.compute_kw is not None
-    held = sum(array.nbytes for array in (trace.time_s, trace.power_kw, trace.compute_kw, *trace.requests)) / MIB
+    trace_mib = sum(array.nbytes for array in (trace.time_s, trace.power_kw, trace.compute_kw, *trace.requests)) / MIB
     rate = site.rate_per_s(site.tenants[0])
     print(
         f"{hours:g} h of a {site.rated_kw:.0f} kW site that answers {rate:.0f} chat requests a second: {took_s:.1f} s; "
-        f"held {held:.0f} MiB at 0.1 s, {trace.resample(1.0).nbytes / MIB:.1f} MiB at 1 s; "
+        f"held {trace_mib:.0f} MiB at 0.1 s, {trace.resample(1.0).nbytes / MIB:.1f} MiB at 1 s; "
         f"peak memory {peak_mib():.0f} MiB, {before:.0f} of it before"
     )
     for source in sources:

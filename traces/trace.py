@@ -202,19 +202,19 @@ class PowerTrace:
         """Mean of `compute_kw` over the steps of `resample`, (n_steps,) float64, kW; None where it is not known."""
         return None if self.compute_kw is None else self._means(self.compute_kw, dt_s)
 
-    def _means(self, held: FloatArray, dt_s: float) -> FloatArray:
+    def _means(self, values: FloatArray, dt_s: float) -> FloatArray:
         dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
         self.require_duration(dt_s)
         time_s = self.time_s - self.time_s[0]
         edge_s = _snapped(dt_s * np.arange(steps_in(self.duration_s, dt_s) + 1, dtype=np.float64), time_s, 1e-9 * dt_s)
-        energy = np.concatenate([[0.0], np.cumsum(held[:-1] * np.diff(time_s))])
+        energy = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
         mean_kw = np.diff(np.interp(edge_s, time_s, energy)) / dt_s
         # A mean lies between the samples it is made of; cancellation in the difference may put it 1e-12 outside.
         first = np.searchsorted(time_s, edge_s[:-1], side="right") - 1
         last = np.searchsorted(time_s, edge_s[1:], side="left").clip(max=len(time_s) - 1)
         pairs = np.column_stack([first, last]).ravel()
-        lowest_kw = np.minimum.reduceat(held, pairs)[::2]
-        highest_kw = np.maximum.reduceat(held, pairs)[::2]
+        lowest_kw = np.minimum.reduceat(values, pairs)[::2]
+        highest_kw = np.maximum.reduceat(values, pairs)[::2]
         return np.clip(mean_kw, lowest_kw, highest_kw)
 
 

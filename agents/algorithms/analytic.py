@@ -4,12 +4,13 @@ No value function and no exploration: episodes are rolled out by the environment
 (``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
 back-propagation through time).
 
-    loss = mean over lanes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
+    loss = mean over episodes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
 
 Under a limit on the delay or the violation its price is multiplied by a factor that follows it (``training.limits``).
 
 One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
-(``view``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own rating.
+(``policy.interface``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own
+rating.
 
 Truncated gradients through differentiable simulators: J. Xu et al., "Accelerated policy learning with parallel
 differentiable simulation", arXiv 2204.07137. By Little's law the mean delay is the mean backlog over the mean work that
@@ -28,11 +29,11 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout
-from dcgrid_env.agents.policy.interface import View
+from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.limits import Limits, updated_factor
-from dcgrid_env.agents.training.run import Run, device_of, finish, open_run, progress, torch
+from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
@@ -89,28 +90,17 @@ class Learner:
         kind = "shared" if cfg.view == "shared" else "joint"
         self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
         self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
-        self.views = [View(grid, kind, **self.chosen, array=self._tensor, clip=forgiving_clip) for grid in grids]
-        self._check_widths()
+        made_for = {**self.chosen, "array": self._tensor, "clip": forgiving_clip}
+        self.interfaces = [PolicyInterface(grid, kind, **made_for) for grid in grids]
+        require_one_policy_fits(self.interfaces)
         self.factors = {"delay": 1.0, "violation": 1.0}
         self.spent_s = {"forward": 0.0, "backward": 0.0}
         torch.manual_seed(cfg.seed)
         moments = self._moments()
-        widths = {name: both for view in self.views for name, both in view.widths.items()}
-        made = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
-        self.networks = torch.nn.ModuleDict(made).to(self.device)
+        widths = {name: both for interface in self.interfaces for name, both in interface.widths.items()}
+        networks = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
+        self.networks = torch.nn.ModuleDict(networks).to(self.device)
         self.optimiser = torch.optim.Adam(self.networks.parameters(), lr=cfg.learning_rate)
-
-    def _check_widths(self) -> None:
-        """ValueError unless one policy fits all grids."""
-        first = self.views[0]
-        for env, view in zip(self.envs, self.views, strict=True):
-            for name, widths in view.widths.items():
-                if first.widths.get(name, widths) != widths:
-                    raise ValueError(
-                        f"scenario: the network {name!r} would see and give {first.widths[name]} figures on "
-                        f"{self.envs[0].scenario.name} and {widths} on {env.scenario.name}; train on scenarios of the "
-                        "same agents, or on one alone"
-                    )
 
     def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
         """A network at its beginning, for agents of this kind."""
@@ -121,8 +111,8 @@ class Learner:
 
     def _moments(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
         """Mean and standard deviation of what each network sees, over an episode of each grid at random setpoints."""
-        rng, seen = np.random.default_rng(self.cfg.seed), {}
-        for env, view in zip(self.envs, self.views, strict=True):
+        rng, rows_by_network = np.random.default_rng(self.cfg.seed), {}
+        for env, interface in zip(self.envs, self.interfaces, strict=True):
             clocks = action_layout(env.scenario).is_channel("clock")
             joint = env.reset(episode_seeds(self.cfg.seed, 0, NORMALISED_LANES))
             action = torch.empty(0)
@@ -132,9 +122,9 @@ class Learner:
                     drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
                     action = self._tensor(drawn.astype(np.float32))
                 joint = env.step(action).observation
-                for name, own in view.inputs(joint).items():
-                    seen.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
-        every = {name: torch.cat(rows) for name, rows in seen.items()}
+                for name, own in interface.inputs(joint).items():
+                    rows_by_network.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
+        every = {name: torch.cat(rows) for name, rows in rows_by_network.items()}
         return {name: (rows.mean(0), rows.std(0).clamp(min=1e-2)) for name, rows in every.items()}
 
     def episodes(
@@ -145,9 +135,9 @@ class Learner:
         ``require_finite`` raises for tensors that are not, given what they are.
         """
         cfg, env = self.cfg, self.envs[i]
-        joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.lanes))
+        joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.num_envs))
         losses, norm, excess_pu = [], 0.0, 0.0
-        waited, arrived = torch.zeros(2, cfg.lanes, device=self.device)
+        waited, arrived = torch.zeros(2, cfg.num_envs, device=self.device)
         for size in windows(env.scenario.horizon, cfg.window):
             began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
             for _ in range(size):
@@ -191,11 +181,12 @@ class Learner:
 
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
         """Joint action after a joint observation of grid i."""
-        view = self.views[i]
-        return view.action(joint, {name: self.networks[name](own) for name, own in view.inputs(joint).items()})
+        interface = self.interfaces[i]
+        outputs = {name: self.networks[name](own) for name, own in interface.inputs(joint).items()}
+        return interface.action(joint, outputs)
 
     def set_rate(self, learning_rate: float) -> None:
-        """Of the optimiser, from now on."""
+        """Set the optimiser's learning rate from now on."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate
 
@@ -233,10 +224,10 @@ def windows(horizon: int, window: int) -> list[int]:
     return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
 
 
-def episode_seeds(seed: int, iteration: int, lanes: int) -> range:
+def episode_seeds(seed: int, iteration: int, num_envs: int) -> range:
     """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
-    first = (seed << 40) + iteration * lanes
-    return range(first, first + lanes)
+    first = (seed << 40) + iteration * num_envs
+    return range(first, first + num_envs)
 
 
 def check_settings(cfg: Analytic) -> None:
@@ -249,9 +240,9 @@ def check_settings(cfg: Analytic) -> None:
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
     """Scenarios of the training split: those named, then variants of each."""
-    named = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
+    given = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
     rng = np.random.default_rng([cfg.seed, 1])
-    return named + [variant(grid, rng) for _ in range(cfg.vary) for grid in named]
+    return given + [variant(grid, rng) for _ in range(cfg.vary) for grid in given]
 
 
 def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
@@ -286,13 +277,13 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
             figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 policy = model.policy()
-                found = validate(policy)
-                if cfg.limits.merit(found) < best:
-                    best = cfg.limits.merit(found)
-                    made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": found["J"]}
-                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": algorithm})
-                run.record(found | figures | model.progress())
-                advance(iteration, f"J {found['J']:.4f}, droop {validate.j_droop:.4f}")
+                validated = validate(policy)
+                if cfg.limits.merit(validated) < best:
+                    best = cfg.limits.merit(validated)
+                    card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": validated["J"]}
+                    policy.save(run.folder / "policy.safetensors", card | {"algorithm": algorithm})
+                run.record(validated | figures | model.progress())
+                advance(iteration, f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
     finish(run)

@@ -26,8 +26,8 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointLanes, Outputs
-from dcgrid_env.agents.training.run import torch
+from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
+from dcgrid_env.agents.training.run_folder import torch
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Ppo(sb3.Config):
     outputs: Outputs = "setpoint"
     """Whether the networks give setpoints, changes of what holds all as it is, or corrections of the tuned droop."""
     steps: int = 10_000_000
-    """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
+    """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
     gae_lambda: float = 0.8
     """Decay lambda of generalised advantage estimation."""
     learning_rate: float = 3e-3
@@ -83,7 +83,7 @@ class LanePolicy(ActorCriticPolicy):
     group
         Lanes of an environment; observations come with all lanes of an environment, one after the other.
     used
-        ``JointLanes.used``: one row, or one a kind, told apart by the last figure of the observation. Entries of an
+        ``JointVecEnv.used``: one row, or one a kind, told apart by the last figure of the observation. Entries of an
         action that reach nothing have no likelihood.
     clocks
         1 for entries that are clocks as setpoints, whose mean begins at the top, (n_action,).
@@ -151,8 +151,8 @@ class GroupBuffer(RolloutBuffer):
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
         """Minibatches of about ``batch_size`` lane steps, in random order."""
-        kept = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)
-        grouped = [torch.as_tensor(array, device=self.device) for array in kept]
+        arrays = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)
+        grouped = [torch.as_tensor(array, device=self.device) for array in arrays]
         grouped = [tensor.reshape(-1, self.group, *tensor.shape[2:]) for tensor in grouped]
         order = torch.as_tensor(np.random.permutation(len(grouped[0])), device=self.device)  # noqa: NPY002 (SB3 seeds it)
         for chosen in order.split(max(1, (batch_size or order.numel()) // self.group)):
@@ -164,7 +164,7 @@ class LanePpo(PPO):
 
     def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, n_rollout_steps: int) -> bool:
         """Fill the buffer; the value goes on where the horizon cuts an episode off."""
-        lanes: JointLanes = env
+        vec_env: JointVecEnv = env
         policy: Any = self.policy
         policy.set_training_mode(False)
         rollout_buffer.reset()
@@ -177,19 +177,20 @@ class LanePpo(PPO):
                 rollout_buffer.observations[t], rollout_buffer.episode_starts[t] = observation, starts
                 rollout_buffer.actions[t] = actions.cpu().numpy()
                 rollout_buffer.log_probs[t] = likelihood.cpu().numpy()
-                clipped = rollout_buffer.actions[t].clip(lanes.action_space.low, lanes.action_space.high)  # pyright: ignore
-                observation, reward, starts, _ = lanes.step(clipped)
+                clipped = rollout_buffer.actions[t].clip(vec_env.action_space.low, vec_env.action_space.high)  # pyright: ignore
+                observation, reward, starts, _ = vec_env.step(clipped)
                 rollout_buffer.rewards[t] = reward
-                truncated = lanes.truncated
+                truncated = vec_env.truncated
                 if truncated.any():
-                    cut.append((t, truncated, lanes.arrived()))
-                self.num_timesteps += lanes.num_envs
+                    cut.append((t, truncated, vec_env.arrived()))
+                self.num_timesteps += vec_env.num_envs
                 if not callback.on_step():
                     return False
             for t, truncated, arrived in cut:
                 rollout_buffer.rewards[t] += self.gamma * truncated * self._values(arrived)
-            seen = rollout_buffer.observations
-            rollout_buffer.values[:] = self._values(seen.reshape(-1, seen.shape[-1])).reshape(seen.shape[:2])
+            observed = rollout_buffer.observations
+            values = self._values(observed.reshape(-1, observed.shape[-1]))
+            rollout_buffer.values[:] = values.reshape(observed.shape[:2])
             last = policy.predict_values(self._tensor(observation))
         rollout_buffer.pos, rollout_buffer.full = n_rollout_steps, True
         rollout_buffer.compute_returns_and_advantage(last_values=last, dones=starts)
@@ -204,15 +205,15 @@ class LanePpo(PPO):
         return self.policy.predict_values(self._tensor(observation)).flatten().cpu().numpy()  # pyright: ignore
 
 
-def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
+def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
     """The algorithm at its beginning."""
     set_random_seed(cfg.seed)
-    known = sb3_models.normalise(lanes, cfg.seed, cfg.gamma)
-    rollout = lanes.num_envs * lanes.scenario.horizon
+    normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
+    rollout = vec_env.num_envs * vec_env.scenario.horizon
     model = LanePpo(
         LanePolicy,
-        lanes,
-        n_steps=lanes.scenario.horizon,
+        vec_env,
+        n_steps=vec_env.scenario.horizon,
         batch_size=-(-rollout // cfg.minibatches),
         n_epochs=cfg.epochs,
         gamma=cfg.gamma,
@@ -221,14 +222,14 @@ def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
         max_grad_norm=cfg.max_grad_norm,
         device=cfg.device,
         rollout_buffer_class=GroupBuffer,
-        rollout_buffer_kwargs={"group": lanes.lanes_per_env},
+        rollout_buffer_kwargs={"group": vec_env.lanes_per_env},
         policy_kwargs={
             "net_arch": list(cfg.hidden),
             "log_std_init": cfg.log_std,
-            **known,
-            "group": lanes.lanes_per_env,
-            "used": lanes.used,
-            "clocks": lanes.clocks * (cfg.outputs == "setpoint"),
+            **normalisation,
+            "group": vec_env.lanes_per_env,
+            "used": vec_env.used,
+            "clocks": vec_env.clocks * (cfg.outputs == "setpoint"),
             "pull": cfg.pull,
         },
     )
@@ -236,22 +237,22 @@ def make(cfg: Ppo, lanes: JointLanes) -> LanePpo:
     return model
 
 
-def exported(cfg: Ppo, lanes: JointLanes, model: LanePpo) -> Policy:
+def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
     """The policy's mean as it stands, as NumPy arrays."""
     policy: Any = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
     return sb3_models.export(
-        cfg, lanes, policy.features_extractor, layers, "tanh", "clip" if cfg.outputs == "setpoint" else "none"
+        cfg, vec_env, policy.features_extractor, layers, "tanh", "clip" if cfg.outputs == "setpoint" else "none"
     )
 
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
-    with sb3.begin(cfg, "ppo", cfg.outputs) as (run, lanes):
-        model = make(cfg, lanes)
+    with sb3.begin(cfg, "ppo", cfg.outputs) as (run, vec_env):
+        model = make(cfg, vec_env)
         return sb3.train(
-            cfg, run, lanes, model,
-            iterations=max(1, round(cfg.steps / (lanes.num_envs * lanes.scenario.horizon))),
-            exported=lambda: exported(cfg, lanes, model),
+            cfg, run, vec_env, model,
+            iterations=max(1, round(cfg.steps / (vec_env.num_envs * vec_env.scenario.horizon))),
+            exported=lambda: exported(cfg, vec_env, model),
             learning_rate=lambda done: cfg.learning_rate * (1.0 - done),
         )  # fmt: skip

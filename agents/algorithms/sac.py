@@ -13,8 +13,8 @@ from stable_baselines3 import SAC
 
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointLanes
-from dcgrid_env.agents.training.run import torch
+from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.run_folder import torch
 
 
 @dataclass(frozen=True)
@@ -25,28 +25,28 @@ class Sac(sb3.OffPolicy):
     """Entropy that the policy is held at, for each entry of an action: the lower, the less exploration."""
 
 
-def make(cfg: Sac, lanes: JointLanes) -> SAC:
+def make(cfg: Sac, vec_env: JointVecEnv) -> SAC:
     """The algorithm at its beginning."""
-    entropy = cfg.entropy_per_action * float(lanes.used.sum(-1).mean())
-    model = SAC("MlpPolicy", lanes, **sb3_models.off_policy(cfg, lanes), target_entropy=entropy)
-    return sb3_models.begun(model, lanes, model.actor.mu)
+    entropy = cfg.entropy_per_action * float(vec_env.used.sum(-1).mean())
+    model = SAC("MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), target_entropy=entropy)
+    return sb3_models.prepared(model, vec_env, model.actor.mu)
 
 
-def exported(cfg: Sac, lanes: JointLanes, model: SAC) -> Policy:
+def exported(cfg: Sac, vec_env: JointVecEnv, model: SAC) -> Policy:
     """The policy's mean as it stands, as NumPy arrays."""
     actor: Any = model.actor
-    return sb3_models.export(cfg, lanes, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
+    return sb3_models.export(cfg, vec_env, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
 
 
 def main(cfg: Sac) -> Path:
     """Train; the folder written."""
-    with sb3.begin(cfg, "sac") as (run, lanes):
-        model = make(cfg, lanes)
+    with sb3.begin(cfg, "sac") as (run, vec_env):
+        model = make(cfg, vec_env)
         temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore
         return sb3.train(
-            cfg, run, lanes, model,
-            iterations=cfg.iterations(lanes),
-            exported=lambda: exported(cfg, lanes, model),
+            cfg, run, vec_env, model,
+            iterations=cfg.iterations(vec_env),
+            exported=lambda: exported(cfg, vec_env, model),
             learning_rate=cfg.rate,
-            extra=lambda: sb3_models.remembered(model) | temperature,
+            extra=lambda: sb3_models.replay_arrays(model) | temperature,
         )  # fmt: skip

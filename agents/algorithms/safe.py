@@ -24,15 +24,15 @@ import numpy as np
 from dcgrid_env import Scenario, field_names
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
-from dcgrid_env.agents.training.run import torch
+from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.torch_modules import Monotone
 from dcgrid_env.baselines.laws.stability import placements
 
-SEES = ("r", "x", "p_ref_next")
+TARGET_FIELDS = ("r", "x", "p_ref_next")
 """What moves the voltage that is aimed at: where the agent stands, and what its site is about to draw. Nothing here
 depends on what the policy does, or it would be a second loop without a bound."""
 PLACEMENTS = 1000
-"""Of how many seeds the placements are looked at, where they are drawn."""
+"""Seeds whose placements are looked at where a scenario draws them."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class SafeLearner(Learner):
         fields = self.fields["dc_0" if name == "datacenter" else "inv_0"]
         n_own = len(fields)
         plates = [n_own, n_own + 1]  # draw and reach; the third figure of the nameplate holds the voltage
-        sees = [fields.index(field) for field in SEES if field in fields] + plates
+        inputs = [fields.index(field) for field in TARGET_FIELDS if field in fields] + plates
         reactive, clock = self.slopes
         if name == "datacenter":
-            return Monotone(mean, std, [sees, sees], [clock, reactive], [True, False], self.cfg.hidden)
-        return Monotone(mean, std, [sees], [reactive], [False], self.cfg.hidden)
+            return Monotone(mean, std, [inputs, inputs], [clock, reactive], [True, False], self.cfg.hidden)
+        return Monotone(mean, std, [inputs], [reactive], [False], self.cfg.hidden)
 
 
 def main(cfg: Safe) -> Path:

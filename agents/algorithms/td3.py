@@ -16,7 +16,7 @@ from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNo
 
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointLanes
+from dcgrid_env.agents.training.batched_envs import JointVecEnv
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Td3(sb3.OffPolicy):
 class LaneNoise(VectorizedActionNoise):
     """Normal noise for all lanes in one draw."""
 
-    def __init__(self, std: float, lanes: int, n_action: int):
+    def __init__(self, std: float, vec_env: int, n_action: int):
         super().__init__(NormalActionNoise(np.zeros(n_action), std * np.ones(n_action)), 1)
-        self.std, self.shape = std, (lanes, n_action)
+        self.std, self.shape = std, (vec_env, n_action)
 
     def __call__(self) -> np.ndarray:
         """Noise, (lane, n_action)."""
@@ -44,32 +44,32 @@ class LaneNoise(VectorizedActionNoise):
         """Nothing to forget."""
 
 
-def make(cfg: Td3, lanes: JointLanes) -> TD3:
+def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
     """The algorithm at its beginning."""
-    noise = LaneNoise(cfg.noise, lanes.num_envs, lanes.action_space.shape[0])  # pyright: ignore
+    noise = LaneNoise(cfg.noise, vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore
     model = TD3(
-        "MlpPolicy", lanes, **sb3_models.off_policy(cfg, lanes), action_noise=noise,
+        "MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), action_noise=noise,
         target_policy_noise=cfg.target_noise, target_noise_clip=2.0 * cfg.target_noise,
     )  # fmt: skip
-    model = sb3_models.begun(model, lanes, model.actor.mu[-2])
+    model = sb3_models.prepared(model, vec_env, model.actor.mu[-2])
     model.actor_target.load_state_dict(model.actor.state_dict())
     return model
 
 
-def exported(cfg: Td3, lanes: JointLanes, model: TD3) -> Policy:
+def exported(cfg: Td3, vec_env: JointVecEnv, model: TD3) -> Policy:
     """The policy as it stands, as NumPy arrays."""
     actor: Any = model.actor
-    return sb3_models.export(cfg, lanes, actor.features_extractor, actor.mu, "relu", "tanh")
+    return sb3_models.export(cfg, vec_env, actor.features_extractor, actor.mu, "relu", "tanh")
 
 
 def main(cfg: Td3) -> Path:
     """Train; the folder written."""
-    with sb3.begin(cfg, "td3") as (run, lanes):
-        model = make(cfg, lanes)
+    with sb3.begin(cfg, "td3") as (run, vec_env):
+        model = make(cfg, vec_env)
         return sb3.train(
-            cfg, run, lanes, model,
-            iterations=cfg.iterations(lanes),
-            exported=lambda: exported(cfg, lanes, model),
+            cfg, run, vec_env, model,
+            iterations=cfg.iterations(vec_env),
+            exported=lambda: exported(cfg, vec_env, model),
             learning_rate=cfg.rate,
-            extra=lambda: sb3_models.remembered(model),
+            extra=lambda: sb3_models.replay_arrays(model),
         )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any, Self
 from dcgrid_env.agents.policy.network import PolicyError
 from dcgrid_env.core.files import write_json
 
-MADE = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
+ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """What the one who trained a policy may say; the rest is filled in."""
 
 
@@ -29,7 +29,7 @@ class Scored:
     episodes: int
     """Seeds 0, 1, .."""
     scenario_hash: str
-    """Of the scenario on that split."""
+    """Hash of the scenario on that split."""
     J: float
     """Mean over the episodes, as the next two."""
     delay_mean_s: float
@@ -62,7 +62,7 @@ class Card:
     """
 
     version: str
-    """Of dcgrid-env, with which it was made."""
+    """Version of dcgrid-env that made it."""
     n_parameters: int
     """Figures in its arrays, those of the normalisation included."""
     sha256: str
@@ -73,7 +73,7 @@ class Card:
     command: str = ""
     """What makes it again, with the settings that ship for its scenario (``settings``)."""
     seed: int | None = None
-    """Of the training."""
+    """Random seed of the training."""
     training_s: float | None = None
     """Wall-clock time of the training."""
     validation_J: float | None = None
@@ -89,12 +89,12 @@ class Card:
             raise PolicyError(f"card: sha256 is {self.sha256!r}; give 64 hexadecimal digits")
 
     @classmethod
-    def of(cls, sha256: str, n_parameters: int, made: Mapping[str, Any]) -> Self:
-        """The card of a policy that was just made; ``made`` holds some of ``MADE``, PolicyError for anything else."""
-        unknown = sorted(set(made) - set(MADE))
+    def of(cls, sha256: str, n_parameters: int, origin: Mapping[str, Any]) -> Self:
+        """The card of a policy that was just made; ``origin`` has some of ``ORIGIN_FIELDS``, PolicyError for others."""
+        unknown = sorted(set(origin) - set(ORIGIN_FIELDS))
         if unknown:
-            raise PolicyError(f"card: {unknown[0]} is no field of it; give some of {', '.join(MADE)}")
-        return cls(version("dcgrid-env"), n_parameters, sha256, **made)
+            raise PolicyError(f"card: {unknown[0]} is no field of it; give some of {', '.join(ORIGIN_FIELDS)}")
+        return cls(version("dcgrid-env"), n_parameters, sha256, **origin)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -133,8 +133,8 @@ def _check_all(card: Scored | Card, kind: type, name: str, n: int | None = None)
 def _check_one(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     kinds = kind if isinstance(kind, tuple) else (kind,)
     allowed = (*kinds, int) if float in kinds else kinds
-    named = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
+    expected = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
     if not isinstance(value, allowed) or isinstance(value, bool):
-        raise PolicyError(f"card: {name} is {value!r}; give {named}")
+        raise PolicyError(f"card: {name} is {value!r}; give {expected}")
     if isinstance(value, float) and not math.isfinite(value):
         raise PolicyError(f"card: {name} is {value}; give a finite figure")

@@ -111,19 +111,19 @@ class MonotoneNetwork:
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Output, float32, (..., n_out), for an observation (..., n_in)."""
         x = np.asarray(observation, dtype=np.float32)
-        found = [
+        outputs = [
             head_output(x[..., self.v_at], h.context(x[..., h.columns]), h.widths, h.slope, h.offset)
             for h in self.heads
         ]
-        return np.stack(found, axis=-1)
+        return np.stack(outputs, axis=-1)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """``widths0, columns0`` and the context network's arrays, ``context0.w0`` .., for each head."""
-        found: dict[str, np.ndarray] = {}
+        arrays: dict[str, np.ndarray] = {}
         for i, head in enumerate(self.heads):
-            found |= {f"widths{i}": head.widths, f"columns{i}": head.columns.astype(np.float32)}
-            found |= {f"context{i}.{name}": array for name, array in head.context.arrays().items()}
-        return found
+            arrays |= {f"widths{i}": head.widths, f"columns{i}": head.columns.astype(np.float32)}
+            arrays |= {f"context{i}.{name}": array for name, array in head.context.arrays().items()}
+        return arrays
 
     def settings(self) -> dict[str, Any]:
         """Width, place of the voltage, and each head's slope, offset and context network's settings."""
@@ -134,10 +134,11 @@ class MonotoneNetwork:
     def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
         """The network of these arrays and settings."""
         heads = []
-        for i, known in enumerate(settings["heads"]):
+        for i, head in enumerate(settings["heads"]):
             of = f"context{i}."
             own = {name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)}
             columns, widths = (figures(name, arrays[name], 1) for name in (f"columns{i}", f"widths{i}"))
-            context = Network.read(own, known["context"])
-            heads.append(Head(context, columns.astype(np.int64), widths, float(known["slope"]), bool(known["offset"])))
+            context = Network.read(own, head["context"])
+            slope, offset = float(head["slope"]), bool(head["offset"])
+            heads.append(Head(context, columns.astype(np.int64), widths, slope, offset))
         return cls(heads, int(settings["n_in"]), int(settings["v_at"]))

@@ -73,11 +73,11 @@ class Network:
     layers
         (weight, bias) of each layer, (n_in, n_out) and (n_out,).
     activation
-        Of every layer but the last: tanh, relu, elu or silu.
+        Activation of every layer but the last: tanh, relu, elu or silu.
     squash
-        Of the output: clip, tanh or none.
+        What bounds the output: clip, tanh or none.
     mean, std
-        Of the observation, (n_observation,) each; none by default.
+        Mean and standard deviation of the observation, (n_observation,) each; none by default.
     clip
         Largest normalised observation; none by default.
     skip
@@ -101,9 +101,9 @@ class Network:
         clip: float | None = None,
         skip: ArrayLike | None = None,
     ):
-        for field, value, known in (("activation", activation, ACTIVATIONS), ("squash", squash, SQUASHES)):
-            if value not in known:
-                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(known)}")
+        for field, value, choices in (("activation", activation, ACTIVATIONS), ("squash", squash, SQUASHES)):
+            if value not in choices:
+                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(choices)}")
         if clip is not None and not (isinstance(clip, int | float) and 0 < clip < np.inf):
             raise PolicyError(f"clip is {clip!r}; give a number above 0, or none")
         if not len(layers):
@@ -156,10 +156,10 @@ class Network:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """``w0, b0, w1, ..`` and, where there are, ``mean``, ``std`` and ``skip``."""
-        found = {
+        arrays = {
             f"{kind}{i}": array for i, layer in enumerate(self.layers) for kind, array in zip("wb", layer, strict=True)
         }
-        return found | {name: array for name in ("mean", "std", "skip") if (array := getattr(self, name)) is not None}
+        return arrays | {name: array for name in ("mean", "std", "skip") if (array := getattr(self, name)) is not None}
 
     def settings(self) -> dict[str, Any]:
         """Number of layers, activation, squash and clip."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from dcgrid_env import Scenario, action_layout
 from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, View
+from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
 from dcgrid_env.agents.policy.network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
@@ -47,9 +47,9 @@ class Policy:
         voltage to 1. A joint network has the first of all agents, then the second, then the third.
     outputs
         Whether the networks give setpoints, changes of what holds everything as it is, or corrections of a droop law,
-        see ``view``.
+        see ``interface``.
     gains
-        Of that law: k_p, MW per p.u., k_q, Mvar per p.u. and s, and alpha, per s.
+        Gains of that law: k_p, MW per p.u., k_q, Mvar per p.u. and s, and alpha, per s.
     scenario
         Name of the scenario that it was trained on.
     made_with
@@ -77,9 +77,9 @@ class Policy:
         self.kind = next((kind for kind, names in KINDS.items() if networks and set(networks) <= set(names)), "")
         if not self.kind:
             raise PolicyError(f"networks are {sorted(networks)}; give joint alone, or datacenter, inverter or both")
-        for field, value, known in (("observe", observe, SCOPES), ("act", act, ACTS), ("outputs", outputs, OUTPUTS)):
-            if value not in known:
-                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(known)}")
+        for field, value, choices in (("observe", observe, SCOPES), ("act", act, ACTS), ("outputs", outputs, OUTPUTS)):
+            if value not in choices:
+                raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(choices)}")
         for field, value in (("preview", preview), ("nameplate", nameplate)):
             if not isinstance(value, bool):
                 raise PolicyError(f"{field} is {value!r}; give true or false")
@@ -103,9 +103,9 @@ class Policy:
         n_dc, n_inv = env_info.n_datacenters, env_info.n_inverters
         chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
         chosen["gains"] = self.gains
-        self._view = View(env_info, self.kind, **chosen)
+        self._interface = PolicyInterface(env_info, self.kind, **chosen)
         self._agents, self._layout = env_info.agents, action_layout(env_info)
-        for name, (n_in, n_out) in self._view.widths.items():
+        for name, (n_in, n_out) in self._interface.widths.items():
             if name not in self.networks:
                 raise PolicyError(f"{self.source}: has no network for the {name}s of {env_info.name}; train one")
             network = self.networks[name]
@@ -124,12 +124,12 @@ class Policy:
         return self._joint(np.asarray(observations))
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
-        seen = self._view.inputs(joint)
-        return self._view.action(joint, {name: self.networks[name](own) for name, own in seen.items()})
+        inputs = self._interface.inputs(joint)
+        return self._interface.action(joint, {name: self.networks[name](own) for name, own in inputs.items()})
 
     @property
     def sha256(self) -> str:
-        """Of weights and settings."""
+        """Hash of weights and settings."""
         return digest(self._about(), self._arrays())
 
     @property
@@ -160,14 +160,14 @@ class Policy:
         Parameters
         ----------
         path
-            Of the weights, with ``.safetensors`` at its end or without; the card has ``.json`` there.
+            File of the weights, with ``.safetensors`` at its end or without; the card has ``.json`` there.
         card
-            What is known of how it was made (``card.MADE``); scenario and command are the policy's own unless said.
+            How it was made (``card.ORIGIN_FIELDS``); scenario and command are the policy's own unless given.
 
         Returns
         -------
         Path
-            Of the weights.
+            File of the weights.
 
         Raises
         ------
@@ -178,8 +178,8 @@ class Policy:
         if path.suffix not in ("", SUFFIX):
             raise PolicyError(f"{path}: a policy's file name ends in {SUFFIX}")
         path = path.with_suffix(SUFFIX)
-        known = {"scenario": self.trained_on, "command": self.made_with} | dict(card or {})
-        beside = Card.of(self.sha256, self.n_parameters, known)
+        about = {"scenario": self.trained_on, "command": self.made_with} | dict(card or {})
+        beside = Card.of(self.sha256, self.n_parameters, about)
         write_bytes(path, packed(self._about(), self._arrays()))
         beside.save(path.with_suffix(".json"))
         return path
@@ -196,8 +196,8 @@ class Policy:
             return policy
         path = Path(name_or_path)
         if path.suffix != SUFFIX:
-            named = ", ".join(SHIPPED) or "none"
-            raise PolicyError(f"{path}: no policy of that name ships (there are: {named}), nor does it end in {SUFFIX}")
+            names = ", ".join(SHIPPED) or "none"
+            raise PolicyError(f"{path}: no policy of that name ships (there are: {names}), nor does it end in {SUFFIX}")
         return _load(path)
 
 
@@ -240,9 +240,9 @@ def _network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
     family = settings.pop("family")
     if family not in FAMILIES:
         raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
-    held = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
+    own_arrays = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
     try:
-        return FAMILIES[family].read(held, settings)
+        return FAMILIES[family].read(own_arrays, settings)
     except KeyError as missing:
         raise PolicyError(f"{name}: {missing.args[0]} is missing; export the policy again") from None
     except PolicyError as error:

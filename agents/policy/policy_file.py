@@ -63,9 +63,9 @@ def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def digest(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 of metadata and arrays by value, whatever their order."""
-    found = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
     for name in sorted(arrays):
         array = arrays[name]
-        found.update(f"{name}{array.shape}{array.dtype}".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        hashed.update(f"{name}{array.shape}{array.dtype}".encode())
+        hashed.update(np.ascontiguousarray(array).tobytes())
+    return hashed.hexdigest()

@@ -46,11 +46,11 @@ class Variant:
     """A variant's policies, one for each training seed."""
 
     label: str
-    found: Scored | None
+    tested: Scored | None
     failure: str
     """Why there is none."""
     command: str
-    """Of the first seed."""
+    """Command of the first seed's training."""
     training_s: float
     """Mean over the seeds."""
 
@@ -58,35 +58,35 @@ class Variant:
 def configs(algorithms: Mapping[str, type[Any]], scenario: str, chosen: dict[str, Any], seeds: int,
             runs: Path) -> dict[str, list[Any]]:  # fmt: skip
     """The runs of each variant; ``algorithms`` holds the configuration of ``analytic``, and of ``safe`` if there is."""
-    made = {label: (algorithms["analytic"], own) for label, own in VARIANTS.items()}
+    settings = {label: (algorithms["analytic"], own) for label, own in VARIANTS.items()}
     if "safe" in algorithms:
-        made[SAFE] = (algorithms["safe"], {})
-    found: dict[str, list[Any]] = {}
-    for label, (algorithm, own) in made.items():
+        settings[SAFE] = (algorithms["safe"], {})
+    results: dict[str, list[Any]] = {}
+    for label, (algorithm, own) in settings.items():
         short = "-".join(str(part).lower() for pair in own.items() for part in pair)
         for seed in range(seeds):
             one = algorithm(scenario=scenario, seed=seed, **own, **chosen)
             name = short or algorithm.__name__.lower()
             placed = dataclasses.replace(one, out=folder(runs, scenario, name, one.updates, seed))
-            found.setdefault(label, []).append(placed)
-    return found
+            results.setdefault(label, []).append(placed)
+    return results
 
 
 def ablation(
     scenario: str, episodes: int, runs: Mapping[str, Sequence[Any]], failures: Mapping[Path, str]
 ) -> list[Variant]:
     """Test the policies of finished runs; ``failures`` holds the folders of those that are none."""
-    found = []
+    results = []
     for label, every in runs.items():
         failure = next((failures[one.out] for one in every if one.out in failures), "")
         if failure:
-            found.append(Variant(label, None, failure, command(every[0]), 0.0))
+            results.append(Variant(label, None, failure, command(every[0]), 0.0))
             continue
         pairs = [trained(one) for one in every]
         spent_s = sum(card.training_s or 0.0 for _, card in pairs) / len(pairs)
         tested = scored([policy for policy, _ in pairs], scenario, episodes)
-        found.append(Variant(label, tested, "", command(every[0]), spent_s))
-    return found
+        results.append(Variant(label, tested, "", command(every[0]), spent_s))
+    return results
 
 
 def ablation_table(scenario: str, episodes: int, variants: Sequence[Variant]) -> Table:
@@ -95,13 +95,13 @@ def ablation_table(scenario: str, episodes: int, variants: Sequence[Variant]) ->
     header = ("variant", "score", "lowest and highest seed", *HEADINGS, "training, s")
     rows = []
     for one in variants:
-        if one.found is None:
+        if one.tested is None:
             rows.append((one.label, "failed", *[NONE] * (len(header) - 2)))
             continue
-        scores = estimate(one.found.score(droop)), spread(one.found.spread(droop))
-        rows.append((one.label, *scores, *figures(one.found.mean.means), f"{one.training_s:.0f}"))
+        scores = estimate(one.tested.score(droop)), spread(one.tested.spread(droop))
+        rows.append((one.label, *scores, *figures(one.tested.mean.means), f"{one.training_s:.0f}"))
     rows.append((REFERENCE, estimate(score(droop, droop)), NONE, *figures(droop.means), NONE))
-    n = max((len(one.found.each) for one in variants if one.found), default=0)
+    n = max((len(one.tested.each) for one in variants if one.tested), default=0)
     title = f"{scenario}: {episodes} test episodes, means over episodes and {n} training seed{'s' * (n > 1)}"
     notes = tuple(f"{one.label}: {one.failure}" for one in variants if one.failure)
     return Table(title, header, tuple(rows), notes)
@@ -125,13 +125,13 @@ def transfer_table(policies: Mapping[str, Policy], scenarios: Sequence[str], epi
 def _cell(policy: Policy, scenario: str, episodes: int) -> str:
     droop = droop_on_test(scenario, episodes)
     try:
-        found = scored([policy], scenario, episodes)
+        results = scored([policy], scenario, episodes)
     except ControllerError as error:
         if error.refuses is None:
             raise
         return NONE
-    value = found.score(droop)
-    waits = METRICS["delay_mean_s"].is_worse(found.mean.means, droop.means)
+    value = results.score(droop)
+    waits = METRICS["delay_mean_s"].is_worse(results.mean.means, droop.means)
     text = ("no score" if value is None else f"{value.value:.2f}") + "*" * waits
     return f"[{text}]" if scenario in map(str.strip, policy.trained_on.split(",")) else text
 

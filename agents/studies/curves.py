@@ -14,7 +14,7 @@ from dcgrid_env.agents import Card
 
 NEEDED = ("seconds", "J", "J_droop")
 POINTS = 200
-"""Of a line."""
+"""Points of a line."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Curve:
     """Algorithm, and the view where it is not the shared one."""
     seed: int
     seconds: np.ndarray
-    """Of training, (n,), rising."""
+    """Training time, s, (n,), rising."""
     gain_pct: np.ndarray
     """How far J lies below the tuned droop's, %, (n,)."""
 
@@ -57,7 +57,7 @@ def read(folder: Path) -> Curve:
     measured = np.isfinite(j) & np.isfinite(j_droop) & np.isfinite(seconds)
     if not measured.any():
         raise ValueError(f"{path}: holds no validation yet; train on")
-    card, view = Card.load(folder / "policy.json"), _view(folder / "config.json")
+    card, view = Card.load(folder / "policy.json"), _policy_kind(folder / "config.json")
     label = card.algorithm if view in ("", "shared") else f"{card.algorithm}, {view}"
     gain_pct = 100.0 * (1.0 - j[measured] / j_droop[measured])
     return Curve(card.scenario, label, card.seed or 0, seconds[measured], gain_pct)
@@ -70,7 +70,7 @@ def _column(path: Path, rows: Sequence[Mapping[str, str | None]], name: str) -> 
         raise ValueError(f"{path}: column {name} is missing or holds no figures ({error}); train again") from None
 
 
-def _view(path: Path) -> str:
+def _policy_kind(path: Path) -> str:
     try:
         return str(json.loads(path.read_text(encoding="utf-8")).get("view", ""))
     except (OSError, ValueError, AttributeError):
@@ -82,14 +82,14 @@ def lines(curves: Sequence[Curve]) -> dict[str, list[Line]]:
     groups: dict[tuple[str, str], list[Curve]] = {}
     for curve in curves:
         groups.setdefault((curve.scenario, curve.label), []).append(curve)
-    found: dict[str, list[Line]] = {}
+    by_scenario: dict[str, list[Line]] = {}
     for (scenario, label), runs in groups.items():
         seeds = [run.seed for run in runs]
         twice = next((seed for seed in seeds if seeds.count(seed) > 1), None)
         if twice is not None:
             raise ValueError(f"folders: seed {twice} of {label} on {scenario} is there twice; give each run once")
-        found.setdefault(scenario, []).append(_line(label, runs))
-    return found
+        by_scenario.setdefault(scenario, []).append(_line(label, runs))
+    return by_scenario
 
 
 def _line(label: str, runs: Sequence[Curve]) -> Line:

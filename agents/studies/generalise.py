@@ -11,7 +11,7 @@ from typing import Any
 from dcgrid_env import make_scenario
 from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.agents.studies.learning_tables import NONE, SCORE, Table, commands, estimate, page, spread, wrapped
-from dcgrid_env.agents.studies.scored import Scored, droop_on_test, named_on_test, score, scored
+from dcgrid_env.agents.studies.scored import Scored, controller_on_test, droop_on_test, score, scored
 from dcgrid_env.agents.studies.training_runs import command, folder, trained
 from dcgrid_env.baselines.score import STATIC
 
@@ -22,17 +22,17 @@ class LeftOut:
 
     scenario: str
     trained_on: str
-    found: Scored | None
+    tested: Scored | None
     failure: str
     """Why there is none."""
     command: str
-    """Of the first seed."""
+    """Command of the first seed's training."""
 
 
 def configs(algorithm: type[Any], scenarios: Sequence[str], chosen: dict[str, Any], seeds: int,
             runs: Path) -> dict[str, list[Any]]:  # fmt: skip
     """The runs for each scenario left out."""
-    found: dict[str, list[Any]] = {}
+    results: dict[str, list[Any]] = {}
     for left_out in scenarios:
         feeder = make_scenario(left_out).feeder.name
         others = ",".join(name for name in scenarios if make_scenario(name).feeder.name != feeder)
@@ -43,49 +43,49 @@ def configs(algorithm: type[Any], scenarios: Sequence[str], chosen: dict[str, An
             place = folder(
                 runs, f"without-{left_out}", f"{others.replace(',', '+')}-vary-{one.vary}", one.updates, seed
             )
-            found.setdefault(left_out, []).append(dataclasses.replace(one, out=place))
-    return found
+            results.setdefault(left_out, []).append(dataclasses.replace(one, out=place))
+    return results
 
 
 def generalise(episodes: int, runs: Mapping[str, Sequence[Any]], failures: Mapping[Path, str]) -> list[LeftOut]:
     """Test the policies of finished runs where they never were; ``failures`` has the folders of those that are none."""
-    found = []
+    results = []
     for scenario, every in runs.items():
         failure = next((failures[one.out] for one in every if one.out in failures), "")
         tested = None if failure else scored([trained(one)[0] for one in every], scenario, episodes)
-        found.append(LeftOut(scenario, every[0].scenario, tested, failure, command(every[0])))
-    return found
+        results.append(LeftOut(scenario, every[0].scenario, tested, failure, command(every[0])))
+    return results
 
 
-def table(episodes: int, found: Sequence[LeftOut]) -> Table:
+def table(episodes: int, results: Sequence[LeftOut]) -> Table:
     """A row for each scenario left out, beside what was made for it."""
     header = ("left out", "trained on", "score there", "lowest and highest seed", "trained there", "best static rule",
               "J", "J: droop-tuned", "mean delay, s", "droop-tuned, s")  # fmt: skip
     rows = []
-    for one in found:
+    for one in results:
         droop = droop_on_test(one.scenario, episodes)
-        static = [score(named_on_test(name, one.scenario, episodes).mean, droop) for name in STATIC]
+        static = [score(controller_on_test(name, one.scenario, episodes).mean, droop) for name in STATIC]
         best = max((value for value in static if value), default=None, key=lambda value: value.value)
         own = f"{one.scenario}-analytic"
-        there = score(named_on_test(own, one.scenario, episodes).mean, droop) if own in SHIPPED else None
+        there = score(controller_on_test(own, one.scenario, episodes).mean, droop) if own in SHIPPED else None
         rows.append((
             one.scenario,
             one.trained_on.replace(",", ", "),
-            "failed" if one.found is None else estimate(one.found.score(droop)),
-            NONE if one.found is None else spread(one.found.spread(droop)),
+            "failed" if one.tested is None else estimate(one.tested.score(droop)),
+            NONE if one.tested is None else spread(one.tested.spread(droop)),
             NONE if there is None else f"{there.value:.3f}",
             NONE if best is None else f"{best.value:.3f}",
-            NONE if one.found is None else f"{one.found.mean.means['J']:.4f}",
+            NONE if one.tested is None else f"{one.tested.mean.means['J']:.4f}",
             f"{droop.means['J']:.4f}",
-            NONE if one.found is None else f"{one.found.mean.means['delay_mean_s']:.2f}",
+            NONE if one.tested is None else f"{one.tested.mean.means['delay_mean_s']:.2f}",
             f"{droop.means['delay_mean_s']:.2f}",
         ))  # fmt: skip
-    n = max((len(one.found.each) for one in found if one.found), default=0)
+    n = max((len(one.tested.each) for one in results if one.tested), default=0)
     title = f"{episodes} test episodes of the scenario left out, {n} training seed{'s' * (n > 1)}"
-    return Table(title, header, tuple(rows), tuple(f"{one.scenario}: {one.failure}" for one in found if one.failure))
+    return Table(title, header, tuple(rows), tuple(f"{one.scenario}: {one.failure}" for one in results if one.failure))
 
 
-def markdown(found: Sequence[LeftOut], made: Table, made_by: str) -> str:
+def markdown(results: Sequence[LeftOut], shown: Table, made_by: str) -> str:
     """The page."""
     about = (
         "For each scenario one policy is trained on all the others, on variants of them with other places, ratings and "
@@ -95,6 +95,6 @@ def markdown(found: Sequence[LeftOut], made: Table, made_by: str) -> str:
         "rules that measure nothing, both made for it. " + SCORE
     )
     each = commands(
-        "Each run of the first seed by itself:", ((f"without {one.scenario}", one.command) for one in found)
+        "Each run of the first seed by itself:", ((f"without {one.scenario}", one.command) for one in results)
     )
-    return page("A feeder that was never seen", made_by, wrapped(about), made.markdown(), each)
+    return page("A feeder that was never seen", made_by, wrapped(about), shown.markdown(), each)

@@ -26,7 +26,7 @@ LINEAR_S = 0.1
 DASHES = ("-", "--", ":")
 MARKS = {REFERENCE: ("D", REFERENCE_COLOUR), "mpc-one-step": ("s", REST_COLOUR)}
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Of Okabe and Ito; the reference has the one that is missing."""
+"""Colours of Okabe and Ito; the reference has the one that is missing."""
 MOST_COLUMNS, MOST_SHOWN_PCT = 4, 1000.0
 
 
@@ -50,17 +50,17 @@ def pareto_figure(front: Front) -> Figure:
 
 def _front(ax: Axes, front: Front, metric: str, factor: float) -> None:
     for curve, dashes in zip(front.swept, DASHES, strict=False):
-        x, y = (np.array([found.mean.means[key] for found in curve.found]) for key in ("delay_mean_s", metric))
+        x, y = (np.array([one.mean.means[key] for one in curve.tested]) for key in ("delay_mean_s", metric))
         label = f"droop, k_p swept, alpha {curve.alpha_per_s:g} /s" + " (tuned)" * curve.tuned
         ax.plot(x, factor * y, color=REFERENCE_COLOUR, linestyle=dashes, linewidth=1.3, marker=".", label=label)
-    for name, found in front.points.items():
+    for name, one in front.points.items():
         mark, colour = MARKS[name]
-        means = found.mean.means
+        means = one.mean.means
         ax.plot(means["delay_mean_s"], factor * means[metric], linestyle="none", marker=mark, markersize=7,
                 color=colour, markeredgecolor="white", zorder=4, label=name)  # fmt: skip
     limited = [one for one in front.learned if one.limit_s is not None]
-    limited.sort(key=lambda one: one.found.mean.means["delay_mean_s"])
-    x, y = (np.array([one.found.mean.means[key] for one in limited]) for key in ("delay_mean_s", metric))
+    limited.sort(key=lambda one: one.tested.mean.means["delay_mean_s"])
+    x, y = (np.array([one.tested.mean.means[key] for one in limited]) for key in ("delay_mean_s", metric))
     ax.plot(
         x, factor * y, color=FRONT_COLOUR, linewidth=1.8, marker="o", zorder=5, label="learned, under a limit on delay"
     )
@@ -70,7 +70,7 @@ def _front(ax: Axes, front: Front, metric: str, factor: float) -> None:
         _seeds(ax, one, metric, factor)
     for one in front.learned:
         if one.limit_s is None:
-            means = one.found.mean.means
+            means = one.tested.mean.means
             ax.plot(means["delay_mean_s"], factor * means[metric], linestyle="none", marker="o", markersize=8,
                     markerfacecolor="white", markeredgecolor=FRONT_COLOUR, markeredgewidth=1.8, zorder=6,
                     label="learned, waiting priced as in J")  # fmt: skip
@@ -79,20 +79,20 @@ def _front(ax: Axes, front: Front, metric: str, factor: float) -> None:
 
 def _seeds(ax: Axes, one: Learned, metric: str, factor: float) -> None:
     """Each training seed as a dot where there are several."""
-    if len(one.found.each) > 1:
-        means = [found.means for found in one.found.each]
+    if len(one.tested.each) > 1:
+        means = [seed.means for seed in one.tested.each]
         x, y = ([m[key] for m in means] for key in ("delay_mean_s", metric))
         ax.plot(x, factor * np.array(y), linestyle="none", marker=".", markersize=4, color=FRONT_COLOUR, alpha=0.5)
 
 
-def curves_figure(found: Mapping[str, Sequence[Line]]) -> Figure:
+def curves_figure(by_scenario: Mapping[str, Sequence[Line]]) -> Figure:
     """A panel for each scenario: what the validation cost saves against the tuned droop, over training time."""
-    columns = min(MOST_COLUMNS, len(found))
-    rows = -(-len(found) // columns)
+    columns = min(MOST_COLUMNS, len(by_scenario))
+    rows = -(-len(by_scenario) // columns)
     figure = new_figure(1.0 + 3.4 * columns, 0.8 + 2.8 * rows)
     axes = figure.subplots(rows, columns, squeeze=False)
-    labels = list(dict.fromkeys(line.label for every in found.values() for line in every))
-    for ax, (scenario, every) in zip(axes.flat, found.items(), strict=False):
+    labels = list(dict.fromkeys(line.label for every in by_scenario.values() for line in every))
+    for ax, (scenario, every) in zip(axes.flat, by_scenario.items(), strict=False):
         for line in every:
             _curve(ax, line, labels.index(line.label))
         ax.axhline(0.0, color=REFERENCE_COLOUR, linewidth=1.1)
@@ -101,7 +101,7 @@ def curves_figure(found: Mapping[str, Sequence[Line]]) -> Figure:
             ax, min(float(line.low_pct.min()) for line in every), max(float(line.high_pct.max()) for line in every)
         )
         _time_axis(ax)
-    for ax in list(axes.flat)[len(found) :]:
+    for ax in list(axes.flat)[len(by_scenario) :]:
         ax.set_visible(False)
     handles = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=6, fontsize=9, frameon=False)
@@ -142,5 +142,5 @@ def _time_axis(ax: Axes) -> None:
 
 def _rounded(low: float, high: float, steps: Sequence[int]) -> list[float]:
     """Numbers between two above 0 that begin with one of these digits and go on with zeros."""
-    found = [digit * 10.0**power for power in range(-3, 7) for digit in steps]
-    return [value for value in found if low <= value <= high]
+    one = [digit * 10.0**power for power in range(-3, 7) for digit in steps]
+    return [value for value in one if low <= value <= high]

@@ -32,16 +32,16 @@ def figures(means: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(metric.text(means[metric.name]) for metric in COLUMNS)
 
 
-def estimate(found: Estimate | None, decimals: int = 3) -> str:
+def estimate(value: Estimate | None, decimals: int = 3) -> str:
     """A score with its interval."""
-    if found is None:
+    if value is None:
         return NONE
-    return f"{found.value:.{decimals}f} ({found.low:.{decimals}f} to {found.high:.{decimals}f})"
+    return f"{value.value:.{decimals}f} ({value.low:.{decimals}f} to {value.high:.{decimals}f})"
 
 
-def spread(found: tuple[float, float] | None) -> str:
+def spread(value: tuple[float, float] | None) -> str:
     """Lowest and highest of the seeds."""
-    return NONE if found is None else f"{found[0]:.3f} to {found[1]:.3f}"
+    return NONE if value is None else f"{value[0]:.3f} to {value[1]:.3f}"
 
 
 def brief(table: Table, *headings: str) -> Table:

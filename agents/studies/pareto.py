@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.agents.studies.learning_tables import HEADINGS, Table, commands, figures, page, wrapped
-from dcgrid_env.agents.studies.scored import Scored, named_on_test, on_test, scored
+from dcgrid_env.agents.studies.scored import Scored, controller_on_test, on_test, scored
 from dcgrid_env.agents.studies.training_runs import command, folder, trained
 from dcgrid_env.baselines import Droop
 from dcgrid_env.baselines.score import REFERENCE
@@ -30,13 +30,13 @@ class Learned:
 
     limit_s: float | None
     """None: waiting is priced as the scenario has it."""
-    found: Scored
+    tested: Scored
     command: str
-    """Of the first seed."""
+    """Command of the first seed's training."""
 
     @property
     def label(self) -> str:
-        """As tables name it."""
+        """What tables call it."""
         return "none, J as it is" if self.limit_s is None else f"{self.limit_s:g} s"
 
 
@@ -48,7 +48,7 @@ class Swept:
     tuned: bool
     """Whether alpha is the tuned one."""
     k_p_mw_per_pu: tuple[float, ...]
-    found: tuple[Scored, ...]
+    tested: tuple[Scored, ...]
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,15 @@ class Front:
 def configs(algorithm: type[Any], scenario: str, limits_s: Sequence[float], chosen: dict[str, Any], seeds: int,
             runs: Path) -> list[Any]:  # fmt: skip
     """A run for each limit, and one without, and each seed; ``chosen`` are further settings of the training."""
-    made = []
+    placed = []
     for limit_s in (*limits_s, None):
         label = "no-limit" if limit_s is None else f"delay-{limit_s:g}"
         for seed in range(seeds):
             one = algorithm(
                 scenario=scenario, seed=seed, delay_limit_s=limit_s, validation_episodes=VALIDATION_EPISODES, **chosen
             )
-            made.append(_placed(one, runs, label))
-    return made
+            placed.append(_placed(one, runs, label))
+    return placed
 
 
 def _placed(config: Any, runs: Path, label: str) -> Any:
@@ -90,7 +90,7 @@ def front(scenario: str, episodes: int, configs: Sequence[Any]) -> Front:
         Learned(limit_s, scored([trained(one)[0] for one in every], scenario, episodes), command(every[0]))
         for limit_s, every in by_limit.items()
     )
-    points = {name: named_on_test(name, scenario, episodes) for name in (REFERENCE, *POINTS)}
+    points = {name: controller_on_test(name, scenario, episodes) for name in (REFERENCE, *POINTS)}
     return Front(scenario, episodes, learned, swept(scenario, episodes), points)
 
 
@@ -100,32 +100,32 @@ def swept(scenario: str, episodes: int) -> tuple[Swept, ...]:
     curves: list[Swept] = []
     for alpha in dict.fromkeys((float(tuned["alpha_per_s"]), BETWEEN_PER_S, PAPERS_ALPHA_PER_S)):
         gains: list[dict[str, Any]] = [tuned | {"k_p_mw_per_pu": k_p, "alpha_per_s": alpha} for k_p in K_P_MW_PER_PU]
-        found = tuple(scored([Droop(**gain)], scenario, episodes) for gain in gains)
-        curves.append(Swept(alpha, alpha == tuned["alpha_per_s"], K_P_MW_PER_PU, found))
+        tested = tuple(scored([Droop(**gain)], scenario, episodes) for gain in gains)
+        curves.append(Swept(alpha, alpha == tuned["alpha_per_s"], K_P_MW_PER_PU, tested))
     return tuple(curves)
 
 
 def learned_table(front: Front) -> Table:
     """The learned front."""
-    n = len(front.learned[0].found.each) if front.learned else 0
-    rows = [(one.label, *figures(one.found.mean.means), _delays(one.found)) for one in front.learned]
-    rows += [(name, *figures(found.mean.means), "") for name, found in front.points.items()]
+    n = len(front.learned[0].tested.each) if front.learned else 0
+    rows = [(one.label, *figures(one.tested.mean.means), _delays(one.tested)) for one in front.learned]
+    rows += [(name, *figures(tested.mean.means), "") for name, tested in front.points.items()]
     title = (
         f"{front.scenario}: {front.episodes} test episodes, means over episodes and {n} training seed{'s' * (n > 1)}"
     )
     return Table(title, ("limit on mean delay", *HEADINGS, "mean delay of each seed, s"), tuple(rows))
 
 
-def _delays(found: Scored) -> str:
-    return ", ".join(f"{one.means['delay_mean_s']:.2f}" for one in found.each)
+def _delays(tested: Scored) -> str:
+    return ", ".join(f"{one.means['delay_mean_s']:.2f}" for one in tested.each)
 
 
 def droop_table(front: Front) -> Table:
     """The droop law's curves."""
     rows = [
-        (f"{curve.alpha_per_s:g}{' (tuned)' if curve.tuned else ''}", f"{k_p:g}", *figures(found.mean.means))
+        (f"{curve.alpha_per_s:g}{' (tuned)' if curve.tuned else ''}", f"{k_p:g}", *figures(tested.mean.means))
         for curve in front.swept
-        for k_p, found in zip(curve.k_p_mw_per_pu, curve.found, strict=True)
+        for k_p, tested in zip(curve.k_p_mw_per_pu, curve.tested, strict=True)
     ]
     return Table("The droop law, k_p swept", ("alpha, 1/s", "k_p, MW/p.u.", *HEADINGS), tuple(rows))
 

@@ -22,7 +22,7 @@ class Scored:
     mean: Evaluation
     """Costs of each episode and means of all metrics, averaged over the seeds."""
     each: tuple[Evaluation, ...]
-    """Of each seed."""
+    """Evaluation of each seed."""
 
     def score(self, droop: Evaluation) -> Estimate | None:
         """Score of the mean cost with its interval over episodes; None where there is no score."""
@@ -30,8 +30,8 @@ class Scored:
 
     def spread(self, droop: Evaluation) -> tuple[float, float] | None:
         """Lowest and highest score of a seed; None for one seed alone, or where there is no score."""
-        found = [score(one, droop) for one in self.each]
-        values = [estimate.value for estimate in found if estimate is not None]
+        scores = [score(one, droop) for one in self.each]
+        values = [estimate.value for estimate in scores if estimate is not None]
         return (min(values), max(values)) if len(values) > 1 else None
 
 
@@ -51,10 +51,10 @@ def on_test(scenario: str) -> Scenario:
 @lru_cache(maxsize=64)
 def droop_on_test(scenario: str, episodes: int) -> Evaluation:
     """The tuned droop law on a preset's test episodes."""
-    return named_on_test(REFERENCE, scenario, episodes).mean
+    return controller_on_test(REFERENCE, scenario, episodes).mean
 
 
-def named_on_test(name: str, scenario: str, episodes: int) -> Scored:
+def controller_on_test(name: str, scenario: str, episodes: int) -> Scored:
     """A controller by its name on a preset's test episodes."""
     return scored([find_controller(name, on_test(scenario))], scenario, episodes)
 
@@ -77,13 +77,14 @@ def scored(controllers: Sequence[Controller | Policy], scenario: str, episodes: 
         Where one of them cannot drive the scenario.
     """
     test, seeds = on_test(scenario), range(episodes)
-    found = tuple(_evaluated(controller, test, seeds) for controller in controllers)
-    means = {name: float(np.mean([one.means[name] for one in found])) for name in found[0].means}
-    return Scored(Evaluation(test, tuple(seeds), np.mean([one.J for one in found], axis=0), means), found)
+    evaluations = tuple(_evaluated(controller, test, seeds) for controller in controllers)
+    means = {name: float(np.mean([one.means[name] for one in evaluations])) for name in evaluations[0].means}
+    return Scored(Evaluation(test, tuple(seeds), np.mean([one.J for one in evaluations], axis=0), means), evaluations)
 
 
 def _evaluated(controller: Controller | Policy, scenario: Scenario, seeds: Sequence[int]) -> Evaluation:
     """An evaluation with one more mean, ``J_but_delay``: J without the charges for work that waits."""
-    found = evaluate(controller, scenario, seeds)
-    waiting = found.means["cost_backlog"] + found.means["cost_leftover"]
-    return dataclasses.replace(found, means=dict(found.means) | {"J_but_delay": found.means["J"] - waiting})
+    evaluation = evaluate(controller, scenario, seeds)
+    waiting = evaluation.means["cost_backlog"] + evaluation.means["cost_leftover"]
+    but_delay = {"J_but_delay": evaluation.means["J"] - waiting}
+    return dataclasses.replace(evaluation, means=dict(evaluation.means) | but_delay)

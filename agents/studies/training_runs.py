@@ -56,7 +56,7 @@ def train(config: Any) -> str | None:
     Only what the run itself reports as a failure (it diverged, its folder holds another run) is returned; all else is
     raised.
     """
-    from dcgrid_env.agents.training.run import TrainingError
+    from dcgrid_env.agents.training.run_folder import TrainingError
 
     try:
         with new_folder(config.out), _log(config.out / LOG) as log, contextlib.redirect_stdout(log):

@@ -1,15 +1,15 @@
 """Stable-Baselines3 vector environments made directly on the native batch; all is array operations over its lanes.
 
-``JointLanes`` has a lane for each environment: the joint observation and action, as ``gymnasium.make`` has them.
-``AgentLanes`` has a lane for each agent of each environment, environment by environment, for one policy that drives
+``JointVecEnv`` has a lane for each environment: the joint observation and action, as ``gymnasium.make`` has them.
+``AgentVecEnv`` has a lane for each agent of each environment, environment by environment, for one policy that drives
 them all; its observation holds, in this order,
 
     the fields of either kind of agent, each once by name, 0 where an agent has no such field
-    with nameplate: those that ``view`` adds
+    with nameplate: those that ``policy.interface`` adds
     kind: 1 for a data centre, 0 for an inverter
 
 and its action is (clock, q), of which an inverter's clock goes nowhere. The reward is the team's, for each lane alike.
-Actions are setpoints, changes or corrections of the droop, as ``view`` has them.
+Actions are setpoints, changes or corrections of the droop, as ``policy.interface`` has them.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, field_names
-from dcgrid_env.agents.policy.interface import Gains, View
+from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.config import Act
 from dcgrid_env.baselines import make_controller
 
 Outputs = Literal["setpoint", "change", "droop"]
 REACH = {"setpoint": (1.0, 1.0), "change": (2.0, 0.5), "droop": (0.5, 0.5)}
-"""What an action of 1 is, of a clock and of a reactive setpoint, as an output that ``view`` takes."""
+"""What an action of 1 is, of a clock and of a reactive setpoint, as an output of a network."""
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 """Largest action; changes are meant to stay well within it."""
 KINDS = ("datacenter", "inverter")
@@ -41,7 +41,7 @@ def droop_gains(scenario: Scenario) -> Gains:
     return Gains(law.k_p_mw_per_pu, law.k_q_mvar_per_pu_s, law.alpha_per_s)
 
 
-class JointLanes(VecEnv):
+class JointVecEnv(VecEnv):
     """One lane for each environment of a native batch.
 
     Lane i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
@@ -76,12 +76,12 @@ class JointLanes(VecEnv):
     ):
         self.outputs: Outputs = outputs
         self.gains = droop_gains(scenario) if outputs == "droop" else None
-        self._does = View(scenario, self.kind, act=act, outputs=outputs, gains=self.gains)
+        self._interface = PolicyInterface(scenario, self.kind, act=act, outputs=outputs, gains=self.gains)
         self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs
         self.physics_s = 0.0
         self.reward_mean, self.reward_scale = 0.0, 1.0
-        self._actions = self._seen = np.zeros(0)
+        self._actions = self._observation = np.zeros(0)
         observation, action = self._spaces()
         super().__init__(n_envs * self.lanes_per_env, observation, action)
 
@@ -111,7 +111,7 @@ class JointLanes(VecEnv):
         self._n_action = n_action
         return spaces.Box(-largest, largest, (n_action,), np.float32)
 
-    def _view(self, joint: np.ndarray) -> np.ndarray:
+    def _rows(self, joint: np.ndarray) -> np.ndarray:
         """Observations of the lanes, from joint ones (env, n_observation)."""
         return joint
 
@@ -126,7 +126,7 @@ class JointLanes(VecEnv):
 
     def arrived(self) -> np.ndarray:
         """What the last step led to, before any new episode began: (lane, n_observation)."""
-        return self._view(self.batch.transition.observation)
+        return self._rows(self.batch.transition.observation)
 
     @property
     def truncated(self) -> np.ndarray:
@@ -137,8 +137,8 @@ class JointLanes(VecEnv):
         """Begin episodes: those of the seed given by ``seed``, else each lane's next one."""
         first = self._seeds[0]
         self._reset_seeds()
-        self._seen, _ = self.batch.reset(seed=None if first is None else int(first))
-        return self._view(self._seen)
+        self._observation, _ = self.batch.reset(seed=None if first is None else int(first))
+        return self._rows(self._observation)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the next ``step_wait``."""
@@ -147,8 +147,8 @@ class JointLanes(VecEnv):
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Observation, reward, done and infos of the lanes."""
         began_s = time.perf_counter()
-        joint = self._does.action(self._seen, self._means(self._actions))
-        self._seen, reward, terminated, truncated, _ = self.batch.step(joint)
+        joint = self._interface.action(self._observation, self._means(self._actions))
+        self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
         each = self.lanes_per_env
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -159,9 +159,9 @@ class JointLanes(VecEnv):
                 infos[lane]["TimeLimit.truncated"] = bool(ended[lane])
                 infos[lane]["J"] = float(j[lane])
         paid = np.repeat((reward - self.reward_mean) * self.reward_scale, each).astype(np.float32)
-        seen = self._view(self._seen)
+        observation = self._rows(self._observation)
         self.physics_s += time.perf_counter() - began_s
-        return seen, paid, done, infos
+        return observation, paid, done, infos
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """An image (height, width, 3) of each environment; RuntimeError unless the render mode is "rgb_array"."""
@@ -200,13 +200,13 @@ class JointLanes(VecEnv):
         return self.num_envs if indices is None else 1 if isinstance(indices, int) else len(indices)
 
 
-class AgentLanes(JointLanes):
+class AgentVecEnv(JointVecEnv):
     """One lane for each agent of each environment, (environment, agent) in turn; see the module's head.
 
     Parameters
     ----------
     scenario, n_envs, act, outputs, render_mode
-        As for :class:`JointLanes`.
+        Settings of the batch, see :class:`JointVecEnv`.
     nameplate
         Whether the nameplate figures are observed.
     """
@@ -225,9 +225,9 @@ class AgentLanes(JointLanes):
         names = field_names(scenario)
         agents = scenario.agents
         self.fields = tuple(dict.fromkeys(name for agent in (agents[0], agents[-1]) for name in names[agent]))
-        self._sees = View(scenario, "shared", nameplate=nameplate)
+        self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
         kind = KINDS[0] if scenario.n_datacenters else KINDS[1]
-        self._figures = self._sees.widths[kind][0] - len(names[agents[0]])
+        self._figures = self._agent_interface.widths[kind][0] - len(names[agents[0]])
         self._kind = (np.arange(len(agents)) < scenario.n_datacenters).astype(np.float32)
         super().__init__(scenario, n_envs, act, outputs, render_mode)
 
@@ -254,18 +254,18 @@ class AgentLanes(JointLanes):
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         joint, _ = super()._spaces()
-        low, high = (self._view(edge[None]).reshape(len(self._kind), -1) for edge in (joint.low, joint.high))
+        low, high = (self._rows(edge[None]).reshape(len(self._kind), -1) for edge in (joint.low, joint.high))
         low, high = low.min(axis=0), high.max(axis=0)
         plate = slice(len(self.fields), len(self.fields) + self._figures)
         low[plate], high[plate] = -np.inf, np.inf
         low[-1], high[-1] = 0.0, 1.0
         return spaces.Box(low, high, dtype=np.float32), self._action_space(2)
 
-    def _view(self, joint: np.ndarray) -> np.ndarray:
+    def _rows(self, joint: np.ndarray) -> np.ndarray:
         lanes = np.zeros((len(joint), len(self._kind), len(self.fields) + self._figures + 1), np.float32)
         lanes[..., -1] = self._kind
         agents, n_dc = self.scenario.agents, self.scenario.n_datacenters
-        inputs = self._sees.inputs(joint)
+        inputs = self._agent_interface.inputs(joint)
         for kind, members in zip(KINDS, (slice(0, n_dc), slice(n_dc, None)), strict=True):
             if kind in inputs:
                 lanes[:, members, self.columns(agents[members][0])] = inputs[kind]

@@ -1,7 +1,8 @@
-"""What every algorithm is told: each algorithm's configuration, which is its command line, begins with these fields."""
+"""Settings of every algorithm: each algorithm's configuration, which is its command line, begins with these fields."""
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,9 +28,9 @@ class Training:
     set: tuple[str, ...] = ()
     """Fields of the scenario that are to be otherwise, FIELD=VALUE, for instance --set horizon=60 load_sigma=0.1."""
     view: Literal["shared", "centralised"] = "shared"
-    """One policy for all agents on their own observations, or one that sees and moves all."""
+    """One policy for all agents on their own observations, or one that observes and drives all of them."""
     seed: int = 0
-    """Seed of the training."""
+    """Random seed of the training."""
     out: Path | None = None
     """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
     device: str = "cpu"
@@ -39,11 +40,11 @@ class Training:
     observe: Literal["local", "neighbours", "feeder"] = "local"
     """Scope of observation."""
     preview: bool = True
-    """Whether p_ref of the coming step is seen (where the scenario shows it)."""
+    """Whether p_ref of the coming step is observed (where the scenario shows it)."""
     act: Act = "both"
     """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
-    lanes: int = 128
-    """Episodes at once."""
+    num_envs: int = 128
+    """Environments that are stepped at once, each with an episode of its own."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers."""
     validation_episodes: int = 32
@@ -62,7 +63,7 @@ class Training:
         Parameters
         ----------
         scenario, view
-            Of the training; the algorithm's default unless given.
+            What to train on, and for whom; the algorithm's defaults unless given.
         fields
             Further fields, by name; they stand before those that were found for the scenario
             (``dcgrid_env.agents.training.preset_settings``), and those before the algorithm's defaults.
@@ -85,6 +86,25 @@ MOST_SEEDS = 2**24
 """Training seeds whose episodes are not those of another one."""
 
 
+RENAMED: dict[str, str] = {"lanes": "num_envs"}
+"""Fields of a configuration by the names under which earlier runs may have stored them."""
+
+
+def stored_config(folder: Path) -> dict[str, Any] | None:
+    """Configuration of the training run in a folder, by the names that its fields have now; None where there is none.
+
+    ValueError, naming the file, where it cannot be read.
+    """
+    path = folder / "config.json"
+    if not path.exists():
+        return None
+    try:
+        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return {RENAMED.get(field, field): value for field, value in stored.items()}
+    except (ValueError, AttributeError):
+        raise ValueError(f"{path}: is no configuration of a training run") from None
+
+
 def trained_on(cfg: Training) -> str:
     """What a policy's file says it was trained on: the preset, or the words that name another scenario."""
     return ScenarioSpec(cfg.scenario, cfg.set).label
@@ -92,7 +112,7 @@ def trained_on(cfg: Training) -> str:
 
 def check(cfg: Training, *more: str) -> None:
     """ValueError, naming the field, for settings that cannot be; ``more`` are fields of which more than 0 is asked."""
-    for field in ("lanes", "validation_episodes", "validate_every", "checkpoint_every", "threads", *more):
+    for field in ("num_envs", "validation_episodes", "validate_every", "checkpoint_every", "threads", *more):
         if not 0 < getattr(cfg, field) < math.inf:
             raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
     if not cfg.hidden or not all(width > 0 for width in cfg.hidden):

@@ -27,8 +27,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.core.files import clear_parts, new_folder, whole, write_text
-from dcgrid_env.core.lock import HeldError, held
+from dcgrid_env.core.lock import LockedError, locked
 
 CHECKPOINT = "checkpoint.pt"
 FREE = ("out", "resume")
@@ -74,7 +75,7 @@ def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequenc
         another configuration.
     """
     try:
-        with new_folder(folder), held(folder, "training"):
+        with new_folder(folder), locked(folder, "training"):
             clear_parts(folder)  # of a training that was killed
             run = Run(folder, config, resume, scenarios)
             try:
@@ -84,7 +85,7 @@ def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequenc
                 raise
             finally:
                 run.close()
-    except HeldError as error:
+    except LockedError as error:
         raise TrainingError(str(error)) from None
 
 
@@ -109,9 +110,9 @@ class Run:
             raise TrainingError(f"{self.folder}: holds a run already; resume it (--resume), or give another --out")
         path = self.folder / "config.json"
         try:
-            before = json.loads(path.read_text())
-        except ValueError:
-            raise TrainingError(f"{path}: is no JSON; delete the folder and begin anew") from None
+            before = stored_config(self.folder) or {}
+        except ValueError as error:
+            raise TrainingError(f"{error}; delete the folder and begin anew") from None
         for field, value in {**about, "version": version("dcgrid-env")}.items():
             if field not in FREE and before.get(field) != value:
                 raise TrainingError(
@@ -132,9 +133,9 @@ class Run:
             raise TrainingError(
                 f"{path}: cut short or not a checkpoint ({type(error).__name__}); delete it, and --resume begins anew"
             ) from None
-        kept = [row for row in read_curve(self.folder) if row["step"] <= self.step]
+        earlier = [row for row in read_curve(self.folder) if row["step"] <= self.step]
         rows = io.StringIO(newline="")
-        for i, row in enumerate(kept):
+        for i, row in enumerate(earlier):
             _write_row(rows, row, with_header=i == 0)
         if rows.getvalue():
             write_text(self.folder / "curve.csv", rows.getvalue())
@@ -170,13 +171,13 @@ class Run:
 
     def diverged(self, what: str) -> TrainingError:
         """The error for figures that are not finite."""
-        kept = (
+        checkpoint = (
             f"the checkpoint in {self.checkpoint_path} is from before"
             if self.checkpoint_path.exists()
             else "no checkpoint yet"
         )
         return TrainingError(
-            f"training diverged at step {self.step}: {what} not finite; {kept}; try a lower learning rate"
+            f"training diverged at step {self.step}: {what} not finite; {checkpoint}; try a lower learning rate"
         )
 
     def close(self) -> None:
@@ -217,8 +218,8 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 @contextmanager
 def progress(description: str, total: int, done: int) -> Iterator[Any]:
     """A progress bar; yields ``advance(completed, text)``."""
-    named, told = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
-    columns = (named, BarColumn(), TimeRemainingColumn(), told)
+    label, status = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
+    columns = (label, BarColumn(), TimeRemainingColumn(), status)
     with Progress(*columns) as bar:
         task = bar.add_task(description, total=total, completed=done, text="")
         yield lambda completed, text="": bar.update(task, completed=completed, text=text)

@@ -1,8 +1,8 @@
 """What the Stable-Baselines3 algorithms share: configuration, the training split as they see it, and the training loop.
 
-A run is a sequence of iterations. At the beginning of each the generators are seeded, and all lanes begin new episodes,
-by the iteration's number; so what an iteration does depends on its number and the checkpoint before it alone, and a run
-that was killed goes on with the same curve.
+A run is a sequence of iterations. At the beginning of each the generators are seeded, and every environment begins a
+new episode, by the iteration's number; so what an iteration does depends on its number and the checkpoint before it
+alone, and a run that was killed goes on with the same curve.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes, Outputs
+from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv, Outputs
 from dcgrid_env.agents.training.config import Training, check
-from dcgrid_env.agents.training.run import Run, device_of, finish, open_run, progress, torch
+from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.file_names import file_name
@@ -35,12 +35,13 @@ ABOVE_0 = ("epochs", "minibatches", "clip", "max_grad_norm", "buffer", "batch", 
 
 @dataclass(frozen=True)
 class Config(Training):
-    """What all Stable-Baselines3 algorithms are told."""
+    """Settings of all Stable-Baselines3 algorithms."""
 
     nameplate: bool = False
-    """Also observe what full draw and full reactive power do to the own voltage (shared view)."""
-    lanes: int = 384
-    """Lanes of a batch, about: agents in the shared view, environments in the centralised one."""
+    """Also observe what full draw and full reactive power do to the own voltage (shared policy)."""
+    num_envs: int = 384
+    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
+    shared, environments where it is centralised."""
     gamma: float = 0.9
     """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
     wait: float = 10.0
@@ -49,28 +50,29 @@ class Config(Training):
 
 @dataclass(frozen=True)
 class OffPolicy(Config):
-    """What the algorithms with a replay buffer are told besides."""
+    """Further settings of the algorithms with a replay buffer."""
 
-    lanes: int = 96
-    """Lanes of a batch, about: agents in the shared view, environments in the centralised one."""
+    num_envs: int = 96
+    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
+    shared, environments where it is centralised."""
     checkpoint_every: int = 50
     """Iterations from one checkpoint to the next; it holds the replay buffer."""
     steps: int = 1_000_000
-    """Lane steps in all: agent steps in the shared view, environment steps in the centralised one."""
+    """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
     learning_rate: float = 1e-3
     """At the beginning; it falls linearly to nothing."""
     buffer: int = 200_000
-    """Lane steps that the replay buffer holds."""
+    """Steps of agents or environments that the replay buffer holds."""
     batch: int = 512
-    """Lane steps that a gradient step draws."""
+    """Steps of agents or environments that a gradient step draws."""
     gradient_steps: int = 2
-    """For each step of all lanes."""
+    """Gradient steps for each step of the batch."""
     tau: float = 0.01
     """How far the target networks follow in a gradient step."""
 
-    def iterations(self, lanes: JointLanes) -> int:
+    def iterations(self, vec_env: JointVecEnv) -> int:
         """Iterations that make up the steps, at least 1."""
-        return max(1, round(self.steps / (lanes.num_envs * lanes.scenario.horizon)))
+        return max(1, round(self.steps / (vec_env.num_envs * vec_env.scenario.horizon)))
 
     def rate(self, done: float) -> float:
         """Learning rate when this share of the training is done."""
@@ -78,21 +80,21 @@ class OffPolicy(Config):
 
 
 @contextmanager
-def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointLanes]]:
-    """The run's folder, held for the block, and the lanes of the training split.
+def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointVecEnv]]:
+    """The run's folder, held for the block, and the vector environment of the training split.
 
     ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
     """
-    lanes = lanes_for(cfg, outputs)
+    vec_env = vec_env_for(cfg, outputs)
     name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     folder = cfg.out or Path("results/train") / f"{file_name(judged_on.name)}-{name}-{cfg.seed}"
     with open_run(folder, cfg, cfg.resume, [judged_on]) as run:
-        yield run, lanes
+        yield run, vec_env
 
 
-def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
-    """The lanes of the training split; ValueError for a setting that cannot be."""
+def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
+    """The vector environment of the training split; ValueError for a setting that cannot be."""
     check(cfg, "steps", "learning_rate", "wait", *(field for field in ABOVE_0 if hasattr(cfg, field)))
     if not 0.0 < cfg.gamma <= 1.0:
         raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
@@ -103,8 +105,8 @@ def lanes_for(cfg: Config, outputs: Outputs = "setpoint") -> JointLanes:
     scenario = spec.make("train", observe=cfg.observe)
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     if cfg.view == "centralised":
-        return JointLanes(scenario, cfg.lanes, cfg.act, outputs)
-    return AgentLanes(scenario, max(1, cfg.lanes // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
+        return JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs)
+    return AgentVecEnv(scenario, max(1, cfg.num_envs // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
 
 
 def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
@@ -132,7 +134,7 @@ def episode_seed(seed: int, iteration: int, n_envs: int) -> int:
 def train(
     cfg: Config,
     run: Run,
-    lanes: JointLanes,
+    vec_env: JointVecEnv,
     model: BaseAlgorithm,
     *,
     iterations: int,
@@ -144,14 +146,14 @@ def train(
 
     Parameters
     ----------
-    cfg, run, lanes, model
-        As made by :func:`begin` and the algorithm.
+    cfg, run, vec_env, model
+        What :func:`begin` and the algorithm made.
     iterations
         In all, an interrupted run's included.
     exported
         The policy as it stands.
     learning_rate
-        Of the share of the training that is done.
+        Learning rate as a function of the share of the training that is done.
     extra
         What the checkpoint must hold beside networks and optimisers: arrays and tensors, put back where they are.
 
@@ -171,9 +173,9 @@ def train(
         best, done, spent = state["best"], state["iteration"], np.array(state["spent_s"])
     with progress(f"{cfg.scenario}, {type(model).__name__}", iterations, done) as advance:
         for iteration in range(done + 1, iterations + 1):
-            began_s, lanes.physics_s = time.perf_counter(), 0.0
-            _iterate(run, lanes, model, cfg.seed, iteration, learning_rate((iteration - 1) / iterations))
-            spent += (lanes.physics_s, time.perf_counter() - began_s - lanes.physics_s, 0.0)
+            began_s, vec_env.physics_s = time.perf_counter(), 0.0
+            _iterate(run, vec_env, model, cfg.seed, iteration, learning_rate((iteration - 1) / iterations))
+            spent += (vec_env.physics_s, time.perf_counter() - began_s - vec_env.physics_s, 0.0)
             run.step = model.num_timesteps
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 began_s = time.perf_counter()
@@ -181,8 +183,8 @@ def train(
                 figures = validate(policy)
                 if figures["J"] < best:
                     best = figures["J"]
-                    made = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
-                    policy.save(run.folder / "policy.safetensors", made | {"algorithm": cfg.algorithm()})
+                    card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
+                    policy.save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
                 spent[2] += time.perf_counter() - began_s
                 run.record(figures | {"J_best": best} | logged(model) | timing(run.step, spent))
                 advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
@@ -198,13 +200,13 @@ def train(
     return run.folder
 
 
-def _iterate(run: Run, lanes: JointLanes, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
+def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
     """One episode of every lane and what is learned from it."""
     set_random_seed((seed * 1_000_003 + iteration) % 2**32)
-    lanes.seed(episode_seed(seed, iteration, lanes.n_envs))
+    vec_env.seed(episode_seed(seed, iteration, vec_env.n_envs))
     model._last_obs = None  # so that it begins with a reset
     model.lr_schedule = lambda _: rate
-    steps = lanes.num_envs * lanes.scenario.horizon
+    steps = vec_env.num_envs * vec_env.scenario.horizon
     try:
         model.learn(steps, reset_num_timesteps=False, log_interval=None)  # pyright: ignore[reportArgumentType]
     except ValueError:

@@ -13,9 +13,9 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env.agents.policy.network import Network
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes
+from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
 from dcgrid_env.agents.training.config import trained_on
-from dcgrid_env.agents.training.run import torch
+from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
 from dcgrid_env.agents.training.torch_modules import CLIP
 from dcgrid_env.agents.training.validation import made_with
@@ -23,26 +23,26 @@ from dcgrid_env.agents.training.validation import made_with
 SMALLEST_STD = 1e-4
 
 
-def normalise(lanes: JointLanes, seed: int, gamma: float) -> dict[str, Any]:
+def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
     """Scale the lanes' rewards, so that returns are of order 1; policy arguments that normalise observations.
 
     Both by an episode in each environment, under clocks near the top and random setpoints; fixed from then on.
     """
     rng = np.random.default_rng(seed)
-    shape = (lanes.num_envs, lanes.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]
-    constant, seen, paid = rng.uniform(-1.0, 1.0, shape), [], []
-    lanes.seed(episode_seed(seed, 0, lanes.n_envs))
-    observation = lanes.reset()
-    for _ in range(lanes.scenario.horizon):
+    shape = (vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]
+    constant, observed, paid = rng.uniform(-1.0, 1.0, shape), [], []
+    vec_env.seed(episode_seed(seed, 0, vec_env.n_envs))
+    observation = vec_env.reset()
+    for _ in range(vec_env.scenario.horizon):
         drawn = 0.3 * rng.standard_normal(shape)
-        seen.append(observation)
-        action = np.where(lanes.clocks, 1.0 - np.abs(drawn), constant + drawn)
-        observation, reward, *_ = lanes.step(np.clip(action, -1.0, 1.0).astype(np.float32))
+        observed.append(observation)
+        action = np.where(vec_env.clocks, 1.0 - np.abs(drawn), constant + drawn)
+        observation, reward, *_ = vec_env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
         paid.append(reward)
-    lanes.reward_mean, lanes.reward_scale = float(np.mean(paid)), float((1.0 - gamma) / (np.std(paid) + 1e-8))
-    each = np.concatenate(seen).astype(np.float64)
-    known = {"mean": each.mean(axis=0), "std": np.maximum(each.std(axis=0), SMALLEST_STD)}
-    return {"features_extractor_class": Normalised, "features_extractor_kwargs": known}
+    vec_env.reward_mean, vec_env.reward_scale = float(np.mean(paid)), float((1.0 - gamma) / (np.std(paid) + 1e-8))
+    each = np.concatenate(observed).astype(np.float64)
+    moments = {"mean": each.mean(axis=0), "std": np.maximum(each.std(axis=0), SMALLEST_STD)}
+    return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}
 
 
 class Normalised(BaseFeaturesExtractor):
@@ -61,7 +61,7 @@ class Normalised(BaseFeaturesExtractor):
         return ((observations - self.mean) / self.std).clamp(-CLIP, CLIP)
 
 
-def off_policy(cfg: OffPolicy, lanes: JointLanes) -> dict[str, Any]:
+def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
     """Arguments that the algorithms with a replay buffer share; seeds the generators and normalises the lanes."""
     set_random_seed(cfg.seed)
     return {
@@ -73,19 +73,19 @@ def off_policy(cfg: OffPolicy, lanes: JointLanes) -> dict[str, Any]:
         "learning_starts": 0,
         "tau": cfg.tau,
         "device": cfg.device,
-        "policy_kwargs": {"net_arch": list(cfg.hidden), **normalise(lanes, cfg.seed, cfg.gamma)},
+        "policy_kwargs": {"net_arch": list(cfg.hidden), **normalise(vec_env, cfg.seed, cfg.gamma)},
     }
 
 
-def begun(model: Any, lanes: JointLanes, last: Any) -> Any:
+def prepared(model: Any, vec_env: JointVecEnv, last: Any) -> Any:
     """The model with a logger that only remembers, and an actor whose ``last`` layer begins with clocks at the top."""
     with torch.no_grad():
-        last.bias += 2.0 * torch.as_tensor(lanes.clocks, dtype=torch.float32, device=last.bias.device)
+        last.bias += 2.0 * torch.as_tensor(vec_env.clocks, dtype=torch.float32, device=last.bias.device)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
 
-def remembered(model: Any) -> dict[str, Any]:
+def replay_arrays(model: Any) -> dict[str, Any]:
     """What the replay buffer holds, as arrays; its position is that of the steps done."""
     buffer = model.replay_buffer
     buffer.pos = model.num_timesteps // buffer.n_envs % buffer.buffer_size
@@ -95,7 +95,7 @@ def remembered(model: Any) -> dict[str, Any]:
 
 
 def export(
-    cfg: Config, lanes: JointLanes, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
+    cfg: Config, vec_env: JointVecEnv, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
     squash: str,
 ) -> Policy:  # fmt: skip
     """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent.
@@ -105,15 +105,15 @@ def export(
     mean, std = (buffer.cpu().numpy().astype(np.float64) for buffer in (normalised.mean, normalised.std))
     linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
     weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
-    if lanes.outputs != "setpoint":
-        weights[-1] = (weights[-1][0] * lanes.reach, weights[-1][1] * lanes.reach)
+    if vec_env.outputs != "setpoint":
+        weights[-1] = (weights[-1][0] * vec_env.reach, weights[-1][1] * vec_env.reach)
     networks = {}
-    if isinstance(lanes, AgentLanes):
-        agents, n_dc = lanes.scenario.agents, lanes.scenario.n_datacenters
+    if isinstance(vec_env, AgentVecEnv):
+        agents, n_dc = vec_env.scenario.agents, vec_env.scenario.n_datacenters
         for name, members, kind in (("datacenter", agents[:n_dc], 1.0), ("inverter", agents[n_dc:], 0.0)):
             if not members:
                 continue
-            own = lanes.columns(members[0])
+            own = vec_env.columns(members[0])
             constant = np.zeros(len(mean))
             constant[-1] = kind
             constant = np.clip((constant - mean) / std, -CLIP, CLIP)
@@ -128,6 +128,6 @@ def export(
         networks["joint"] = Network(weights, activation, squash, mean, std, CLIP)
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
-        outputs=lanes.outputs, gains=lanes.gains,
+        outputs=vec_env.outputs, gains=vec_env.gains,
         scenario=trained_on(cfg), made_with=made_with(),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from dcgrid_env.agents.policy.monotone import UNITS, WIDTH, Head, MonotoneNetwork, head_output
 from dcgrid_env.agents.policy.network import Network
-from dcgrid_env.agents.training.run import torch
+from dcgrid_env.agents.training.run_folder import torch
 
 CLIP = 10.0
 """Largest normalised observation."""
@@ -24,7 +24,7 @@ class Perceptron(torch.nn.Module):
     Parameters
     ----------
     mean, std
-        Of the observation, (n_in,) each.
+        Mean and standard deviation of the observation, (n_in,) each.
     n_out
         Width of the output.
     hidden
@@ -54,7 +54,7 @@ class Perceptron(torch.nn.Module):
         return x + normalised @ self.skip
 
     def exported(self) -> Network:
-        """As NumPy arrays."""
+        """The network as NumPy arrays."""
         layers = [(numpy_of(layer.weight).T, numpy_of(layer.bias)) for layer in self.layers]  # pyright: ignore
         return Network(layers, "silu", "none", numpy_of(self.mean), numpy_of(self.std), CLIP, numpy_of(self.skip))
 
@@ -65,7 +65,7 @@ class Monotone(torch.nn.Module):
     Parameters
     ----------
     mean, std
-        Of the observation, (n_in,) each; its first figure is the voltage's deviation.
+        Mean and standard deviation of the observation, (n_in,) each; its first figure is the voltage's deviation.
     columns
         What each head may see.
     slopes
@@ -95,14 +95,14 @@ class Monotone(torch.nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Output, (..., n_out), for observations (..., n_in)."""
         z, widths = observation[..., 0], torch.exp(self.log_widths)
-        found = [
+        outputs = [
             head_output(z, context(observation[..., own]), widths[i], self.slopes[i], self.offsets[i])
             for i, (context, own) in enumerate(zip(self.contexts, self.columns, strict=True))
         ]
-        return torch.stack(found, dim=-1)
+        return torch.stack(outputs, dim=-1)
 
     def exported(self) -> MonotoneNetwork:
-        """As NumPy arrays."""
+        """The network as NumPy arrays."""
         widths = numpy_of(torch.exp(self.log_widths))
         heads = [
             Head(context.exported(), np.array(own), widths[i], self.slopes[i], self.offsets[i])  # pyright: ignore

@@ -35,13 +35,13 @@ class Validation:
         """Means: J, what of it is charged for waiting and for violation, the tuned droop's J, by how much J is below
         that as a share, the delay, s, and the excess over the band, p.u.
         """
-        found = self._mean([self._run(scenario, policy) for scenario in self.scenarios])
-        return found | {"J_droop": self.j_droop, "gain": 1.0 - found["J"] / self.j_droop}
+        figures = self._mean([self._run(scenario, policy) for scenario in self.scenarios])
+        return figures | {"J_droop": self.j_droop, "gain": 1.0 - figures["J"] / self.j_droop}
 
     def _run(self, scenario: Scenario, controller: object) -> list[dict[str, float]]:
-        found = rollout(scenario, controller, self.seeds).metrics()  # pyright: ignore[reportArgumentType]
+        metrics_by_episode = rollout(scenario, controller, self.seeds).metrics()  # pyright: ignore[reportArgumentType]
         weight = scenario.weights.violation or 1.0
-        return [metrics | {"excess_mean_pu": metrics["cost_violation"] / weight} for metrics in found]
+        return [metrics | {"excess_mean_pu": metrics["cost_violation"] / weight} for metrics in metrics_by_episode]
 
     @staticmethod
     def _mean(runs: list[list[dict[str, float]]]) -> dict[str, float]:
@@ -55,11 +55,10 @@ class Validation:
 
 def made_with() -> str:
     """The command that runs, without where it writes and whether it was interrupted."""
-    words = iter(sys.argv[1:])
-    kept = ["dcgrid"]
-    for word in words:
+    given, words = iter(sys.argv[1:]), ["dcgrid"]
+    for word in given:
         if word == "--out":
-            next(words, None)
+            next(given, None)
         elif word not in ("--resume", "--no-resume", "--traceback") and not word.startswith("--out="):
-            kept.append(word)
-    return shlex.join(kept)
+            words.append(word)
+    return shlex.join(words)

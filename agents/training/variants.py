@@ -13,10 +13,10 @@ def scenarios(names: str, overrides: tuple[str, ...] = (), split: str = "train",
 
     ValueError for one that cannot be, or none.
     """
-    found = [name.strip() for name in names.split(",") if name.strip()]
-    if not found:
+    given = [name.strip() for name in names.split(",") if name.strip()]
+    if not given:
         raise ValueError(f"scenario is {names!r}; name at least one (dcgrid list)")
-    return [ScenarioSpec(name, overrides).make(split, **chosen) for name in found]
+    return [ScenarioSpec(name, overrides).make(split, **chosen) for name in given]
 
 
 def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from dcgrid_env import IDS, Scenario, make_scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.agents.training.batched_envs import JointLanes
+    from dcgrid_env.agents.training.batched_envs import JointVecEnv
 
 SB3View = Literal["joint", "shared"]
 """Whether a lane is an environment or an agent of one."""
@@ -20,7 +20,7 @@ def sb3_vec_env(
     *,
     render_mode: str | None = None,
     **overrides: Any,
-) -> JointLanes:
+) -> JointVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
     Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) take it as it is. After ``seed(n)`` the next
@@ -55,12 +55,12 @@ def sb3_vec_env(
     """
     if view not in get_args(SB3View):
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
-    made = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
+    chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     try:
-        from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes
+        from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
     except ImportError as error:
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"
         ) from error
-    lanes = JointLanes if view == "joint" else AgentLanes
-    return lanes(made, num_envs, render_mode=render_mode)
+    vec_env = JointVecEnv if view == "joint" else AgentVecEnv
+    return vec_env(chosen, num_envs, render_mode=render_mode)

@@ -78,7 +78,7 @@ def replay(task: Replay) -> tuple[bytes, ...] | str:
         try:
             runs[short(name)] = rollout(scenario, task.case.controller(name), task.seeds, name=name)
         except ControllerError as error:
-            return f"{name} failed when this was run again, in {error.where}: {error.told}"
+            return f"{name} failed when this was run again, in {error.where}: {error.reason}"
         except (Exception, SystemExit) as error:  # in a batch it worked; the user's code, so anything
             return f"{name} failed when this was run again: {described(error)}"
     return tuple(

@@ -127,7 +127,7 @@ def run(task: Task) -> dict[str, Any]:
         recorder = rollout(scenario, controller, unit.seeds, name=unit.controller)
     except ControllerError as error:
         return _failure(
-            unit, f"does not apply: {error.told}" if error.refuses else f"failed in {error.where}: {error.told}"
+            unit, f"does not apply: {error.reason}" if error.refuses else f"failed in {error.where}: {error.reason}"
         )
     except (Exception, SystemExit) as error:  # whatever the user's code does, the others go on
         return _failure(unit, f"failed: {described(error)}")

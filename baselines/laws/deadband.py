@@ -47,12 +47,12 @@ class DeadbandDroop(LocalController):
             ramp_share_per_s=self.ramp_share_per_s,
         )
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        target = -np.clip(self.k_share_per_pu * beyond(seen.v_pu - 1.0, self.deadband_pu), -1.0, 1.0) * self._q_scale
+        target = -np.clip(self.k_share_per_pu * beyond(local.v_pu - 1.0, self.deadband_pu), -1.0, 1.0) * self._q_scale
         reach = self.ramp_share_per_s * self.scenario.dt_s * self._q_scale
-        q = seen.q_kvar + np.clip(target - seen.q_kvar, -reach, reach)
-        return np.full_like(seen.p_ref_next_kw, self.scenario.f_max_mhz), q
+        q = local.q_kvar + np.clip(target - local.q_kvar, -reach, reach)
+        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), q
 
 
 def beyond(deviation: np.ndarray, deadband: float) -> np.ndarray:

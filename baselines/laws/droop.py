@@ -71,19 +71,19 @@ class Droop(LocalController):
         super().reset(env_info)
         self._asked_kw: np.ndarray | None = None
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
         s, dc = self.scenario, self.scenario.datacenter
         n_dc = s.n_datacenters
-        q = seen.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * (seen.v_pu - 1.0) * s.dt_s
+        q = local.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * (local.v_pu - 1.0) * s.dt_s
         q = np.clip(q, -self._q_scale, self._q_scale)
         if not self.datacenters:
             q[..., :n_dc] = 0.0
-            return np.full_like(seen.p_ref_next_kw, s.f_max_mhz), q
-        waiting = seen.backlog_kws if self.memory == "cumulative" else self._last_shortfall(seen)
+            return np.full_like(local.p_ref_next_kw, s.f_max_mhz), q
+        waiting = local.backlog_kws if self.memory == "cumulative" else self._last_shortfall(local)
         p = (
-            (seen.p_ref_next_kw if s.preview else dc.p_rated_kw)
-            + 1000.0 * self.k_p_mw_per_pu * (seen.v_pu[..., :n_dc] - 1.0)
+            (local.p_ref_next_kw if s.preview else dc.p_rated_kw)
+            + 1000.0 * self.k_p_mw_per_pu * (local.v_pu[..., :n_dc] - 1.0)
             + self._alpha_per_s(waiting) * waiting
         )
         f_mhz = (p - dc.p_idle_kw) / dc.p_dynamic_kw * dc.f_max_mhz
@@ -96,9 +96,9 @@ class Droop(LocalController):
         waiting_s = np.maximum(waiting_kws, 0.0) / self.scenario.datacenter.p_rated_kw
         return self.alpha_per_s * (1.0 + self.alpha_growth_per_s * waiting_s)
 
-    def _last_shortfall(self, seen: Local) -> np.ndarray:
+    def _last_shortfall(self, local: Local) -> np.ndarray:
         """(p_ref - P) dt of the last step, kW s; none before the first."""
-        asked, self._asked_kw = self._asked_kw, seen.p_ref_next_kw
+        asked, self._asked_kw = self._asked_kw, local.p_ref_next_kw
         if asked is None:
-            return np.zeros_like(seen.p_ref_next_kw)
-        return (asked - seen.p_kw[..., : self.scenario.n_datacenters]) * self.scenario.dt_s
+            return np.zeros_like(local.p_ref_next_kw)
+        return (asked - local.p_kw[..., : self.scenario.n_datacenters]) * self.scenario.dt_s

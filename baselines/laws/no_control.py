@@ -10,6 +10,6 @@ from dcgrid_env.baselines.controller import Local, LocalController
 class NoControl(LocalController):
     """Top clock, no reactive power."""
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        return np.full_like(seen.p_ref_next_kw, self.scenario.f_max_mhz), np.zeros_like(seen.v_pu)
+        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), np.zeros_like(local.v_pu)

@@ -40,7 +40,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 PLACEMENTS = 20
-"""Of how many seeds the placements are looked at, where they are drawn."""
+"""Seeds whose placements are looked at where a scenario draws them."""
 _ROUNDING = 1e-9
 
 
@@ -60,9 +60,9 @@ def spectral_radius(
     scenario
         Gives the feeder, dt and the number of data centres.
     buses
-        Of the agents, data centres first, see :func:`placements`.
+        Buses of the agents, data centres first, see :func:`placements`.
     k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s, datacenters
-        As of :class:`Droop`.
+        Gains and memory, see :class:`Droop`.
 
     Raises
     ------

@@ -53,10 +53,10 @@ class ConstantQ(LocalController):
             raise ValueError(f"constant-q: q_share has {len(self.q_share)} shares; {env_info.name} has {n} agents")
         super().reset(env_info)
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        share = np.asarray(self.q_share) + np.zeros_like(seen.v_pu)
-        return np.full_like(seen.p_ref_next_kw, self.scenario.f_max_mhz), share * self._q_scale
+        share = np.asarray(self.q_share) + np.zeros_like(local.v_pu)
+        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), share * self._q_scale
 
 
 @dataclass
@@ -83,9 +83,9 @@ class PlacementRule(LocalController):
             per_x_mvar_per_pu=self.per_x_mvar_per_pu,
         )
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
         share = (
-            self.at_substation + self.per_r_mw_per_pu * seen.r_pu_per_mw + self.per_x_mvar_per_pu * seen.x_pu_per_mvar
+            self.at_substation + self.per_r_mw_per_pu * local.r_pu_per_mw + self.per_x_mvar_per_pu * local.x_pu_per_mvar
         )
-        return np.full_like(seen.p_ref_next_kw, self.scenario.f_max_mhz), np.clip(share, -1.0, 1.0) * self._q_scale
+        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), np.clip(share, -1.0, 1.0) * self._q_scale

@@ -65,18 +65,18 @@ class SwitchingReference(LocalController):
         self._length = max(1, round(self.window_s / env_info.dt_s))
         self._v_last_pu: np.ndarray | None = None
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
         s = self.scenario
         if self._v_last_pu is None:
-            self._steps_pu = np.zeros((self._length, *seen.v_pu.shape))
+            self._steps_pu = np.zeros((self._length, *local.v_pu.shape))
             self._count = 0
         else:
-            self._steps_pu[self._count % self._length] = np.abs(seen.v_pu - self._v_last_pu)
+            self._steps_pu[self._count % self._length] = np.abs(local.v_pu - self._v_last_pu)
             self._count += 1
-        self._v_last_pu = seen.v_pu
+        self._v_last_pu = local.v_pu
         amplitude = self.amplitude_gain * self._steps_pu.max(axis=0)
-        reference = 1.0 + np.where(seen.v_pu > 1.0, amplitude, -amplitude)
-        error = beyond(seen.v_pu - reference, self.deadband_pu)
-        q = seen.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * error * s.dt_s
-        return np.full_like(seen.p_ref_next_kw, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
+        reference = 1.0 + np.where(local.v_pu > 1.0, amplitude, -amplitude)
+        error = beyond(local.v_pu - reference, self.deadband_pu)
+        q = local.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * error * s.dt_s
+        return np.full_like(local.p_ref_next_kw, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)

@@ -82,11 +82,11 @@ class FeedbackOptimisation(ModelController):
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`ModelController`."""
-        s, dc, seen = self.scenario, self.scenario.datacenter, now.seen
+        s, dc, local = self.scenario, self.scenario.datacenter, now.local
         n_dc = s.n_datacenters
-        p_ref_kw = seen.p_ref_next_kw if s.preview else now.p_ref_kw
+        p_ref_kw = local.p_ref_next_kw if s.preview else now.p_ref_kw
         arrived_kw, arrives_kw = (np.maximum(p - dc.p_idle_kw, 0.0) for p in (now.p_ref_kw, p_ref_kw))
-        served_kw = seen.p_kw[:, :n_dc] - np.minimum(now.p_ref_kw, dc.p_idle_kw)
+        served_kw = local.p_kw[:, :n_dc] - np.minimum(now.p_ref_kw, dc.p_idle_kw)
         by_p = now.by_p[:, :n_dc]
         e = now.v_pu - 1.0 + np.matmul((p_ref_kw - now.p_ref_kw)[:, None], by_p)[:, 0]
         slopes = np.concatenate((by_p, now.by_q), axis=1)
@@ -95,9 +95,9 @@ class FeedbackOptimisation(ModelController):
 
         d = served_kw + arrives_kw - arrived_kw - step[:, :n_dc] * (pull[:, :n_dc] - self._backlog_price)
         # Where all work is to be served the clock may as well be at its top.
-        at_hand_kw = arrives_kw + seen.backlog_kws / s.dt_s
+        at_hand_kw = arrives_kw + local.backlog_kws / s.dt_s
         share = np.where(d >= at_hand_kw, 1.0, d / np.maximum(dc.p_dynamic_kw, arrives_kw))
-        q = seen.q_kvar - step[:, n_dc:] * pull[:, n_dc:]
+        q = local.q_kvar - step[:, n_dc:] * pull[:, n_dc:]
         q = np.copysign(np.maximum(np.abs(q) - step[:, n_dc:] * self._effort_price, 0.0), q)
         return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
 

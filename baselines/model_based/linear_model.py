@@ -53,10 +53,10 @@ def slopes(scenario: Scenario, buses: np.ndarray) -> Slopes:
 
 
 class Estimate(NamedTuple):
-    """What is known now; lanes first."""
+    """What a controller with a model takes the grid's state to be, for each lane of the batch."""
 
-    seen: Local
-    """As observed, each field (lane, ..)."""
+    local: Local
+    """Local observations of the agents, each field (lane, ..)."""
     v_pu: np.ndarray
     """Voltage of every bus but the substation, p.u., (lane, n_bus - 1)."""
     q_limit_kvar: np.ndarray
@@ -122,10 +122,10 @@ class ModelController(LocalController):
         """Clock of the data centres, MHz, (lane, n_dc), and reactive setpoints, kvar, (lane, n_agent)."""
         raise NotImplementedError
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        lead, lanes = seen.v_pu.shape[:-1], len(self._v_measured_pu)
-        flat = Local(*(field.reshape(lanes, field.shape[-1]) for field in seen))
+        lead, n_lanes = local.v_pu.shape[:-1], len(self._v_measured_pu)
+        flat = Local(*(field.reshape(n_lanes, field.shape[-1]) for field in local))
         f_mhz, q_kvar = self.plan(self._estimate(flat))
         return f_mhz.reshape(*lead, f_mhz.shape[-1]), q_kvar.reshape(*lead, q_kvar.shape[-1])
 
@@ -136,32 +136,34 @@ class ModelController(LocalController):
         self._q_limit_kvar = flat[:, self._limit_at] * self._q_scale
         return super()._local(joint)
 
-    def _estimate(self, seen: Local) -> Estimate:
+    def _estimate(self, local: Local) -> Estimate:
         """Voltages now, of a measurement that may be old and noisy."""
         s, v = self.scenario, self._v_measured_pu
-        by_p, by_q = (by / np.maximum(v, _V_LEAST_PU)[:, None] for by in self._known(len(v)))
-        powers = np.stack((seen.p_kw, seen.q_kvar))
+        by_p, by_q = (by / np.maximum(v, _V_LEAST_PU)[:, None] for by in self._placed_slopes(len(v)))
+        powers = np.stack((local.p_kw, local.q_kvar))
         # Powers from the step before the measured one until now.
         past = [*(self._past or [powers] * (s.measurement_delay + 1)), powers]
         if self._v_smooth_pu is not None:
             expected = self._v_smooth_pu + _moved(by_p, by_q, past[1] - past[0])
             v = expected + self._gain * (v - expected)
         self._v_smooth_pu, self._past = v, past[1:]
-        before = 0.0 * seen.backlog_kws if self._backlog_kws is None else self._backlog_kws
-        self._backlog_kws = seen.backlog_kws
-        p_ref = np.maximum(seen.p_kw[:, : s.n_datacenters] + (seen.backlog_kws - before) / s.dt_s, 0.0)
-        return Estimate(seen, v + _moved(by_p, by_q, powers - past[1]), self._q_limit_kvar, by_p, by_q, p_ref)
+        before = 0.0 * local.backlog_kws if self._backlog_kws is None else self._backlog_kws
+        self._backlog_kws = local.backlog_kws
+        p_ref = np.maximum(local.p_kw[:, : s.n_datacenters] + (local.backlog_kws - before) / s.dt_s, 0.0)
+        return Estimate(local, v + _moved(by_p, by_q, powers - past[1]), self._q_limit_kvar, by_p, by_q, p_ref)
 
-    def _known(self, lanes: int) -> Slopes:
-        """The slopes; ValueError where no placement, or that of another batch, has been told."""
+    def _placed_slopes(self, n_lanes: int) -> Slopes:
+        """The slopes at the agents' buses; ValueError without ``place``, or for a batch of another size."""
         if self._slopes is None:
             raise ValueError(
                 f"{self.name}: {self.scenario.name} draws the data centres' buses in each episode; call place(buses) "
                 "after reset with the agents' positions in bus_ids, (lane, n_agent)"
             )
-        told = len(self._slopes.by_p)
-        if told not in (1, lanes):
-            raise ValueError(f"{self.name}: buses were told of {told} lanes and {lanes} are observed; call place again")
+        n_placed = len(self._slopes.by_p)
+        if n_placed not in (1, n_lanes):
+            raise ValueError(
+                f"{self.name}: buses were placed in {n_placed} lanes and {n_lanes} are observed; call place again"
+            )
         return self._slopes
 
 

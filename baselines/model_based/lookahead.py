@@ -48,7 +48,7 @@ class Program(NamedTuple):
     work: np.ndarray
     """Work that has come until the end of each step, what waited before included, (L, H, n_dc)."""
     price: np.ndarray
-    """Of what waits at the end of each step, (H, n_dc)."""
+    """Price of what waits at the end of each step, (H, n_dc)."""
     voltage: float
     """Weights of a bus's deviation and of its excess over the band."""
     violation: float
@@ -93,20 +93,20 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     lanes, steps, n_bus = program.offset.shape
     size = max(1, _BLOCK // (steps * n_bus))
     done = [
-        _rounds(_lanes(program, block), Iterate(*(part[block] for part in at)), rounds)
+        _rounds(_block_of(program, block), Iterate(*(part[block] for part in at)), rounds)
         for block in (slice(a, a + size) for a in range(0, lanes, size))
     ]
     return Iterate(*map(np.concatenate, zip(*done, strict=True)))
 
 
-def _lanes(program: Program, block: slice) -> Program:
+def _block_of(program: Program, block: slice) -> Program:
     """Some lanes of a program."""
     by_lane = ("offset", "slopes", "base", "low", "high", "s_rated", "q_high", "work")
     return program._replace(**{name: getattr(program, name)[block] for name in by_lane})
 
 
 def _rounds(program: Program, at: Iterate, rounds: int) -> Iterate:
-    p, n_dc, kept = program, program.base.shape[-1], 1.0 - RELAXATION
+    p, n_dc, unrelaxed = program, program.base.shape[-1], 1.0 - RELAXATION
     system = _system(p)
     w_e, w_y, w_b = system.w_e, system.w_y[:, None], system.w_b[:, None]
     effort, price, excess = p.effort / w_y[..., n_dc:], p.price / w_b, p.violation / w_e
@@ -121,21 +121,21 @@ def _rounds(program: Program, at: Iterate, rounds: int) -> Iterate:
         e_to = np.matmul(x, p.slopes)
         e_to += p.offset
         e_to *= RELAXATION
-        e_to += kept * e
+        e_to += unrelaxed * e
         e_to += u_e
         e = _shrink(e_to, p.voltage / w_e, excess, p.band_pu)
         u_e = np.subtract(e_to, e, out=e_to)
-        y_to = RELAXATION * x + kept * y + u_y
+        y_to = RELAXATION * x + unrelaxed * y + u_y
         y = _within(p, y_to, effort)
         u_y = y_to - y
-        b_to = RELAXATION * (p.work - np.cumsum(x[..., :n_dc], axis=1)) + kept * b + u_b
+        b_to = RELAXATION * (p.work - np.cumsum(x[..., :n_dc], axis=1)) + unrelaxed * b + u_b
         b = np.maximum(b_to - price, 0.0)
         u_b = b_to - b
     return Iterate(e, y, b, u_e, u_y, u_b)
 
 
 def moved_on(at: Iterate) -> Iterate:
-    """The same one step later; the last step stays as it was."""
+    """The iterate one step later; the last step stays as it was."""
     return Iterate(*(np.concatenate((part[:, 1:], part[:, -1:]), axis=1) for part in at))
 
 

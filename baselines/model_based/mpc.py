@@ -95,29 +95,29 @@ class Mpc(ModelController):
 
     def _forecast(self, now: Estimate) -> np.ndarray:
         """p_ref of the steps ahead, kW, (lane, step, n_dc)."""
-        s, known_kw = self.scenario, now.p_ref_kw
+        s, next_kw = self.scenario, now.p_ref_kw
         self._drawn_kw, self._drawn_steps = self._drawn_kw + now.p_ref_kw, self._drawn_steps + 1
         total_kw, count = self._drawn_kw, self._drawn_steps
         if s.preview:
-            known_kw = now.seen.p_ref_next_kw
-            total_kw, count = total_kw + known_kw, count + 1
+            next_kw = now.local.p_ref_next_kw
+            total_kw, count = total_kw + next_kw, count + 1
         mean_kw = total_kw / count
         ahead_s = s.dt_s * (np.arange(self.horizon) + (0 if s.preview else 1))
-        return mean_kw[:, None] + np.exp(-ahead_s / self.forecast_s)[:, None] * (known_kw - mean_kw)[:, None]
+        return mean_kw[:, None] + np.exp(-ahead_s / self.forecast_s)[:, None] * (next_kw - mean_kw)[:, None]
 
     def _program(self, now: Estimate, p_ref_kw: np.ndarray) -> Program:
-        s, seen = self.scenario, now.seen
+        s, local = self.scenario, now.local
         w, dc, n_dc = s.weights, s.datacenter, s.n_datacenters
         base_kw = np.minimum(p_ref_kw, dc.p_idle_kw)
         arrives_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
-        waits_kw = seen.backlog_kws / s.dt_s
+        waits_kw = local.backlog_kws / s.dt_s
         at_hand_kw = arrives_kw.copy()  # at the least: what waits is counted in the first step alone
         at_hand_kw[:, 0] += waits_kw
         ceiling_kw = np.maximum(dc.p_dynamic_kw, arrives_kw)
         high_kw = ceiling_kw.copy()
         high_kw[:, 0] = np.minimum(high_kw[:, 0], at_hand_kw[:, 0])
         by_p, size, n_bus = now.by_p[:, :n_dc], self._size[:n_dc], s.feeder.n_bus - 1
-        idle_pu = np.matmul(base_kw - seen.p_kw[:, None, :n_dc], by_p) - np.matmul(seen.q_kvar[:, None], now.by_q)
+        idle_pu = np.matmul(base_kw - local.p_kw[:, None, :n_dc], by_p) - np.matmul(local.q_kvar[:, None], now.by_q)
         return Program(
             offset=now.v_pu[:, None] - 1.0 + idle_pu,
             slopes=np.concatenate((by_p * size[:, None], now.by_q * self._size[:, None]), axis=1),
@@ -142,6 +142,6 @@ class Mpc(ModelController):
         """
         n_dc = self.scenario.n_datacenters
         limit = now.q_limit_kvar.copy()
-        out = (limit[:, :n_dc] <= 0.0) & (now.seen.p_kw[:, :n_dc] < 0.99 * self._rated_kva[:n_dc])
+        out = (limit[:, :n_dc] <= 0.0) & (now.local.p_kw[:, :n_dc] < 0.99 * self._rated_kva[:n_dc])
         limit[:, :n_dc] = np.where(out, 0.0, self._q_scale[:n_dc])
         return limit

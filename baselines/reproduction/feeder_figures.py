@@ -75,9 +75,9 @@ def against_number(runs: Runs) -> Figure:
     for i, (name, law) in enumerate(LAWS.items()):
         if name == "both-one-step":
             continue  # at k_p = 1 it lies on the cumulative form
-        found = [runs.of(runs.setting.scenario(n), law) for n in runs.setting.counts]
-        mean = [run.deviation_pu for run in found]
-        spread = [run.mean("voltage_deviation_std_pu") for run in found]
+        by_count = [runs.of(runs.setting.scenario(n), law) for n in runs.setting.counts]
+        mean = [run.deviation_pu for run in by_count]
+        spread = [run.mean("voltage_deviation_std_pu") for run in by_count]
         # Beside one another, so that the bars do not cover each other.
         ax.errorbar(counts + 0.06 * (i - 1.5), mean, yerr=spread, label=LABELS[name], capsize=3, **LOOKS[name])
     say(ax, "data centres", "mean |V - 1| (p.u.)", "bars: standard deviation over buses and time")

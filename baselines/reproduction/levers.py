@@ -35,11 +35,11 @@ def settled(
 
 
 def inverters(runs: Runs) -> list[dict[str, Any]]:
-    """Of each published site: what 1 Mvar at the nearest and the farthest inverter does for it, and closed loops.
+    """For each published site, what 1 Mvar at the nearest and the farthest inverter does for it, and closed loops.
 
     Near and far is by X_ij, the shared reactance. In the closed loops one inverter stands for all seven (350 kvar).
     """
-    made = []
+    records = []
     for site in PUBLISHED_BUSES:
         scenario = runs.setting.pinned((site,))
         feeder, full = scenario.feeder, {site: 280.0}
@@ -57,8 +57,8 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
         for name, bus in ends.items():
             one = runs.setting.pinned((site,), inverter_buses=(bus,), inverter_s_kva=350.0)
             record[f"{name}_site_deviation_pu"] = runs.of(one, INVERTERS).mean("first_site_deviation_pu")
-        made.append(record)
-    return made
+        records.append(record)
+    return records
 
 
 def turned(feeder: Feeder, times: float) -> Feeder:
@@ -77,18 +77,18 @@ def axes(runs: Runs) -> list[dict[str, Any]]:
         f"ieee123, r/x times {R_TIMES:g} at the same impedance": make_scenario(plain, feeder=steep),
         "ieee33-weak": make_scenario("ieee33-weak", **runs.setting.load.fields),
     }
-    made = []
+    records = []
     for name, scenario in cases.items():
-        found = {key: runs.of(scenario, law) for key, law in _AXES.items()}
-        made.append(
+        by_axis = {key: runs.of(scenario, law) for key, law in _AXES.items()}
+        records.append(
             {"feeder": name}
             | _own_slopes(scenario)
-            | {f"{key}_deviation_pu": run.deviation_pu for key, run in found.items()}
-            | {f"{key}_J": run.mean("J") for key, run in found.items()}
-            | {"active_delay_s": found["active"].mean("delay_mean_s")}
-            | {"converged_pct": 100.0 * found["none"].mean("power_flow_converged")}
+            | {f"{key}_deviation_pu": run.deviation_pu for key, run in by_axis.items()}
+            | {f"{key}_J": run.mean("J") for key, run in by_axis.items()}
+            | {"active_delay_s": by_axis["active"].mean("delay_mean_s")}
+            | {"converged_pct": 100.0 * by_axis["none"].mean("power_flow_converged")}
         )
-    return made
+    return records
 
 
 _AXES = {"none": NONE, "active": ACTIVE, "reactive": REACTIVE, "both": BOTH._replace(k_p_mw_per_pu=10.0)}
@@ -112,18 +112,18 @@ def _own_slopes(scenario: Scenario) -> dict[str, float]:
 
 
 def intervals(runs: Runs) -> list[dict[str, Any]]:
-    """The same two minutes with five data centres in steps of 0.1 s; the law acts every 0.1, 1 or 5 s.
+    """Two minutes with five data centres in steps of 0.1 s; the law acts every 0.1, 1 or 5 s.
 
     ``late_deviation_pu`` is the mean over the second half: an episode begins without reactive power, and a long
     interval takes its first step at once.
     """
     base = runs.setting.scenario(5)
     fine = make_scenario(base, dt_s=STEP_S, horizon=round(base.horizon * base.dt_s / STEP_S))
-    made = []
+    records = []
     for k_p in (1.0, 10.0):
         for interval_s in INTERVALS_S:
             run = runs.of(fine, Law(k_p_mw_per_pu=k_p, hold_steps=round(interval_s / STEP_S)))
-            made.append(
+            records.append(
                 {
                     "k_p_mw_per_pu": k_p,
                     "interval_s": interval_s,
@@ -134,4 +134,4 @@ def intervals(runs: Runs) -> list[dict[str, Any]]:
                     "unserved_pct": unserved_pct(run),
                 }
             )
-    return made
+    return records

@@ -22,9 +22,9 @@ def step_series(runs: Runs) -> dict[str, Series]:
 
 def step_response(runs: Runs) -> list[dict[str, Any]]:
     """Voltage at the data centre: mean over 10 s before the load, 10 s with it, and the last 10 s."""
-    made = []
+    records = []
     for name, series in step_series(runs).items():
         v = series.v_pu[:, series.scenario.feeder.index(SITE)]
         before, after, end = (float(v[a:b].mean()) for a, b in ((10, 20), (21, 31), (-10, None)))
-        made.append({"law": name, "before_pu": before, "after_pu": after, "end_pu": end})
-    return made
+        records.append({"law": name, "before_pu": before, "after_pu": after, "end_pu": end})
+    return records

@@ -70,11 +70,11 @@ def _claims(records: Records) -> str:
 
 def _table_one(records: Records) -> str:
     radius = {(r["n_datacenters"], r["k_p_mw_per_pu"]): r["spectral_radius"] for r in records["stability"]}
-    found: dict[tuple[int, float], dict[str, dict[str, Any]]] = {}
+    by_setting: dict[tuple[int, float], dict[str, dict[str, Any]]] = {}
     for row in records["table_one"]:
-        found.setdefault((row["n_datacenters"], row["k_p_mw_per_pu"]), {})[row["memory"]] = row
+        by_setting.setdefault((row["n_datacenters"], row["k_p_mw_per_pu"]), {})[row["memory"]] = row
     rows = []
-    for (n, k_p), forms in found.items():
+    for (n, k_p), forms in by_setting.items():
         cells = [str(n), f"{k_p:g}"]
         for memory in ("cumulative", "one_step"):
             r = forms[memory]

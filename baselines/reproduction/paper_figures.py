@@ -28,7 +28,7 @@ from dcgrid_env.core.files import write_figure
 
 FOLDER = "images"
 DPI = 90
-LEAST_SEEN_PCT = 0.5
+LEAST_VISIBLE_PCT = 0.5
 """A gain of less lies within the line of another law in Fig. 5, %."""
 
 
@@ -60,19 +60,19 @@ def _split(runs: Runs) -> str:
     """Means over the numbers of sites at k_p = 1, the gain of Fig. 5."""
     rows = [row for row in gains(runs) if row["k_p_mw_per_pu"] == BOTH.k_p_mw_per_pu]
     reactive, active = (float(np.mean([row[f"gain_{axis}_pct"] for row in rows])) for axis in ("reactive", "active"))
-    seen = ", too little to be seen" * (abs(active) < LEAST_SEEN_PCT)
+    remark = ", too little to be seen" * (abs(active) < LEAST_VISIBLE_PCT)
     return (
         f"Below inverters only it is on average lower by {reactive:.1f} % through the data centres' reactive power and "
-        f"by {active:.2f} % through the clock (k_p = 1){seen}."
+        f"by {active:.2f} % through the clock (k_p = 1){remark}."
     )
 
 
 def _near_the_substation(runs: Runs, seed: int) -> str:
     """At bus 13 under the laws of Fig. 7: how low the voltage goes, and how much work waits."""
     scenario, site = all_sites(runs), PUBLISHED_BUSES.index(BUS)
-    found = [runs.series(scenario, law, seed) for law in panel_laws()]
-    lowest_pu = min(float(series.v_pu[:, scenario.feeder.index(BUS)].min()) for series in found)
-    most_kws = max(float(series.backlog_kws[:, site].max()) for series in found)
+    all_series = [runs.series(scenario, law, seed) for law in panel_laws()]
+    lowest_pu = min(float(series.v_pu[:, scenario.feeder.index(BUS)].min()) for series in all_series)
+    most_kws = max(float(series.backlog_kws[:, site].max()) for series in all_series)
     waits = f"up to {most_kws:.0f} kW s of work wait" if most_kws >= 1.0 else "no work waits"
     return f"Near the substation, at bus {BUS}, V is {lowest_pu:.3f} p.u. at least and {waits}."
 
@@ -89,9 +89,9 @@ def draw_all(runs: Runs, folder: Path) -> list[dict[str, Any]]:
         6: lambda: four_buses(runs, seed),
         7: lambda: before_and_after(runs, seed),
     }
-    made = []
+    records = []
     for number, caption in captions(runs, seed).items():
         file = f"{FOLDER}/reproduction-fig{number}.png"
         write_figure(folder / file, makers[number](), dpi=DPI)
-        made.append({"figure": number, "file": file, "caption": caption})
-    return made
+        records.append({"figure": number, "file": file, "caption": caption})
+    return records

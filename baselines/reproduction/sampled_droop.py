@@ -20,7 +20,7 @@ from dcgrid_env.baselines import Droop, Local
 
 
 @dataclass
-class HeldDroop(Droop):
+class SampledDroop(Droop):
     """Droop that acts once in ``hold_steps`` steps, with the cumulative backlog.
 
     Parameters
@@ -35,7 +35,7 @@ class HeldDroop(Droop):
         super().__post_init__()
         if self.hold_steps < 1 or self.memory != "cumulative":
             raise ValueError(
-                f"held droop: hold_steps is {self.hold_steps} and memory {self.memory!r}; give at least 1 step and "
+                f"sampled droop: hold_steps is {self.hold_steps} and memory {self.memory!r}; give at least 1 step and "
                 "the cumulative memory"
             )
 
@@ -44,10 +44,12 @@ class HeldDroop(Droop):
         super().reset(env_info.replace(dt_s=env_info.dt_s * self.hold_steps))
         self._age = 0
 
-    def control(self, seen: Local) -> tuple[np.ndarray, np.ndarray]:
+    def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
         if self._age % self.hold_steps == 0:
-            self._measured = seen
+            self._measured = local
         self._age += 1
-        held = self._measured
-        return super().control(seen._replace(v_pu=held.v_pu, q_kvar=held.q_kvar, backlog_kws=held.backlog_kws))
+        measured = self._measured
+        return super().control(
+            local._replace(v_pu=measured.v_pu, q_kvar=measured.q_kvar, backlog_kws=measured.backlog_kws)
+        )

@@ -12,7 +12,7 @@ from dcgrid_env.baselines import Controller, Droop, NoControl, rollout
 from dcgrid_env.baselines.laws.droop import Memory
 from dcgrid_env.baselines.reproduction.load import Load
 from dcgrid_env.baselines.reproduction.paper import COUNTS, PUBLISHED_BUSES
-from dcgrid_env.baselines.reproduction.sampled_droop import HeldDroop
+from dcgrid_env.baselines.reproduction.sampled_droop import SampledDroop
 
 Placement = Literal["random", "published"]
 
@@ -32,7 +32,7 @@ class Law(NamedTuple):
             return NoControl()
         gains: dict[str, Any] = {"k_p_mw_per_pu": self.k_p_mw_per_pu, "k_q_mvar_per_pu_s": self.k_q_mvar_per_pu_s}
         if self.hold_steps > 1:
-            return HeldDroop(**gains, memory=self.memory, hold_steps=self.hold_steps)
+            return SampledDroop(**gains, memory=self.memory, hold_steps=self.hold_steps)
         return Droop(**gains, memory=self.memory, datacenters=self.acts == "all")
 
 
@@ -69,11 +69,11 @@ class Setting:
         return make_scenario("ieee123", n_datacenters=n, **self.load.fields, **overrides)
 
     def published(self, n: int, **overrides: Any) -> Scenario:
-        """The same with the data centres at the first ``n`` buses of the public code."""
+        """The scenario with the data centres at the first ``n`` buses of the public code."""
         return self.pinned(PUBLISHED_BUSES[:n], **overrides)
 
     def pinned(self, buses: tuple[int, ...], **overrides: Any) -> Scenario:
-        """The same with the data centres at ``buses``."""
+        """The scenario with the data centres at ``buses``."""
         fields = {"n_datacenters": len(buses), "datacenter_buses": buses, **self.load.fields}
         return make_scenario("ieee123", **fields, **overrides)
 
@@ -85,7 +85,7 @@ class Run(NamedTuple):
 
     def each(self, key: str) -> np.ndarray:
         """A figure of every episode, (n_episode,)."""
-        return np.array([found[key] for found in self.episodes])
+        return np.array([figures[key] for figures in self.episodes])
 
     def mean(self, key: str) -> float:
         """Mean over the episodes."""
@@ -98,7 +98,7 @@ class Run(NamedTuple):
 
 
 class Runs:
-    """Runs, kept.
+    """The runs of a study, each computed once.
 
     Parameters
     ----------
@@ -108,16 +108,16 @@ class Runs:
 
     def __init__(self, setting: Setting):
         self.setting = setting
-        self._kept: dict[tuple[Scenario, Law], Run] = {}
+        self._runs: dict[tuple[Scenario, Law], Run] = {}
 
     def of(self, scenario: Scenario, law: Law) -> Run:
         """The episodes of a scenario under a law."""
         key = (scenario, law)
-        if key not in self._kept:
+        if key not in self._runs:
             recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
             lanes = (recorder.lane(i) for i in range(self.setting.episodes))
-            self._kept[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
-        return self._kept[key]
+            self._runs[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
+        return self._runs[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
         """The course of one episode."""
@@ -128,13 +128,13 @@ def _more(lane: Series) -> dict[str, float]:
     """Of squared voltages, which the public code calls voltages; over the second half; at the first site if fixed."""
     s = lane.scenario
     v = lane.v_pu[1:, 1:]
-    found = {
+    figures = {
         "squared_deviation_mean_pu": float(np.abs(v**2 - 1.0).mean()),
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
     }
     if s.datacenter_buses:
         site = lane.v_pu[1:, s.feeder.index(s.datacenter_buses[0])]
-        found["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
-        found["first_site_min_pu"] = float(site.min())
-        found["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).mean())
-    return found
+        figures["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
+        figures["first_site_min_pu"] = float(site.min())
+        figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).mean())
+    return figures

@@ -73,14 +73,14 @@ def comparison(runs: Runs) -> list[dict[str, Any]]:
 
 
 def grids(runs: Runs) -> list[dict[str, Any]]:
-    """The same on the linearised grid: mean abs(V - 1) under DistFlow and LinDistFlow."""
-    made = []
+    """Table I on the linearised grid: mean abs(V - 1) under DistFlow and LinDistFlow."""
+    records = []
     for n in runs.setting.counts:
         for name in ("none", "inverters", "both"):
             exact = runs.of(runs.setting.scenario(n), LAWS[name]).deviation_pu
             linear = runs.of(runs.setting.scenario(n, power_flow="lindistflow"), LAWS[name]).deviation_pu
-            made.append({"n_datacenters": n, "law": name, "distflow_pu": exact, "lindistflow_pu": linear})
-    return made
+            records.append({"n_datacenters": n, "law": name, "distflow_pu": exact, "lindistflow_pu": linear})
+    return records
 
 
 def gains(runs: Runs) -> list[dict[str, Any]]:
@@ -89,7 +89,7 @@ def gains(runs: Runs) -> list[dict[str, Any]]:
     ``reactive`` is what the data centres' converters add, ``active`` what the clock adds on top of it, in both forms
     of the backlog; ``standard_error_pct`` is that of the whole gain (cumulative) over episodes, paired.
     """
-    made = []
+    records = []
     for n in runs.setting.counts:
         scenario = runs.setting.scenario(n)
         inverters, reactive = runs.of(scenario, INVERTERS), runs.of(scenario, REACTIVE)
@@ -100,7 +100,7 @@ def gains(runs: Runs) -> list[dict[str, Any]]:
             )
             paired = inverters.each("voltage_deviation_mean_pu") - whole.each("voltage_deviation_mean_pu")
             spread = float(paired.std(ddof=1) / np.sqrt(len(paired)))
-            made.append(
+            records.append(
                 {
                     "n_datacenters": n,
                     "k_p_mw_per_pu": k_p,
@@ -117,4 +117,4 @@ def gains(runs: Runs) -> list[dict[str, Any]]:
                     "J_one_step": printed.mean("J"),
                 }
             )
-    return made
+    return records

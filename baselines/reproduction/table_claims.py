@@ -44,9 +44,9 @@ def mean_within(records: Records) -> Row:
 
 def rising(records: Records) -> Row:
     """Against the number of data centres."""
-    found = {law: _of_law(records, law, "deviation_mean_pu") for law in ("none", "inverters", "both")}
-    rises = {law: bool((np.diff(v) > 0).all()) for law, v in found.items()}
-    said = "; ".join(f"{_NAMES[law]} {v[0]:.4f} to {v[-1]:.4f}" for law, v in found.items())
+    by_form = {law: _of_law(records, law, "deviation_mean_pu") for law in ("none", "inverters", "both")}
+    rises = {law: bool((np.diff(v) > 0).all()) for law, v in by_form.items()}
+    said = "; ".join(f"{_NAMES[law]} {v[0]:.4f} to {v[-1]:.4f}" for law, v in by_form.items())
     verdict = decide(rises["both"], any(rises.values()))
     return row(
         "deviation rises with the number of data centres",
@@ -120,20 +120,21 @@ def inside(records: Records) -> Row:
 
 def delay(records: Records) -> Row:
     """Delay against k_p."""
-    found = {}
+    by_form = {}
     for memory in ("cumulative", "one_step"):
         rows = {
             (r["n_datacenters"], r["k_p_mw_per_pu"]): r["delay_mean_s"]
             for r in records["table_one"]
             if r["memory"] == memory
         }
-        found[memory] = np.array([[rows[n, k_p] for k_p in K_P_MW_PER_PU] for n in COUNTS])
-    rises = np.array([(np.diff(delays, axis=1) > 0).all(axis=1) for delays in found.values()])
+        by_form[memory] = np.array([[rows[n, k_p] for k_p in K_P_MW_PER_PU] for n in COUNTS])
+    rises = np.array([(np.diff(delays, axis=1) > 0).all(axis=1) for delays in by_form.values()])
     verdict = decide(bool(rises.all()), bool(rises.any()))
-    flat = not any(delays[~row].any() for delays, row in zip(found.values(), rises, strict=True))
+    flat = not any(delays[~row].any() for delays, row in zip(by_form.values(), rises, strict=True))
     still = "nothing waits there at any k_p" if flat else "work waits there, but no longer at each larger k_p"
     said = "; ".join(
-        f"{memory.replace('_', '-')} {', '.join(f'{d:.2f}' for d in delays[-1])} s" for memory, delays in found.items()
+        f"{memory.replace('_', '-')} {', '.join(f'{d:.2f}' for d in delays[-1])} s"
+        for memory, delays in by_form.items()
     )
     return row(
         "delay rises with k_p",

@@ -36,7 +36,7 @@ class Tunable:
     """From x and the scenarios that share the parameters to the law's keyword arguments."""
     bounds: Callable[[Sequence[Scenario]], list[tuple[float, float]]]
     generations: int = 3
-    """Of differential evolution, where there are up to three parameters."""
+    """Generations of differential evolution, where there are up to three parameters."""
 
 
 class Tuned(NamedTuple):
@@ -119,7 +119,7 @@ def tune(
     scenarios
         On which; their split should be validation. More than one share one set of parameters.
     episodes
-        Of each: those of seeds 0 to episodes - 1.
+        Episodes of each scenario: those of seeds 0 to episodes - 1.
     on_trial
         Called after each set of parameters tried (for progress).
 
@@ -141,14 +141,14 @@ def tune(
     tried: list[tuple[float, np.ndarray]] = []
 
     def score(share: np.ndarray) -> float:
-        """Of parameters at these shares of the way from their lower to their upper bounds."""
+        """Cost of parameters at these shares of the way from their lower to their upper bounds."""
         share = np.clip(share, 0.0, 1.0)  # methods overstep by rounding
         controller = law.law(**law.parameters(low + share * (high - low), scenarios))
-        found = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, none, strict=True)]))
-        tried.append((found, share))
+        cost = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, none, strict=True)]))
+        tried.append((cost, share))
         if on_trial is not None:
             on_trial()
-        return found
+        return cost
 
     n = len(low)
     starts = [np.full(n, 0.5)]

@@ -41,7 +41,7 @@ GRID = (
 """Fields of a scenario that a law's gains depend on."""
 
 
-class Found(NamedTuple):
+class TunedParameters(NamedTuple):
     """Tuned parameters and where they stand."""
 
     parameters: dict[str, Any]
@@ -49,7 +49,7 @@ class Found(NamedTuple):
     """None for those that ship."""
 
 
-def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = None) -> Found:
+def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = None) -> TunedParameters:
     """Find the keyword arguments of a law for a scenario.
 
     Parameters
@@ -74,12 +74,12 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
     fits = own is not None and _grid_hash_of(own, scenario.name) == grid_hash(scenario)
     if own is not None and fits and (path is not None or shipped is None or _is_of(own, scenario)):
-        return Found(_arguments(own), file)
+        return TunedParameters(_arguments(own), file)
     differs = _difference_from_preset(scenario) if shipped else None
     if shipped and differs is None:
-        return Found(_arguments(shipped), None)
+        return TunedParameters(_arguments(shipped), None)
     if own is not None and fits:
-        return Found(_arguments(own), file)
+        return TunedParameters(_arguments(own), file)
     raise ValueError(_none(law, scenario, path, own is not None, differs))
 
 

@@ -98,7 +98,7 @@ def solve_missing(
     ValueError
         For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
         hindsight cannot solve.
-    HeldError
+    LockedError
         Where another command solves episodes into this folder.
     """
     from dcgrid_env.baselines.hindsight_costs import hindsight_file

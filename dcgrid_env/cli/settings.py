@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dcgrid_env.core.files import new_folder, require_folder
-from dcgrid_env.core.lock import held
+from dcgrid_env.core.lock import locked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,10 +48,10 @@ def check_folder(folder: Path) -> None:
 def alone_in(folder: Path, what: str) -> Iterator[None]:
     """Hold a folder that is read, changed and written again, so that two commands at once lose nothing of each other.
 
-    ``what`` says who holds it. ValueError where the folder cannot be made, HeldError where another command holds it.
+    ``what`` says who holds it. ValueError where the folder cannot be made, LockedError where another command holds it.
     """
     check_folder(folder)
-    with new_folder(folder), held(folder, what, "wait until it has ended, or work in another folder"):
+    with new_folder(folder), locked(folder, what, "wait until it has ended, or work in another folder"):
         yield
 
 

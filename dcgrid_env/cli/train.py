@@ -81,7 +81,7 @@ class Training(Command):
 
     def run(self) -> None:
         """Train. ValueError for a run that cannot begin or go on."""
-        from dcgrid_env.agents.training.run import TrainingError
+        from dcgrid_env.agents.training.run_folder import TrainingError
 
         if line := shipped_settings(self.configuration):
             print(line)

@@ -28,21 +28,21 @@ def cached_on_owner(
     The function must depend on nothing but its arguments, and the further ones are positional and hashable.
     """
     key = f"_{function.__name__}_{next(_NUMBER)}"  # unlike that of another function of this name
-    found: Any = function
+    compute: Any = function
 
     def one(owner: Any) -> Any:
-        kept = owner.__dict__
-        if key in kept:
-            return kept[key]
-        return kept.setdefault(key, found(owner))
+        store = owner.__dict__
+        if key in store:
+            return store[key]
+        return store.setdefault(key, compute(owner))
 
     def several(owner: Any, *rest: Any) -> Any:
-        kept = owner.__dict__
-        answers = kept[key] if key in kept else kept.setdefault(key, {})
+        store = owner.__dict__
+        answers = store[key] if key in store else store.setdefault(key, {})
         try:
             return answers[rest]
         except KeyError:
-            return answers.setdefault(rest, found(owner, *rest))
+            return answers.setdefault(rest, compute(owner, *rest))
 
     return wraps(function)(one if len(signature(function).parameters) == 1 else several)  # pyright: ignore
 

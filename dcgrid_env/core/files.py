@@ -21,22 +21,22 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
     OSError where it cannot be made.
     """
-    made = _missing(folder)
+    missing = _missing(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield folder
     except BaseException:
-        _remove_empty(made)
+        _remove_empty(missing)
         raise
 
 
 def require_folder(folder: Path) -> None:
     """OSError unless a folder is there or can be made; it is not left behind."""
-    made = _missing(folder)
+    missing = _missing(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     finally:
-        _remove_empty(made)
+        _remove_empty(missing)
 
 
 def _missing(folder: Path) -> list[Path]:

@@ -13,12 +13,12 @@ from datetime import datetime
 from pathlib import Path
 
 
-class HeldError(OSError):
+class LockedError(OSError):
     """Another process holds what is asked for; the message says which, since when, and what to do."""
 
 
 @contextmanager
-def held(folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended") -> Iterator[None]:
+def locked(folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended") -> Iterator[None]:
     """Hold a folder for the block; nothing of the lock is left behind.
 
     The operating system keeps the lock (``filelock``), so one that a killed process held is free. Beside it stands a
@@ -35,7 +35,7 @@ def held(folder: Path, what: str, remedy: str = "give another --out, or wait unt
 
     Raises
     ------
-    HeldError
+    LockedError
         Where another holds it.
     OSError
         Where the folder cannot be written.
@@ -47,7 +47,7 @@ def held(folder: Path, what: str, remedy: str = "give another --out, or wait unt
         try:
             stack.enter_context(alone(lock, timeout_s=0))
         except Timeout:
-            raise HeldError(f"{folder}: {_holder(note)} writes there; {remedy}") from None
+            raise LockedError(f"{folder}: {_holder(note)} writes there; {remedy}") from None
         stack.callback(note.unlink, missing_ok=True)
         began = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
         about = {"what": what, "pid": os.getpid(), "host": socket.gethostname(), "began": began}

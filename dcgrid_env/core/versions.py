@@ -14,13 +14,13 @@ PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
 
 def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
     """Installed version of each package, None where it is not installed."""
-    found: dict[str, str | None] = {}
+    installed: dict[str, str | None] = {}
     for package in packages:
         try:
-            found[package] = version(package)
+            installed[package] = version(package)
         except PackageNotFoundError:
-            found[package] = None
-    return found
+            installed[package] = None
+    return installed
 
 
 def meta() -> dict[str, Any]:

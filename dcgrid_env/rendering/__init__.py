@@ -13,7 +13,12 @@ if TYPE_CHECKING:
 
 __all__ = ["INK", "draw_feeder", "positions", "run_figure"]
 
-_MODULES = {"INK": "feeder_map", "draw_feeder": "feeder_map", "positions": "bus_positions", "run_figure": "side_by_side"}
+_MODULES = {
+    "INK": "feeder_map",
+    "draw_feeder": "feeder_map",
+    "positions": "bus_positions",
+    "run_figure": "side_by_side",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -24,10 +24,10 @@ def positions(feeder: Feeder) -> FloatArray:
     xy[~np.isfinite(xy).all(axis=1)] = np.nan
     _, first = np.unique(xy, axis=0, return_index=True)
     xy[np.setdiff1d(np.arange(feeder.n_bus), first)] = np.nan
-    known = np.isfinite(xy[:, 0])
-    if 2 * known.sum() < feeder.n_bus or known.sum() < 2:
+    placed = np.isfinite(xy[:, 0])
+    if 2 * placed.sum() < feeder.n_bus or placed.sum() < 2:
         return _tree(feeder)
-    return xy if known.all() else _beside(feeder, xy)
+    return xy if placed.all() else _beside(feeder, xy)
 
 
 def _beside(feeder: Feeder, xy: FloatArray) -> FloatArray:

@@ -113,10 +113,10 @@ def resident_growth_mib(scenario: str, num_envs: int) -> float:
         stepped(n)
     gc.collect()
     before = _resident_mib()
-    kept = stepped(num_envs)
+    env = stepped(num_envs)
     gc.collect()
     after = _resident_mib()
-    del kept
+    del env
     return after - before
 
 

@@ -1,4 +1,4 @@
-"""The same balanced feeder in other power-flow libraries, to check figures and speed against.
+"""A balanced feeder in other power-flow libraries, to check figures and speed against.
 
 Each function here takes a :class:`~dcgrid_env.Feeder` and the substation voltage and returns a
 :class:`ReferenceSolver`. The libraries come with the extra ``bench`` and are imported in the function that needs them,

@@ -22,8 +22,8 @@ import pytest
 
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.cli import main
+from helpers.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     path.relative_to(ROOT).as_posix()
     for pattern in ("*.md", "docs/**/*.md", "traces/*.md")
@@ -31,8 +31,8 @@ DOCUMENTS = sorted(
     if path.name != "CHANGELOG.md"
 )
 
-TRAINING = {"--updates": "1", "--lanes": "2", "--validation-episodes": "2"}
-STEPS = {"--steps": "240", "--lanes": "2", "--validation-episodes": "2"}
+TRAINING = {"--updates": "1", "--num-envs": "2", "--validation-episodes": "2"}
+STEPS = {"--steps": "240", "--num-envs": "2", "--validation-episodes": "2"}
 SHORTER = {
     "dcgrid run": {"--episodes": "2"},
     "dcgrid benchmark": {"--episodes": "2", "--jobs": "1"},
@@ -244,7 +244,7 @@ def test_a_command_of_no_known_kind_fails(command):
 
 def test_options_of_a_document_stay_but_for_the_smaller_values():
     given = "dcgrid train analytic --scenario ieee33-weak --updates 120 --act q"
-    expected = "dcgrid train analytic --scenario ieee33-weak --updates 1 --act q --lanes 2 --validation-episodes 2"
+    expected = "dcgrid train analytic --scenario ieee33-weak --updates 1 --act q --num-envs 2 --validation-episodes 2"
     assert shortened(words(given)) == expected.split()
 
 

@@ -34,19 +34,19 @@ class GpuColumns:
     time: int
     power: int
     gpu: int | None
-    """What tells GPUs apart, if anything does."""
+    """The cell that identifies a GPU, if any does."""
     power_name: str
     unit: str | None
-    """Of readings that name none themselves; None if nobody knows."""
+    """Unit of readings that name none themselves; None if nobody knows."""
     header: tuple[str, ...] | None
     """Names as they stand in the log, which repeats them where the logger was started again."""
 
-    def tells(self, gpu: str) -> bool:
+    def identifies(self, gpu: str) -> bool:
         """Whether `gpu`, the cell of a line, names one GPU; consumer cards have `[N/A]` for a serial number."""
         return self.gpu is not None and _UNTOLD_CELL.fullmatch(gpu) is None
 
     def pattern(self) -> re.Pattern[str]:
-        """Of a whole line, with the groups time, gpu, power and unit; power is None where the reading is missing."""
+        """Pattern of a line, with the groups time, gpu, power and unit; power is None where the reading is missing."""
         cells = ["[^,]*"] * self.width
         cells[self.time] = rf"[ \t]*(?P<time>{TIMESTAMP})[ \t]*"
         cells[self.power] = rf"[ \t]*{_POWER}[ \t]*"

@@ -69,13 +69,13 @@ def read_gpu_log(
         raise TraceError(f"gpus = {gpus!r} is below 1; give the number of GPUs in the log")
     with open_text(path) as file:
         require_unit(file.name, unit)
-        found, read = find_columns(file, columns, unit)
-        log = _Log(file.name, found, rule, limit_w * 1e-3, gpus)
+        layout, read = find_columns(file, columns, unit)
+        log = _Log(file.name, layout, rule, limit_w * 1e-3, gpus)
         for block in chain(read, file.blocks()):
             log.add(block)
         sha256 = file.sha256()
     time_s, power_kw, began = log.total()
-    parameters = {"began": began, "gpus": len(log.series), "column": found.power_name}
+    parameters = {"began": began, "gpus": len(log.series), "column": layout.power_name}
     return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
@@ -114,14 +114,14 @@ class _Log:
         power: list[float] = []
         rows: dict[str, list[int]] = {}
         for number, line in block.lines():
-            found = self._match(line)
-            if found is None:
+            match = self._match(line)
+            if match is None:
                 if self._is_header(line):
                     self._line_in_round = 0
                 elif not self._is_cut(block, line):
                     raise self._unreadable(number, line)
                 continue
-            time, gpu, value, unit = found.group("time", "gpu", "power", "unit")
+            time, gpu, value, unit = match.group("time", "gpu", "power", "unit")
             if self._in_order:
                 gpu = str(self._line_in_round % self._in_order)
                 self._line_in_round += 1
@@ -148,7 +148,7 @@ class _Log:
         self._require_readings(series)
         if self._gpus is None:
             for s in series:
-                if not self._columns.tells(s.gpu):
+                if not self._columns.identifies(s.gpu):
                     self._require_one_gpu(s)
         begin_s, end_s = max(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
         log_begin_s = min(s.time_s[0] for s in series)
@@ -165,8 +165,8 @@ class _Log:
             )
         power_kw = np.zeros_like(time_s)
         for s in series:
-            held = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
-            power_kw += np.frombuffer(s.power_kw)[held]
+            at = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
+            power_kw += np.frombuffer(s.power_kw)[at]
         began = np.datetime64((self._origin_ns or 0) + round(begin_s * 1e9), "ns").astype("datetime64[ms]")
         return time_s - begin_s, power_kw, str(began)
 

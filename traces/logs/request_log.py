@@ -88,10 +88,10 @@ def _read(file: str, block: Block) -> tuple[list[int], list[str], list[int]]:
     times: list[str] = []
     tokens: list[int] = []
     for number, line in block.lines():
-        found = _LINE.fullmatch(line)
-        if found is None:
+        match = _LINE.fullmatch(line)
+        if match is None:
             raise _unreadable(file, number, line)
-        time, *counts = found.groups()
+        time, *counts = match.groups()
         context, generated = map(int, counts)
         if not (1 <= context <= LIMITS[0] and 1 <= generated <= LIMITS[1]):
             wrong = 1 if not 1 <= context <= LIMITS[0] else 2

@@ -37,7 +37,7 @@ class Arrivals:
     rate_per_s: float
     """Long-run mean rate, 1/s."""
     shape: float = 1.0
-    """Of the gamma distances in operational time; 1 is Poisson, less is clustered."""
+    """Shape of the gamma distances in operational time; 1 is Poisson, less is clustered."""
     calm_rate: float = 1.0
     """Rate of the calm state as a share of the busy one's; 1: one state only."""
     calm_s: float = 1.0
@@ -45,7 +45,7 @@ class Arrivals:
     busy_s: float = 1.0
     """Mean time in the busy state, s."""
     dwell_shape: float = 1.0
-    """Of the gamma law of the times in both states: 1 is exponential, much more gives waves of an even length."""
+    """Shape of the gamma law of the times in both states: 1 is exponential, much more gives waves of an even length."""
     daily_swing: float = 0.0
     """The rate rises and falls by this share over the day; 0: no daily cycle."""
     peak_hour: float = 15.0

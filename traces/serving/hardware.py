@@ -145,9 +145,9 @@ def replica(gpu: str | Gpu, model: str | Model, cached_tokens: float = 1500.0) -
     )
 
 
-def _find(kind: str, name, known: dict):
+def _find(kind: str, name, table: dict):
     if not isinstance(name, str):
         return name
-    if name not in known:
-        raise TraceError(f"{kind} {name!r} is unknown; choose one of {', '.join(known)}")
-    return known[name]
+    if name not in table:
+        raise TraceError(f"{kind} {name!r} is unknown; choose one of {', '.join(table)}")
+    return table[name]

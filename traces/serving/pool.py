@@ -103,10 +103,10 @@ class Pool:
         kernel.advance(self._constants, self._state, count, self._ring, table, n_steps, reading, batch, at_v)
         done = table[kernel.END_V] <= at_v[-1]
         done[count[kernel.READ] :] = False
-        told = np.flatnonzero(done)
-        told = told[table[kernel.NUMBER, told] % self.every == 0]
+        finished = np.flatnonzero(done)
+        finished = finished[table[kernel.NUMBER, finished] % self.every == 0]
         rows = [kernel.NUMBER, kernel.ARRIVAL, kernel.CONTEXT, kernel.FIRST, kernel.GENERATED, kernel.END_V]
-        number, arrival, context, first_s, tokens, end_v = table[rows][:, told]
+        number, arrival, context, first_s, tokens, end_v = table[rows][:, finished]
         # The kernel knows to a step when an answer begins; none is faster than an answer in a batch of its own.
         earliest_s = first_s + (tokens - 1.0) * self.replica.decode_step_s(1.0)
         end_s = np.maximum(begin_s + _reached_s(end_v, at_v), earliest_s)
@@ -191,11 +191,11 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     _, _, first_s, end_s, prefill_s = table[:, np.argsort(table[0])]  # answers end out of order
     dynamic, compute = (np.concatenate([getattr(load, name) for load in loads]) for name in ("dynamic", "compute"))
     served_by = {"replica": asdict(replica), "replicas": n_replicas}
-    known = requests.provenance
+    provenance = requests.provenance
     trace = as_trace(
         *site_shares(replica.gpu, dynamic, compute),
         f"{requests.name} on {n_replicas} x {replica.model.name}",
-        replace(known, parameters={**known.parameters, "served_by": served_by}),
+        replace(provenance, parameters={**provenance.parameters, "served_by": served_by}),
         RequestTimes(requests.arrival_s, first_s, end_s, prefill_s),
     )
     per_token_s = (end_s - first_s) / np.maximum(requests.generated_tokens - 1, 1)

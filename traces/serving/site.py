@@ -24,7 +24,7 @@ from dcgrid_env.traces.serving.requests import IntArray
 from dcgrid_env.traces.serving.services import Service, find_service
 from dcgrid_env.traces.time_grid import GRID_S, IDLE_SHARE, as_trace, grid_steps, idle_draw, stream
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes
-from dcgrid_env.traces.training.jobs import generate_training
+from dcgrid_env.traces.training.training_site import generate_training
 
 BLOCK_S = 600.0
 """Sites share their requests, or not, for this long at a time, s."""
@@ -89,20 +89,20 @@ class Site:
 
     def replicas(self, tenant: Tenant) -> tuple[Replica, int]:
         """A tenant's replica and how many of them its GPUs make."""
-        found = find_replica(self.gpu, tenant.model)
-        n = int(self.n_gpus * tenant.gpu_share + 1e-9) // found.n_gpus
+        unit = find_replica(self.gpu, tenant.model)
+        n = int(self.n_gpus * tenant.gpu_share + 1e-9) // unit.n_gpus
         if n < 1:
             raise TraceError(
-                f"Site: {tenant.gpu_share:g} of {self.n_gpus} {self.gpu} is less than the {found.n_gpus} that "
+                f"Site: {tenant.gpu_share:g} of {self.n_gpus} {self.gpu} is less than the {unit.n_gpus} that "
                 f"{tenant.model!r} needs; give it more GPUs or a smaller model"
             )
-        return found, n
+        return unit, n
 
     def rate_per_s(self, tenant: Tenant) -> float:
         """Mean arrival rate of a tenant's requests, 1/s."""
-        found, n = self.replicas(tenant)
+        unit, n = self.replicas(tenant)
         service = find_service(tenant.service)
-        return tenant.load * n / found.busy_s(service.context.mean, service.generated.mean)
+        return tenant.load * n / unit.busy_s(service.context.mean, service.generated.mean)
 
 
 def generate_site(
@@ -210,9 +210,9 @@ def _serve(site: Site, tenant: Tenant, demand: _Demand, out: FloatArray) -> Floa
 
     (4, n): arrival, s from the beginning of the trace, then as in RequestTimes.
     """
-    found, n_replicas = site.replicas(tenant)
-    pool = Pool(found, n_replicas, demand.every)
-    weight = n_replicas * found.n_gpus / site.n_gpus
+    unit, n_replicas = site.replicas(tenant)
+    pool = Pool(unit, n_replicas, demand.every)
+    weight = n_replicas * unit.n_gpus / site.n_gpus
     warm_up, n_steps = round(_WARM_UP_S / GRID_S), out.shape[1]
     kept, at = [], -warm_up
     for arrival_s, context, generated_tokens, steps in demand.chunks(warm_up + n_steps + round(_TAIL_S / GRID_S)):
@@ -220,7 +220,7 @@ def _serve(site: Site, tenant: Tenant, demand: _Demand, out: FloatArray) -> Floa
         begin, end = max(at, 0), min(at + steps, n_steps)
         if end > begin:
             within = slice(begin - at, end - at)
-            drawn, compute = site_shares(found.gpu, load.dynamic[within], load.compute[within])
+            drawn, compute = site_shares(unit.gpu, load.dynamic[within], load.compute[within])
             out[0, begin:end] = weight * (drawn - IDLE_SHARE)
             out[1, begin:end] = weight * compute
         kept.append(load.done[1:])

@@ -126,11 +126,11 @@ class _Samples:
             table = _careful_numbers(self._name, block, layout)
         if not len(table):
             return
-        known = len(self._last)
+        n_before = len(self._last)
         table = np.concatenate([self._last, table])
 
         def where(i: int) -> str:
-            return f"{self._name}, line {block.line_of(i - known, layout.blank)}"
+            return f"{self._name}, line {block.line_of(i - n_before, layout.blank)}"
 
         check_samples(table[:, 0], table[:, 1:], where, layout.fields[0], layout.fields[1:])
         power_kw = table[:, 1:] * layout.kw
@@ -142,8 +142,8 @@ class _Samples:
                 f"limit_kw = {self._limit_kw:g}; is the unit right? If so, raise limit_kw"
             )
         time_s, total_kw = self._rule.apply(table[:, 0], power_kw.sum(axis=1), where)
-        self.time_s.frombytes(time_s[known:].tobytes())
-        self.power_kw.frombytes(total_kw[known:].tobytes())
+        self.time_s.frombytes(time_s[n_before:].tobytes())
+        self.power_kw.frombytes(total_kw[n_before:].tobytes())
         self._last = table[-1:]
 
 
@@ -238,8 +238,8 @@ def _layout(
 
 def _require_seconds(where: str, header: str) -> None:
     inside = bracketed(header)[0].casefold()
-    known = SECONDS.fullmatch(inside) or NOT_SECONDS.fullmatch(inside)
-    if NOT_SECONDS.fullmatch(inside if known else last_word(header).casefold()):
+    unit_text = SECONDS.fullmatch(inside) or NOT_SECONDS.fullmatch(inside)
+    if NOT_SECONDS.fullmatch(inside if unit_text else last_word(header).casefold()):
         raise TraceError(
             f"{where}: the time column {header!r} is not in seconds; convert it to s, or rename the column if it is"
         )

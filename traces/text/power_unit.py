@@ -20,10 +20,10 @@ def require_unit(name: str, unit: str | None) -> None:
 
 def bracketed(header: str) -> tuple[str, bool]:
     """What stands in brackets at the end of a column's name, and whether they are square; "" where nothing does."""
-    found = re.search(r"\[([^\[\]]*)\]$|\(([^()]*)\)$", header.strip())
-    if found is None:
+    match = re.search(r"\[([^\[\]]*)\]$|\(([^()]*)\)$", header.strip())
+    if match is None:
         return "", False
-    return (found[1] or found[2] or "").strip(), found[1] is not None
+    return (match[1] or match[2] or "").strip(), match[1] is not None
 
 
 def last_word(header: str) -> str:
@@ -50,13 +50,13 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
     """
     inside, square = bracketed(header)
     words = [inside, last_word(header)]
-    told = sorted({named for word in words if (named := _known(word)) is not None})
+    stated = sorted({spelled for word in words if (spelled := _unit_of(word)) is not None})
     either = any(word.casefold() == "mw" and word not in KW_PER_UNIT for word in words)
-    if either and not {"mW", "MW"} & {*told, unit}:
+    if either and not {"mW", "MW"} & {*stated, unit}:
         raise TraceError(
             f"{where}: {header!r} may mean milliwatt or megawatt; pass unit='mW' or unit='MW', or write mW or MW"
         )
-    if square and not _known(inside) and not inside.isdigit():
+    if square and not _unit_of(inside) and not inside.isdigit():
         others = [inside]
     else:
         others = [word for word in words if word.casefold() in _OTHERS]
@@ -65,15 +65,15 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
             f"{where}: {header!r} names the unit {others[0]!r}, which is none of {', '.join(KW_PER_UNIT)}; "
             "convert the column, or pass unit= if it is one of these all the same"
         )
-    if len(told) > 1:
-        raise TraceError(f"{where}: {header!r} names the units {' and '.join(told)}; rename the column")
-    if told and unit not in (None, told[0]):
+    if len(stated) > 1:
+        raise TraceError(f"{where}: {header!r} names the units {' and '.join(stated)}; rename the column")
+    if stated and unit not in (None, stated[0]):
         raise TraceError(
-            f"{where}: {header!r} names the unit {told[0]}, but unit = {unit!r} is given; leave unit out, or rename "
+            f"{where}: {header!r} names the unit {stated[0]}, but unit = {unit!r} is given; leave unit out, or rename "
             "the column if its name is wrong"
         )
-    return told[0] if told else unit
+    return stated[0] if stated else unit
 
 
-def _known(word: str) -> str | None:
+def _unit_of(word: str) -> str | None:
     return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())

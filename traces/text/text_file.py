@@ -61,7 +61,7 @@ class TextFile:
             yield Block(first, text)
 
     def sha256(self) -> str:
-        """Of the file's bytes as they are stored, hexadecimal."""
+        """SHA-256 of the file's bytes as they are stored, hexadecimal."""
         while self._hashed.read(1 << 20):
             pass
         return self._hashed.sha256.hexdigest()

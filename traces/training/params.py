@@ -44,9 +44,9 @@ class TrainingParams:
     slot_evenness: float = 4.0
     """Concentration of the Dirichlet law of the parts' sizes: at 1 any split is as likely, at 1e6 all are even."""
     job_mean_s: float = 1800.0
-    """Of the exponential running time of a job, s."""
+    """Mean of the exponential running time of a job, s."""
     gap_mean_s: float = 180.0
-    """Of the exponential time from a job's end to the next one's start, s."""
+    """Mean of the exponential time from a job's end to the next one's start, s."""
     failure_mean_s: float = 11_000.0
     """Running time between failures, s; 419 unexpected interruptions in 54 days on 16,384 GPUs [2]; 1e9 is never."""
     restart_s: tuple[float, float] = (120.0, 600.0)

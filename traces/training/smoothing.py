@@ -52,8 +52,8 @@ def smoothed(share: FloatArray, running: np.ndarray, smoothing: PowerSmoothing) 
     """
     steps = np.arange(len(share))
     last_run = np.maximum.accumulate(np.where(running, steps, -len(share) - 1e9))
-    held = steps - last_run <= smoothing.hysteresis_s / GRID_S + 1e-9
-    target = np.where(held, np.maximum(share, smoothing.floor_share), share)
+    lasting = steps - last_run <= smoothing.hysteresis_s / GRID_S + 1e-9
+    target = np.where(lasting, np.maximum(share, smoothing.floor_share), share)
     up, down = smoothing.ramp_up_share_per_s * GRID_S, smoothing.ramp_down_share_per_s * GRID_S
     # One step decides the next, so this is a loop; over plain floats it takes a third of the time.
     drawn, previous = [], float(target[0])

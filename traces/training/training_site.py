@@ -112,5 +112,5 @@ def _means(edges: list, levels: list, n_steps: int) -> FloatArray:
     edge_s = np.concatenate([[0.0], *edges, [end_s]]).clip(max=end_s)
     level = np.concatenate([[0.0], *levels, [0.0]])
     # Of edges at one time, the last holds.
-    kept = np.diff(edge_s, append=np.inf) > 0
-    return PowerTrace(edge_s[kept], level[kept], "training").resample(GRID_S)
+    lasting = np.diff(edge_s, append=np.inf) > 0
+    return PowerTrace(edge_s[lasting], level[lasting], "training").resample(GRID_S)

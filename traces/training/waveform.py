@@ -28,7 +28,7 @@ class TrainingJob(NamedTuple):
     checkpoint_every: int
     """Iterations."""
     stall_chance: float
-    """Of an iteration."""
+    """Chance that an iteration stalls."""
 
 
 def draw_job(rng: np.random.Generator, params: TrainingParams) -> TrainingJob:
@@ -95,9 +95,9 @@ def _ramped(edge_s: FloatArray, level: FloatArray, ramp_s: float, from_share: fl
     n_steps = max(1, round(ramp_s / GRID_S))
     head = int(np.searchsorted(edge_s, ramp_s))
     ramp_edge_s = np.union1d(edge_s[:head], np.linspace(0.0, ramp_s, n_steps + 1))
-    held = level[np.searchsorted(edge_s, ramp_edge_s, side="right") - 1]
+    level_before = level[np.searchsorted(edge_s, ramp_edge_s, side="right") - 1]
     risen = np.minimum(1.0, (ramp_edge_s + 0.5 * ramp_s / n_steps) / ramp_s)
-    ramp_level = from_share + (held - from_share) * risen
+    ramp_level = from_share + (level_before - from_share) * risen
     rest = edge_s > ramp_s
     return np.append(ramp_edge_s, edge_s[rest]), np.append(ramp_level, level[rest])
 

@@ -18,12 +18,12 @@ from dcgrid_env.agents.algorithms.analytic import (
     main,
     windows,
 )
-from dcgrid_env.agents.policy.interface import View
-from dcgrid_env.agents.training.run import TrainingError, read_curve
+from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from helpers.states import with_fields
 
 TINY = Analytic(
-    scenario="toy6", updates=24, lanes=16, window=25, hidden=(8,), validation_episodes=4, validate_every=2,
+    scenario="toy6", updates=24, num_envs=16, window=25, hidden=(8,), validation_episodes=4, validate_every=2,
     checkpoint_every=2,
 )  # fmt: skip
 TIMES = ("seconds", "forward_s", "backward_s")
@@ -88,7 +88,7 @@ def test_the_saved_policy_is_the_best_of_the_curve(finished):
     assert found["J"] == pytest.approx(min(row["J"] for row in read_curve(finished)), rel=1e-9)
 
 
-QUICK = dataclasses.replace(TINY, updates=16, learning_rate=0.08, lanes=2, hidden=(4,), validation_episodes=2)
+QUICK = dataclasses.replace(TINY, updates=16, learning_rate=0.08, num_envs=2, hidden=(4,), validation_episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_a_run_learns_from_the_training_split_and_from_variants():
     again = grids_of(cfg)
     assert [g.inverter_buses for g in grids] == [g.inverter_buses for g in again]
     learner = Learner(cfg, grids[:3])
-    assert [type(view) for view in learner.views] == [View] * 3
+    assert [type(view) for view in learner.interfaces] == [PolicyInterface] * 3
     figures = learner.episodes(2, 1, lambda what, tensors: None)
     assert np.isfinite(list(figures.values())).all()
 
@@ -230,7 +230,7 @@ def test_batches_share_no_episode():
     ("settings", "message"),
     [
         ({"updates": 0}, "updates is 0; give more than 0"),
-        ({"lanes": -1}, "lanes is -1"),
+        ({"num_envs": -1}, "num_envs is -1"),
         ({"window": 0}, "window is 0"),
         ({"learning_rate": float("nan")}, "learning_rate is nan"),
         ({"max_grad_norm": 0.0}, "max_grad_norm is 0.0"),

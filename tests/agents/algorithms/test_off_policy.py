@@ -8,10 +8,10 @@ from dcgrid_env import DcgridVectorEnv
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.algorithms import sac, td3
 from dcgrid_env.agents.training import sb3
-from dcgrid_env.agents.training.run import read_curve
+from dcgrid_env.agents.training.run_folder import read_curve
 
 ALGORITHMS = {"sac": (sac, sac.Sac), "td3": (td3, td3.Td3)}
-TINY = {"hidden": (8, 8), "validation_episodes": 2, "validate_every": 1, "checkpoint_every": 1, "lanes": 6}
+TINY = {"hidden": (8, 8), "validation_episodes": 2, "validate_every": 1, "checkpoint_every": 1, "num_envs": 6}
 
 
 def tiny(name, tmp_path, folder="run", **fields):
@@ -30,25 +30,25 @@ def tiny(name, tmp_path, folder="run", **fields):
 @pytest.mark.parametrize("view", ["shared", "centralised"])
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_exported_policy_acts_as_the_models_mean(tmp_path, name, view):
-    cfg = tiny(name, tmp_path, scenario="ieee33-weak", view=view, lanes=14)
-    lanes = sb3.lanes_for(cfg)
+    cfg = tiny(name, tmp_path, scenario="ieee33-weak", view=view, num_envs=14)
+    vec_env = sb3.vec_env_for(cfg)
     module, _ = ALGORITHMS[name]
-    model = module.make(cfg, lanes)
+    model = module.make(cfg, vec_env)
     torch.manual_seed(0)
     with torch.no_grad():
         for parameter in model.actor.parameters():
             parameter += 0.2 * torch.randn_like(parameter)
-    policy = module.exported(cfg, lanes, model)
-    policy.reset(lanes.scenario)
-    native = DcgridVectorEnv(lanes.n_envs, lanes.scenario)
-    lanes.seed(3)
-    seen, (joint, _) = lanes.reset(), native.reset(seed=3)
+    policy = module.exported(cfg, vec_env, model)
+    policy.reset(vec_env.scenario)
+    native = DcgridVectorEnv(vec_env.n_envs, vec_env.scenario)
+    vec_env.seed(3)
+    observed, (joint, _) = vec_env.reset(), native.reset(seed=3)
     for _ in range(4):
-        expected, _ = model.predict(seen, deterministic=True)
-        seen, *_ = lanes.step(expected)
+        expected, _ = model.predict(observed, deterministic=True)
+        observed, *_ = vec_env.step(expected)
         joint, *_ = native.step(policy.act(joint))
         for field in ("f_mhz", "q_kvar"):
-            ours, theirs = (getattr(batch.transition.state, field) for batch in (native, lanes.batch))
+            ours, theirs = (getattr(batch.transition.state, field) for batch in (native, vec_env.batch))
             np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-2)
 
 
@@ -80,9 +80,9 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_horizon_is_no_end_in_the_replay_buffer(tmp_path, name):
     cfg = tiny(name, tmp_path)
-    lanes = sb3.lanes_for(cfg)
-    model = ALGORITHMS[name][0].make(cfg, lanes)
-    lanes.seed(0)
+    vec_env = sb3.vec_env_for(cfg)
+    model = ALGORITHMS[name][0].make(cfg, vec_env)
+    vec_env.seed(0)
     model.learn(600, log_interval=None)
     buffer = model.replay_buffer
     assert buffer.dones[99].all()

@@ -9,10 +9,10 @@ from dcgrid_env import DcgridVectorEnv, make_scenario
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.algorithms import ppo
 from dcgrid_env.agents.training import sb3
-from dcgrid_env.agents.training.run import TrainingError, read_curve
+from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from dcgrid_env.baselines import rollout
 
-TINY = {"hidden": (8, 8), "validation_episodes": 2, "validate_every": 1, "checkpoint_every": 1, "lanes": 6}
+TINY = {"hidden": (8, 8), "validation_episodes": 2, "validate_every": 1, "checkpoint_every": 1, "num_envs": 6}
 
 
 def tiny(tmp_path, name="run", **fields):
@@ -27,25 +27,25 @@ def without_times(folder):
 @pytest.mark.parametrize("view", ["shared", "centralised"])
 @pytest.mark.parametrize("act", ["both", "q", "clock"])
 def test_the_exported_policy_acts_as_the_models_mean(tmp_path, view, act):
-    cfg = tiny(tmp_path, scenario="ieee33-weak", view=view, act=act, nameplate=view == "shared", lanes=14)
-    lanes = sb3.lanes_for(cfg)
-    model = ppo.make(cfg, lanes)
+    cfg = tiny(tmp_path, scenario="ieee33-weak", view=view, act=act, nameplate=view == "shared", num_envs=14)
+    vec_env = sb3.vec_env_for(cfg)
+    model = ppo.make(cfg, vec_env)
     torch.manual_seed(0)
     with torch.no_grad():
         for parameter in model.policy.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
-    policy = ppo.exported(cfg, lanes, model)
-    policy.reset(lanes.scenario)
-    native = DcgridVectorEnv(lanes.n_envs, lanes.scenario)
-    lanes.seed(3)
-    seen, (joint, _) = lanes.reset(), native.reset(seed=3)
+    policy = ppo.exported(cfg, vec_env, model)
+    policy.reset(vec_env.scenario)
+    native = DcgridVectorEnv(vec_env.n_envs, vec_env.scenario)
+    vec_env.seed(3)
+    observed, (joint, _) = vec_env.reset(), native.reset(seed=3)
     for _ in range(5):
-        expected, _ = model.predict(np.asarray(seen), deterministic=True)
+        expected, _ = model.predict(np.asarray(observed), deterministic=True)
         action = policy.act(joint)
-        seen, *_ = lanes.step(expected)
+        observed, *_ = vec_env.step(expected)
         joint, *_ = native.step(action)
         for name in ("f_mhz", "q_kvar"):
-            ours, theirs = (getattr(batch.transition.state, name) for batch in (native, lanes.batch))
+            ours, theirs = (getattr(batch.transition.state, name) for batch in (native, vec_env.batch))
             np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-2)
 
 
@@ -117,15 +117,15 @@ def test_bad_input_is_refused_and_says_what_to_do(tmp_path):
 
 def test_what_reaches_nothing_has_no_likelihood_and_agents_of_an_environment_share_a_value(tmp_path):
     cfg = tiny(tmp_path)
-    lanes = sb3.lanes_for(cfg)
-    policy = ppo.make(cfg, lanes).policy
-    seen = torch.as_tensor(lanes.reset())
+    vec_env = sb3.vec_env_for(cfg)
+    policy = ppo.make(cfg, vec_env).policy
+    observed = torch.as_tensor(vec_env.reset())
     actions = torch.zeros(6, 2)
     moved = actions.clone()
     moved[:, 0] = 0.7  # the clock; lanes are (dc_0, inv_0, inv_1) twice
     with torch.no_grad():
-        values, before, _ = policy.evaluate_actions(seen, actions)
-        _, after, _ = policy.evaluate_actions(seen, moved)
+        values, before, _ = policy.evaluate_actions(observed, actions)
+        _, after, _ = policy.evaluate_actions(observed, moved)
     assert (before != after).tolist() == [True, False, False, True, False, False]
     assert values.shape == (6, 1)
     assert values[0] == values[1] == values[2] != values[3] == values[4] == values[5]
@@ -133,9 +133,9 @@ def test_what_reaches_nothing_has_no_likelihood_and_agents_of_an_environment_sha
 
 def test_the_rollout_bootstraps_where_the_horizon_cuts_it_off(tmp_path):
     cfg = tiny(tmp_path, gae_lambda=1.0, gamma=0.5)
-    lanes = sb3.lanes_for(cfg)
-    model = ppo.make(cfg, lanes)
-    lanes.seed(0)
+    vec_env = sb3.vec_env_for(cfg)
+    model = ppo.make(cfg, vec_env)
+    vec_env.seed(0)
     model.learn(1)
     buffer = model.rollout_buffer
     assert buffer.full
@@ -156,7 +156,7 @@ def test_leftover_work_is_charged_over_the_steps_and_a_wait_costs_the_same_under
 
 
 def test_it_learns(tmp_path):
-    cfg = tiny(tmp_path, "learns", scenario="ieee123", steps=120_000, gamma=0.5, lanes=96, hidden=(16, 16))
+    cfg = tiny(tmp_path, "learns", scenario="ieee123", steps=120_000, gamma=0.5, num_envs=96, hidden=(16, 16))
     rows = read_curve(ppo.main(cfg))
     assert rows[-1]["J"] < 0.8 * rows[0]["J"]
 

@@ -43,7 +43,7 @@ def test_a_late_measurement_tightens_the_reactive_bound():
 
 
 def test_a_run_keeps_to_the_bounds(tmp_path, capsys):
-    cfg = Safe("toy6", out=tmp_path / "run", updates=2, lanes=2, validation_episodes=2, margin=0.4, hidden=(4,))
+    cfg = Safe("toy6", out=tmp_path / "run", updates=2, num_envs=2, validation_episodes=2, margin=0.4, hidden=(4,))
     policy = Policy.load(main(cfg) / "policy.safetensors")
     reactive, clock = bounds(make_scenario("toy6"))
     networks = policy.networks

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dcgrid_env import PrefillDecodeDvfs, TensorEnv, field_names, make_scenario
-from dcgrid_env.agents.policy.interface import KINDS, OUTPUTS, Gains, View, cut
+from dcgrid_env.agents.policy.interface import KINDS, OUTPUTS, Gains, PolicyInterface, cut
 from dcgrid_env.baselines import Droop
 from dcgrid_env.engine.observation import joint_bounds
 
@@ -35,23 +35,24 @@ def test_the_fields_stand_where_the_tests_put_them():
 
 
 def test_networks_of_single_agents_see_their_own_rows():
-    found = View(TOY6, "shared").inputs(SEEN)
+    found = PolicyInterface(TOY6, "shared").inputs(SEEN)
     np.testing.assert_array_equal(found["datacenter"], SEEN[:, None, :9])
     np.testing.assert_array_equal(found["inverter"], SEEN[:, 9:].reshape(1, 2, 7))
-    np.testing.assert_array_equal(View(TOY6, "joint").inputs(SEEN)["joint"], SEEN)
+    np.testing.assert_array_equal(PolicyInterface(TOY6, "joint").inputs(SEEN)["joint"], SEEN)
 
 
 def test_the_nameplate_by_hand():
     # r times MW, x times Mvar, and the deviation over the latter, cut to 3: -0.4 / 0.4125, 0.1 / 0.25, -0.9 / 0.02.
     plates = np.array([[0.5, 0.4125, -0.4 / 0.4125], [0.1, 0.25, 0.4], [0.3, 0.02, -3.0]])
-    found = View(TOY6, "shared", nameplate=True).inputs(SEEN)
+    found = PolicyInterface(TOY6, "shared", nameplate=True).inputs(SEEN)
     np.testing.assert_allclose(found["datacenter"][0, :, 9:], plates[:1], rtol=1e-6)
     np.testing.assert_allclose(found["inverter"][0, :, 7:], plates[1:], rtol=1e-6)
     np.testing.assert_array_equal(found["inverter"][0, :, :7], SEEN[0, 9:].reshape(2, 7))
-    joint = View(TOY6, "joint", nameplate=True).inputs(SEEN)["joint"]
+    joint = PolicyInterface(TOY6, "joint", nameplate=True).inputs(SEEN)["joint"]
     np.testing.assert_array_equal(joint[:, :23], SEEN)
     np.testing.assert_allclose(joint[0, 23:], plates.T.ravel(), rtol=1e-6)  # all draws, all reaches, all that is needed
-    without_x = View(TOY6, "shared", nameplate=True).inputs(joint_of({"v_deviation": 0.001}, {"v_deviation": 1.0}, {}))
+    joint = joint_of({"v_deviation": 0.001}, {"v_deviation": 1.0}, {})
+    without_x = PolicyInterface(TOY6, "shared", nameplate=True).inputs(joint)
     np.testing.assert_allclose(without_x["datacenter"][0, 0, 11], 1.0)  # an agent beside the substation reaches 0.001
     assert without_x["inverter"][0, 0, 9] == 3.0
 
@@ -71,7 +72,7 @@ def test_the_nameplate_by_hand():
     ids=["local", "neighbours", "feeder", "no data centre", "no inverter", "work_classes"],
 )
 def test_widths_are_those_of_what_is_seen_and_done(scenario, kind, nameplate):
-    view = View(scenario, kind, nameplate=nameplate, outputs="change")
+    view = PolicyInterface(scenario, kind, nameplate=nameplate, outputs="change")
     seen = TensorEnv(scenario, like=np.empty(0)).reset([1, 2])
     inputs = view.inputs(seen)
     assert {name: own.shape[-1] for name, own in inputs.items()} == {n: w[0] for n, w in view.widths.items()}
@@ -80,12 +81,12 @@ def test_widths_are_those_of_what_is_seen_and_done(scenario, kind, nameplate):
 
 
 def test_fields_of_the_coming_step_are_hidden_without_preview():
-    view = View(TOY6, "shared", preview=False)
+    view = PolicyInterface(TOY6, "shared", preview=False)
     hidden = SEEN.copy()
     hidden[:, 7] = 0.0
     np.testing.assert_array_equal(view.inputs(SEEN)["datacenter"][:, 0], hidden[:, :9])
     two_classes = make_scenario("toy6", dvfs=PrefillDecodeDvfs())
-    (seen,) = View(two_classes, "joint", preview=False).inputs(np.ones((1, 25), np.float32)).values()
+    (seen,) = PolicyInterface(two_classes, "joint", preview=False).inputs(np.ones((1, 25), np.float32)).values()
     names = [name for own in field_names(two_classes).values() for name in own]
     assert [name for name, value in zip(names, seen[0], strict=True) if value == 0.0] == [
         "p_ref_next", "p_ref_next_compute",
@@ -100,9 +101,9 @@ JOINT = {"joint": np.array([[0.3, -0.2, 0.1, 0.4]])}
 
 @pytest.mark.parametrize(("kind", "outputs"), [("shared", SHARED), ("joint", JOINT)])
 def test_setpoints_are_the_action(kind, outputs):
-    np.testing.assert_array_equal(View(TOY6, kind).action(SEEN, outputs), JOINT["joint"])
+    np.testing.assert_array_equal(PolicyInterface(TOY6, kind).action(SEEN, outputs), JOINT["joint"])
     wide = {name: 10.0 * values for name, values in outputs.items()}
-    np.testing.assert_array_equal(View(TOY6, kind).action(SEEN, wide), [[1.0, -1.0, 1.0, 1.0]])
+    np.testing.assert_array_equal(PolicyInterface(TOY6, kind).action(SEEN, wide), [[1.0, -1.0, 1.0, 1.0]])
 
 
 @pytest.mark.parametrize(("kind", "outputs"), [("shared", SHARED), ("joint", JOINT)])
@@ -110,11 +111,12 @@ def test_changes_by_hand(kind, outputs):
     # p_ref_next 0.615 is 0.385 of work, half of the 0.77 that the top clock serves; half the top clock is an action of
     # 2 (0.5 - slowest) / (1 - slowest) - 1. The clock is held back by 0.3 from there. q is added to what stands.
     clock = 2.0 * (0.5 - SLOWEST) / (1.0 - SLOWEST) - 1.0
-    found = View(TOY6, kind, outputs="change").action(SEEN, outputs)
+    found = PolicyInterface(TOY6, kind, outputs="change").action(SEEN, outputs)
     np.testing.assert_allclose(found, [[clock - 0.3, 0.3 - 0.2, -0.5 + 0.1, 1.0]], rtol=1e-6)
-    hasty = View(TOY6, kind, outputs="change").action(SEEN, {name: -values for name, values in outputs.items()})
+    negative = {name: -values for name, values in outputs.items()}
+    hasty = PolicyInterface(TOY6, kind, outputs="change").action(SEEN, negative)
     np.testing.assert_allclose(hasty, [[clock, 0.3 + 0.2, -0.5 - 0.1, 0.9 - 0.4]], rtol=1e-6)  # never faster than that
-    blind = View(TOY6, kind, outputs="change", preview=False).action(SEEN, outputs)
+    blind = PolicyInterface(TOY6, kind, outputs="change", preview=False).action(SEEN, outputs)
     np.testing.assert_allclose(blind[0, 0], 1.0 - 0.3)  # what is to come is unknown: from the top clock
 
 
@@ -125,7 +127,7 @@ def test_corrections_of_the_droop_by_hand(kind, outputs):
     speed = (0.615 - 0.08 - 0.23) / 0.77
     clock = 2.0 * (speed - SLOWEST) / (1.0 - SLOWEST) - 1.0
     law = np.array([[clock, 0.3 + 0.01 / 0.825, -0.5 - 0.0025, 0.9 + 0.0225]])
-    view = View(TOY6, kind, outputs="droop", gains=GAINS)
+    view = PolicyInterface(TOY6, kind, outputs="droop", gains=GAINS)
     np.testing.assert_allclose(view.action(SEEN, {n: 0.0 * v for n, v in outputs.items()}), law, rtol=1e-6)
     np.testing.assert_allclose(view.action(SEEN, outputs), np.minimum(law + JOINT["joint"], 1.0), rtol=1e-6)
     queue = joint_of({"p_ref_next": 0.3, "backlog": 0.5}, {}, {})  # 0.3 of the queue a second
@@ -137,7 +139,7 @@ def test_corrections_of_the_droop_by_hand(kind, outputs):
 def test_without_corrections_it_is_the_droop_law(name):
     scenario = make_scenario(name, split="train", horizon=30)
     n_action = 2 * scenario.n_datacenters + scenario.n_inverters
-    view, law = View(scenario, "joint", outputs="droop", gains=GAINS), Droop(*GAINS)
+    view, law = PolicyInterface(scenario, "joint", outputs="droop", gains=GAINS), Droop(*GAINS)
     law.reset(scenario)
     env = TensorEnv(scenario, like=np.empty(0))
     seen, low, high = env.reset(range(4)), *joint_bounds(scenario)
@@ -152,7 +154,7 @@ def test_without_corrections_it_is_the_droop_law(name):
 def test_a_clock_that_is_not_held_back_queues_nothing_and_is_the_slowest_of_those(name):
     scenario = make_scenario(name, split="train", horizon=30)
     n_action = 2 * scenario.n_datacenters + scenario.n_inverters
-    view, env = View(scenario, "joint", outputs="change"), TensorEnv(scenario, like=np.empty(0))
+    view, env = PolicyInterface(scenario, "joint", outputs="change"), TensorEnv(scenario, like=np.empty(0))
     seen, slower = env.reset(range(4)), False
     while not env.over:
         action = view.action(seen, {"joint": np.zeros((4, n_action))})
@@ -172,18 +174,18 @@ def test_a_queue_is_served_at_once():
     speed = (0.5 - 0.23 + 0.4) / 0.77
     expected = 2.0 * (speed - SLOWEST) / (1.0 - SLOWEST) - 1.0
     still = {"joint": np.zeros((1, 4))}
-    assert View(TOY6, "joint", outputs="change").action(seen, still)[0, 0] == pytest.approx(expected)
+    assert PolicyInterface(TOY6, "joint", outputs="change").action(seen, still)[0, 0] == pytest.approx(expected)
     short = make_scenario("toy6", dt_s=0.1)  # the same queue is ten times the work of one step
-    assert View(short, "joint", outputs="change").action(seen, still)[0, 0] == 1.0
+    assert PolicyInterface(short, "joint", outputs="change").action(seen, still)[0, 0] == 1.0
 
 
 @pytest.mark.parametrize("outputs", OUTPUTS)
 @pytest.mark.parametrize(("kind", "given"), [("shared", SHARED), ("joint", JOINT)])
 def test_an_axis_that_is_not_in_hand_rests(kind, given, outputs):
     chosen = {"outputs": outputs, "gains": GAINS if outputs == "droop" else None}
-    free = View(TOY6, kind, **chosen).action(SEEN, given)
-    only_q = View(TOY6, kind, **chosen, act="q").action(SEEN, given)
-    only_clock = View(TOY6, kind, **chosen, act="clock").action(SEEN, given)
+    free = PolicyInterface(TOY6, kind, **chosen).action(SEEN, given)
+    only_q = PolicyInterface(TOY6, kind, **chosen, act="q").action(SEEN, given)
+    only_clock = PolicyInterface(TOY6, kind, **chosen, act="clock").action(SEEN, given)
     np.testing.assert_array_equal(only_q, [[1.0, *free[0, 1:]]])
     np.testing.assert_array_equal(only_clock, [[free[0, 0], 0.0, 0.0, 0.0]])
 
@@ -199,7 +201,7 @@ def test_torch_sees_and_does_the_same(kind, act, outputs):
     scenario, rng = make_scenario("ieee33-weak", split="train"), np.random.default_rng(0)
     chosen = {"act": act, "outputs": outputs, "nameplate": True, "preview": act == "both"}
     chosen["gains"] = GAINS if outputs == "droop" else None
-    one, other = View(scenario, kind, **chosen), View(scenario, kind, **chosen, array=tensors)
+    one, other = PolicyInterface(scenario, kind, **chosen), PolicyInterface(scenario, kind, **chosen, array=tensors)
     seen = TensorEnv(scenario, like=np.empty(0, np.float32)).reset(range(3))
     mine, theirs = one.inputs(seen), other.inputs(torch.tensor(seen))
     assert mine.keys() == theirs.keys()
@@ -219,7 +221,7 @@ def test_leading_shapes_and_the_clip_that_is_given():
         return cut(x, low, high)
 
     given = {name: np.tile(values, (2, 3, *[1] * (values.ndim - 1))) for name, values in SHARED.items()}
-    view = View(TOY6, "shared", outputs="change", nameplate=True, clip=clip)
+    view = PolicyInterface(TOY6, "shared", outputs="change", nameplate=True, clip=clip)
     assert view.inputs(seen)["inverter"].shape == (2, 3, 2, 10)
     given = {name: values.reshape(2, 3, *values.shape[-2:]) for name, values in given.items()}
     action = view.action(seen, given)

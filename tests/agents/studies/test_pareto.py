@@ -7,7 +7,7 @@ from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.studies import pareto
 from dcgrid_env.agents.studies.learning_figures import PANELS, pareto_figure
 from dcgrid_env.agents.studies.pareto import Front, Learned, Swept
-from dcgrid_env.agents.studies.scored import named_on_test, scored
+from dcgrid_env.agents.studies.scored import controller_on_test, scored
 
 
 def test_a_run_for_each_limit_and_seed_and_one_without(tmp_path):
@@ -21,21 +21,21 @@ def test_the_curves_run_through_the_tuned_law_and_buy_voltage_with_delay(monkeyp
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0, 3.503, 7.0))
     curves = pareto.swept("ieee33-weak", 2)
     assert [(curve.alpha_per_s, curve.tuned) for curve in curves] == [(0.001, True), (0.03, False), (0.3, False)]
-    tuned = named_on_test("droop-tuned", "ieee33-weak", 2).mean.means
-    assert curves[0].found[1].mean.means == pytest.approx(tuned)
+    tuned = controller_on_test("droop-tuned", "ieee33-weak", 2).mean.means
+    assert curves[0].tested[1].mean.means == pytest.approx(tuned)
     for curve in curves:
-        none, _, high = (found.mean.means for found in curve.found)
+        none, _, high = (found.mean.means for found in curve.tested)
         assert none["delay_mean_s"] == pytest.approx(0.0, abs=1e-6)
         assert high["delay_mean_s"] > 0.5
         assert high["voltage_deviation_mean_pu"] < none["voltage_deviation_mean_pu"]
-    asked_back = [curve.found[2].mean.means["delay_mean_s"] for curve in curves]
+    asked_back = [curve.tested[2].mean.means["delay_mean_s"] for curve in curves]
     assert asked_back == sorted(asked_back, reverse=True)
 
 
 @pytest.fixture
 def front():
     """A front out of droop laws in place of policies."""
-    some = named_on_test("droop", "toy6", 2)
+    some = controller_on_test("droop", "toy6", 2)
     laws = [pareto.Droop(k_p_mw_per_pu=k_p) for k_p in (1.0, 2.0)]
     learned = (
         Learned(4.0, scored(laws, "toy6", 2), "dcgrid train analytic --delay-limit-s 4"),
@@ -51,7 +51,7 @@ def test_the_page_has_figures_and_commands(front):
     assert "# 4 s\ndcgrid train analytic --delay-limit-s 4\n# none, J as it is\ndcgrid train analytic\n" in page
     assert "(images/pareto.png)" in page
     row = next(line for line in page.splitlines() if line.startswith("| 4 s |"))
-    each = [f"{one.means['delay_mean_s']:.2f}" for one in front.learned[0].found.each]
+    each = [f"{one.means['delay_mean_s']:.2f}" for one in front.learned[0].tested.each]
     assert row.endswith(f"| {', '.join(each)} |")
     assert all(len(line) <= 120 for line in page.splitlines() if not line.startswith(("|", "!")))
 
@@ -61,7 +61,7 @@ def test_the_figure_holds_the_points(front):
     assert len(figure.axes) == len(PANELS)
     for ax, (metric, factor, _) in zip(figure.axes, PANELS, strict=True):
         line = next(one for one in ax.lines if one.get_label() == "learned, under a limit on delay")
-        means = front.learned[0].found.mean.means
+        means = front.learned[0].tested.mean.means
         assert np.asarray(line.get_xdata()) == pytest.approx([means["delay_mean_s"]])
         assert np.asarray(line.get_ydata()) == pytest.approx([factor * means[metric]])
     figure.canvas.draw()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env.agents.studies.scored import droop_on_test, named_on_test, on_test, score, scored
+from dcgrid_env.agents.studies.scored import controller_on_test, droop_on_test, on_test, score, scored
 from dcgrid_env.baselines import Droop, make_controller
 
 EPISODES = 4
@@ -33,7 +33,7 @@ def test_seeds_enter_with_their_mean_cost():
 
 
 def test_cost_but_for_waiting_is_what_the_other_terms_come_to():
-    means = named_on_test("droop", "toy6", EPISODES).mean.means
+    means = controller_on_test("droop", "toy6", EPISODES).mean.means
     assert means["delay_mean_s"] > 0
     assert means["J_but_delay"] < means["J"]
     no_clock = scored([make_controller("none", on_test("toy6"))], "toy6", EPISODES).mean.means

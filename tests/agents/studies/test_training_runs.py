@@ -12,7 +12,7 @@ from dcgrid_env.cli.train import ALGORITHMS
 
 
 def tiny(out, **others):
-    return Analytic(scenario="toy6", updates=2, lanes=4, validation_episodes=2, hidden=(4,), out=out, **others)
+    return Analytic(scenario="toy6", updates=2, num_envs=4, validation_episodes=2, hidden=(4,), out=out, **others)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import CostWeights, DcgridVectorEnv, Fault, field_names, make_scenario
-from dcgrid_env.agents.training.batched_envs import AgentLanes, JointLanes
+from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
 
 SEED = 5
 
@@ -17,7 +17,7 @@ def actions_for(lanes, steps, rng):
 
 def test_joint_lanes_are_the_native_environments_steps():
     s = scenario()
-    lanes, native = JointLanes(s, 3), DcgridVectorEnv(3, s)
+    lanes, native = JointVecEnv(s, 3), DcgridVectorEnv(3, s)
     lanes.seed(SEED)
     seen, (expected, _) = lanes.reset(), native.reset(seed=SEED)
     assert np.array_equal(seen, expected)
@@ -31,7 +31,7 @@ def test_joint_lanes_are_the_native_environments_steps():
 
 def test_agent_lanes_hold_each_agents_own_observation_by_name_and_the_rest_is_zero():
     s = scenario()
-    lanes, native = AgentLanes(s, 2), DcgridVectorEnv(2, s)
+    lanes, native = AgentVecEnv(s, 2), DcgridVectorEnv(2, s)
     lanes.seed(SEED)
     seen, (joint, _) = lanes.reset().reshape(2, s.n_agents, -1), native.reset(seed=SEED)
     assert lanes.num_envs == 2 * 7
@@ -49,7 +49,7 @@ def test_agent_lanes_hold_each_agents_own_observation_by_name_and_the_rest_is_ze
 
 def test_agent_lanes_act_as_the_joint_action_and_share_the_reward():
     s = scenario()
-    lanes, native = AgentLanes(s, 2), DcgridVectorEnv(2, s)
+    lanes, native = AgentVecEnv(s, 2), DcgridVectorEnv(2, s)
     lanes.seed(SEED)
     lanes.reset()
     native.reset(seed=SEED)
@@ -65,7 +65,7 @@ def test_agent_lanes_act_as_the_joint_action_and_share_the_reward():
 
 def test_nameplate_figures_are_what_full_draw_and_full_reactive_power_do():
     s = scenario()
-    lanes = AgentLanes(s, 1, nameplate=True)
+    lanes = AgentVecEnv(s, 1, nameplate=True)
     lanes.seed(SEED)
     seen = lanes.reset()
     r, x = (seen[:, lanes.fields.index(name)] for name in ("r", "x"))
@@ -78,7 +78,7 @@ def test_nameplate_figures_are_what_full_draw_and_full_reactive_power_do():
 
 
 @pytest.mark.parametrize("observe", ["neighbours", "feeder"])
-@pytest.mark.parametrize("make", [JointLanes, AgentLanes])
+@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
 def test_observations_lie_in_their_space(make, observe):
     lanes = make(scenario(observe=observe), 2)
     lanes.seed(SEED)
@@ -88,7 +88,7 @@ def test_observations_lie_in_their_space(make, observe):
 
 
 @pytest.mark.parametrize(("act", "clock", "q"), [("q", 1410.0, None), ("clock", None, 0.0)])
-@pytest.mark.parametrize("make", [JointLanes, AgentLanes])
+@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
 def test_what_is_not_in_hand_is_held(make, act, clock, q):
     lanes = make(scenario(), 2, act)
     lanes.seed(SEED)
@@ -103,13 +103,13 @@ def test_what_is_not_in_hand_is_held(make, act, clock, q):
 
 def test_used_entries_follow_kind_and_what_is_in_hand():
     s = scenario()
-    assert AgentLanes(s, 1).used.tolist() == [[0, 1], [1, 1]]
-    assert AgentLanes(s, 1, "q").used.tolist() == [[0, 1], [0, 1]]
-    assert AgentLanes(s, 1, "clock").used.tolist() == [[0, 0], [1, 0]]
-    assert JointLanes(s, 1, "clock").used.tolist() == [[1, 0] * 3 + [0] * 4]
+    assert AgentVecEnv(s, 1).used.tolist() == [[0, 1], [1, 1]]
+    assert AgentVecEnv(s, 1, "q").used.tolist() == [[0, 1], [0, 1]]
+    assert AgentVecEnv(s, 1, "clock").used.tolist() == [[0, 0], [1, 0]]
+    assert JointVecEnv(s, 1, "clock").used.tolist() == [[1, 0] * 3 + [0] * 4]
 
 
-@pytest.mark.parametrize("make", [JointLanes, AgentLanes])
+@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
 def test_an_episodes_end_is_told_as_sb3_wants_it(make):
     lanes = make(scenario(), 2)
     lanes.seed(SEED)
@@ -130,7 +130,7 @@ def test_an_episodes_end_is_told_as_sb3_wants_it(make):
 
 def test_a_voltage_collapse_is_no_truncation():
     s = scenario("ieee33-weak", p_rated_kw=20000.0)
-    lanes = AgentLanes(s, 2)
+    lanes = AgentVecEnv(s, 2)
     lanes.seed(SEED)
     lanes.reset()
     _, paid, done, infos = lanes.step(np.ones((lanes.num_envs, 2), np.float32))
@@ -140,7 +140,7 @@ def test_a_voltage_collapse_is_no_truncation():
 
 
 def test_rewards_are_scaled():
-    plain, scaled = AgentLanes(scenario(), 1), AgentLanes(scenario(), 1)
+    plain, scaled = AgentVecEnv(scenario(), 1), AgentVecEnv(scenario(), 1)
     scaled.reward_mean, scaled.reward_scale = -2.0, 0.5
     for lanes in (plain, scaled):
         lanes.seed(SEED)
@@ -150,7 +150,7 @@ def test_rewards_are_scaled():
 
 
 def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():
-    lanes = AgentLanes(scenario("ieee123"), 2)
+    lanes = AgentVecEnv(scenario("ieee123"), 2)
     lanes.seed(SEED)
     first = lanes.reset()
     second = lanes.reset()
@@ -162,14 +162,14 @@ def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():
 
 def test_works_without_either_kind_and_with_faults():
     for s in (scenario(inverter_buses=()), scenario(faults=(Fault(("inverter",), begin_s=(0.0, 1.0)),))):
-        lanes = AgentLanes(s, 2)
+        lanes = AgentVecEnv(s, 2)
         lanes.seed(SEED)
         lanes.reset()
         lanes.step(np.zeros((lanes.num_envs, 2), np.float32))
 
 
 def test_the_lanes_are_one_batch():
-    lanes = AgentLanes(scenario(weights=CostWeights()), 2)
+    lanes = AgentVecEnv(scenario(weights=CostWeights()), 2)
     assert lanes.get_attr("num_envs") == [2] * 14
     assert lanes.env_is_wrapped(object) == [False] * 14
     with pytest.raises(AttributeError, match="one batch"):

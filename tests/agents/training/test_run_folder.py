@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dcgrid_env.agents.training.config import Training
-from dcgrid_env.agents.training.run import TrainingError, open_run, read_curve
+from dcgrid_env.agents.training.run_folder import TrainingError, open_run, read_curve
 
 CONFIG = Training("toy6")
 
@@ -52,7 +52,7 @@ import os, sys
 from pathlib import Path
 import torch
 from dcgrid_env.agents.training.config import Training
-from dcgrid_env.agents.training.run import open_run
+from dcgrid_env.agents.training.run_folder import open_run
 with open_run(Path(sys.argv[1]), Training("toy6")) as run:
     run.step = 7
     run.save({"x": torch.ones(2)})
@@ -101,6 +101,28 @@ def test_a_refused_resumption_leaves_the_run_as_it_is(tmp_path):
         pass
     assert (tmp_path / "config.json").read_bytes() == before
     assert json.loads(before)["scenario"] == "toy6"
+
+
+def test_a_run_whose_batch_was_stored_as_lanes_goes_on(tmp_path):
+    with open_run(tmp_path, CONFIG):
+        pass
+    path = tmp_path / "config.json"
+    path.write_text(path.read_text().replace('"num_envs"', '"lanes"'))
+    other = Training("toy6", num_envs=64)
+    with pytest.raises(TrainingError, match="num_envs was 128 and is 64 now"), open_run(tmp_path, other, True):
+        pass
+    with open_run(tmp_path, CONFIG, True):
+        pass
+    assert json.loads(path.read_text())["num_envs"] == 128
+
+
+def test_a_damaged_configuration_is_refused_on_one_line(tmp_path):
+    with open_run(tmp_path, CONFIG):
+        pass
+    (tmp_path / "config.json").write_text("[]")
+    message = r"config.json: is no configuration of a training run; delete the folder"
+    with pytest.raises(TrainingError, match=message), open_run(tmp_path, CONFIG, True):
+        pass
 
 
 def test_rows_after_the_checkpoint_are_dropped(tmp_path):

@@ -158,5 +158,5 @@ def test_where_agents_stand_must_be_told_where_it_is_drawn(make):
     with pytest.raises(ValueError, match=r"ieee123 draws .* call place\(buses\)"):
         controller.act(observation)
     controller.place(np.zeros((3, 12), np.int64) + np.arange(3)[:, None])
-    with pytest.raises(ValueError, match="told of 3 lanes and 1 are observed"):
+    with pytest.raises(ValueError, match="placed in 3 lanes and 1 are observed"):
         controller.act(observation)

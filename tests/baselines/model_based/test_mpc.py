@@ -213,8 +213,8 @@ def test_the_forecast_begins_with_what_is_observed(dt_s):
         controller = Mpc(horizon=3, forecast_s=5.0)
         first = toy6_estimate(controller, 800.0, 1200.0, preview=preview, dt_s=dt_s)
         controller._forecast(first)
-        coming = first.seen._replace(p_ref_next_kw=np.array([[1800.0]]))
-        found = controller._forecast(first._replace(seen=coming, p_ref_kw=np.array([[1200.0]])))
+        coming = first.local._replace(p_ref_next_kw=np.array([[1800.0]]))
+        found = controller._forecast(first._replace(local=coming, p_ref_kw=np.array([[1200.0]])))
         assert found[0, :, 0] == pytest.approx([mean + np.exp(-k * dt_s / 5.0) * (known - mean) for k in steps])
 
 

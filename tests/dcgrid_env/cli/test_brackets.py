@@ -40,7 +40,7 @@ SAID = {
     f"traces show {NAME}.csv --against {NAME}.csv --out {NAME}/trace.png": (f"{NAME}.csv: 9 s", f"{NAME}/trace.png"),
     f"traces record {NAME}.gz": (f"wrote {NAME}.gz: 2 samples",),
     f"traces fetch {NAME}": (f"{NAME}/file\na recording", "licence: [/]"),
-    f"train analytic --scenario toy6 --updates 2 --lanes 2 --out {NAME}": (f"{NAME}: ",),
+    f"train analytic --scenario toy6 --updates 2 --num-envs 2 --out {NAME}": (f"{NAME}: ",),
     f"dev pareto --scenario toy6 --delays 4 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/pareto.md"),
     f"dev ablate --scenario toy6 {TINY} --transfer toy6 --policies {NAME}/run/policy.safetensors": (
         f"{NAME}/run/policy.safetensors (on toy6)",
@@ -82,7 +82,7 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
 
 
 def test_the_progress_of_a_training_shows_its_scenario_as_it_is(capsys):
-    from dcgrid_env.agents.training.run import progress
+    from dcgrid_env.agents.training.run_folder import progress
 
     with progress(NAME, 2, 0) as advance:
         advance(2, NAME)

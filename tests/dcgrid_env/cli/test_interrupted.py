@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from dcgrid_env.cli.main import main
-from dcgrid_env.core.lock import held
+from dcgrid_env.core.lock import locked
 
 SHORT = ("--episodes", "1", "--jobs", "1")
 WRITING = {
@@ -25,7 +25,7 @@ WRITING = {
     ),
     "reproduce": (("reproduce", "--trace", "generated", "--out", "out"), "reproduction.json"),
     "traces show": (("traces", "show", "training", "--duration-s", "10", "--out", "out/trace.png"), "trace.png"),
-    "train": (("train", "analytic", "--scenario", "toy6", "--lanes", "4", "--out", "out"), "config.json"),
+    "train": (("train", "analytic", "--scenario", "toy6", "--num-envs", "4", "--out", "out"), "config.json"),
 }
 KEPT = {"run, its figure": {"results.json"}}
 """Whole files that were in place before."""
@@ -135,7 +135,7 @@ def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, 
     words, _ = WRITING[name]
     folder = here / ("out/deep" if name == "hindsight" else "out")
     folder.mkdir(parents=True)
-    with held(folder, "dcgrid test"), pytest.raises(SystemExit) as stopped:
+    with locked(folder, "dcgrid test"), pytest.raises(SystemExit) as stopped:
         main([*words])
     said = capsys.readouterr().err
     assert stopped.value.code == 2
@@ -147,7 +147,7 @@ def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, 
 
 
 def test_a_second_training_in_the_folder_is_one_line(here, capsys):
-    with held(here, "training"), pytest.raises(SystemExit) as stopped:
+    with locked(here, "training"), pytest.raises(SystemExit) as stopped:
         main(["train", "analytic", "--scenario", "toy6", "--out", str(here)])
     said = capsys.readouterr().err
     assert stopped.value.code == 2

@@ -64,7 +64,7 @@ def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys
 
 
 def test_bad_training_is_one_line(module, capsys):
-    from dcgrid_env.agents.training.run import TrainingError
+    from dcgrid_env.agents.training.run_folder import TrainingError
 
     code, said = stopped(capsys, "train", "dqn", "--seed", "3")
     assert (code, len(said.splitlines())) == (2, 1)
@@ -272,8 +272,8 @@ def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
 @pytest.mark.parametrize(
     "options",
     [
-        ("analytic", "--updates", "2", "--lanes", "4"),
-        ("ppo", "--steps", "240", "--lanes", "8", "--outputs", "droop", "--minibatches", "2"),
+        ("analytic", "--updates", "2", "--num-envs", "4"),
+        ("ppo", "--steps", "240", "--num-envs", "8", "--outputs", "droop", "--minibatches", "2"),
     ],
 )
 def test_training_on_ones_own_scenario(options, here, capsys):

@@ -8,13 +8,13 @@ import threading
 
 import pytest
 
-from dcgrid_env.core.lock import HeldError, alone, held
+from dcgrid_env.core.lock import LockedError, alone, locked
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from dcgrid_env.core.lock import held
-with held(Path(sys.argv[1]), "training"):
+from dcgrid_env.core.lock import locked
+with locked(Path(sys.argv[1]), "training"):
     print("holds", flush=True)
     time.sleep(60)
 """
@@ -33,7 +33,7 @@ def holder(tmp_path):
 
 
 def test_who_is_refused_is_told_by_whom_on_one_line(tmp_path, holder):
-    with pytest.raises(HeldError) as refused, held(tmp_path, "training"):
+    with pytest.raises(LockedError) as refused, locked(tmp_path, "training"):
         pytest.fail("held twice")
     said = str(refused.value)
     assert said.startswith(f"{tmp_path}: another training (process {holder.pid} on {socket.gethostname()}, since 2")
@@ -45,7 +45,7 @@ def test_who_is_refused_is_told_by_whom_on_one_line(tmp_path, holder):
 def test_a_lock_ends_with_its_process(tmp_path, holder, sign):
     holder.send_signal(sign)
     holder.wait()
-    with held(tmp_path, "training"):
+    with locked(tmp_path, "training"):
         assert str(os.getpid()) in (tmp_path / ".lock.json").read_text()
     assert not list(tmp_path.iterdir())
 
@@ -53,8 +53,8 @@ def test_a_lock_ends_with_its_process(tmp_path, holder, sign):
 @pytest.mark.parametrize("error", [None, KeyboardInterrupt, ValueError])
 def test_nothing_of_a_lock_is_left_behind(tmp_path, error):
     try:
-        with held(tmp_path, "training"):
-            with pytest.raises(HeldError, match=re.escape(f"process {os.getpid()} ")), held(tmp_path, "training"):
+        with locked(tmp_path, "training"):
+            with pytest.raises(LockedError, match=re.escape(f"process {os.getpid()} ")), locked(tmp_path, "training"):
                 pass
             if error:
                 raise error
