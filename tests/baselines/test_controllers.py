@@ -177,8 +177,8 @@ def test_unknown_name_lists_what_exists():
 
 
 class Broken(LocalController):
-    def control(self, seen):
-        return np.full_like(seen.p_ref_next_kw, np.nan), np.zeros_like(seen.v_pu)
+    def control(self, local):
+        return np.full_like(local.p_ref_next_kw, np.nan), np.zeros_like(local.v_pu)
 
 
 def test_a_controller_that_returns_nan_is_named_by_agent():

@@ -163,9 +163,9 @@ def test_a_controller_sees_physical_voltages_and_sensitivities_whatever_the_band
     """Buses 4, 3 and 5 of toy6."""
 
     class Watching(ConstantQ):
-        def control(self, seen):
-            self.seen = seen
-            return super().control(seen)
+        def control(self, local):
+            self.seen = local
+            return super().control(local)
 
     watching = Watching(0.0)
     scenario = make_scenario("toy6", band_pu=band_pu, horizon=1, weights=CostWeights(violation=0.0))
