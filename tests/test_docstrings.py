@@ -23,8 +23,9 @@ ONE_IDEA = {
     "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
+    "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }
-"""Files of one bare name that share one idea: a command bears the name of what it runs."""
+"""Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name."""
 
 
 def paths():
