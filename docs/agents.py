@@ -1,4 +1,4 @@
-"""Print the README's table of the policies that ship, from their cards: `python docs/agents.py`."""
+"""Print docs/training.md's table of the policies that ship, from their cards: `python docs/agents.py`."""
 
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card

@@ -1,4 +1,4 @@
-"""What the README claims, run again."""
+"""What the README and the pages of docs/ claim, run again."""
 
 import re
 import runpy
@@ -17,12 +17,15 @@ from dcgrid_env.baselines.score import score
 from dcgrid_env.cli.main import main
 from helpers.places import ROOT
 
-README = (ROOT / "README.md").read_text()
+ENVIRONMENTS, SCENARIOS, RESULTS, CONTROLLERS, TRAINING = (
+    (ROOT / "docs" / f"{page}.md").read_text()
+    for page in ("environments", "scenarios", "results", "controllers", "training")
+)
 
 
 def table(scenario):
-    """The README's results of a scenario: controllers, and rows by their label."""
-    lines = README[README.index(f"| `{scenario}` | none |") :].split("\n\n")[0].splitlines()
+    """The results of a scenario: controllers, and rows by their label."""
+    lines = RESULTS[RESULTS.index(f"| `{scenario}` | none |") :].split("\n\n")[0].splitlines()
     cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
     return cells[0][1:], {row[0]: [float(x) for x in row[1:]] for row in cells[2:]}
 
@@ -50,8 +53,8 @@ SCORED = ("constant-q-tuned", "placement-tuned", "feedback", "mpc-one-step", "mp
 
 
 def scores():
-    """The README's score table: of each scenario J of no control, tuned droop and hindsight, then the scores."""
-    lines = README[README.index("| scenario | J: none |") :].split("\n\n")[0].splitlines()[2:]
+    """The score table: of each scenario J of no control, tuned droop and hindsight, then the scores."""
+    lines = RESULTS[RESULTS.index("| scenario | J: none |") :].split("\n\n")[0].splitlines()[2:]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return {row[0].strip("`"): [float(cell) for cell in row[1:]] for row in rows}
 
@@ -85,7 +88,7 @@ def test_scores_come_out_again(scenario):
 
 
 def test_overrides_of_the_text_work_on_the_presets_they_are_for():
-    made = re.findall(r"`gymnasium\.make\((id|\"dcgrid/\w+-v0\"), ([^`]*)\)`", README)
+    made = re.findall(r"`gymnasium\.make\((id|\"dcgrid/\w+-v0\"), ([^`]*)\)`", ENVIRONMENTS)
     assert len(made) == 3
     for name, overrides in made:
         for preset in dcgrid_env.IDS if name == "id" else [name.strip('"')]:
@@ -97,17 +100,17 @@ def test_overrides_of_the_text_work_on_the_presets_they_are_for():
 
 def test_every_id_and_scenario_is_named():
     for name, scenario in dcgrid_env.IDS.items():
-        assert f"| `{name}` | `{scenario}` |" in README
+        assert f"| `{name}` | `{scenario}` |" in ENVIRONMENTS
 
 
 def test_agents_are_those_of_the_cards():
     made = runpy.run_path(str(ROOT / "docs" / "agents.py"))["table"]()
     assert made.count("\n") == 1 + len(dcgrid_env.PRESETS)
-    assert made in README
+    assert made in TRAINING
 
 
 def test_the_controller_of_the_example_can_be_imported_without_running_anything(tmp_path, capsys):
-    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Leaning" in b)
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", CONTROLLERS, re.DOTALL) if "class Leaning" in b)
     (tmp_path / "leaning.py").write_text(block)
     spec = f"{tmp_path}/leaning.py:Leaning(slope_kvar_per_pu=300)"
     law = find_controller(spec, make_scenario("ieee33-weak"))
@@ -116,10 +119,10 @@ def test_the_controller_of_the_example_can_be_imported_without_running_anything(
 
 
 def test_the_scenario_of_the_example_runs_on_the_command_line(tmp_path, monkeypatch):
-    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "def make()" in b)
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", SCENARIOS, re.DOTALL) if "def make()" in b)
     monkeypatch.chdir(tmp_path)
     Path("own.py").write_text(block)
-    section = README[README.index("## Your own scenario") :].split("\n## ")[0]
+    section = SCENARIOS[SCENARIOS.index("## Your own scenario") :].split("\n## ")[0]
     (commands,) = re.findall(r"```bash\n(.*?)```", section, re.DOTALL)
     run, *others = (shlex.split(line.partition("   #")[0]) for line in commands.splitlines())
     main([*run[1:], "--episodes", "1"])

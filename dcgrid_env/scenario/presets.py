@@ -1,4 +1,4 @@
-"""The named scenarios; their constants and what they are for stand in README.md."""
+"""The named scenarios; their constants and what they are for stand in docs/scenarios.md."""
 
 from __future__ import annotations
 

@@ -272,6 +272,6 @@ def test_python_runs(name, tmp_path, monkeypatch, capsys):
     np.savetxt("recording.csv", np.column_stack((np.arange(4.0), power_w)), delimiter=",")
     for i, block in enumerate(READ[name].python):
         exec(compile(block, f"{name}, block {i}", "exec"), {"__name__": "__main__"})
-    if name == "README.md":
+    if name == "docs/environments.md":
         printed = capsys.readouterr().out.split()
         assert [round(float(x), 4) for x in printed[:2]] == [0.9131, 202.6771]
