@@ -1,4 +1,4 @@
-"""What a controller is: told the scenario, it turns observations into actions, one environment's or a batch's."""
+"""The interface of controllers: given a scenario, they turn observations into actions, of one environment or many."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Controller(Protocol):
 
 @runtime_checkable
 class Placed(Protocol):
-    """A controller that is also told where the agents stand, as one with a model of the feeder must be.
+    """A controller that must also be given the agents' buses, as one with a model of the feeder.
 
     Besides, a class attribute ``observe`` (``Scenario.observe``) says which scope of observation a controller needs;
     without one it takes the scenario's.
     """
 
     def place(self, buses: np.ndarray) -> None:
-        """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), told after ``reset`` and before ``act``."""
+        """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), given after ``reset`` and before ``act``."""
         ...
 
 

@@ -21,7 +21,7 @@ from dcgrid_env import Scenario, episode_hash, scenario_hash
 from dcgrid_env.baselines.file_names import file_name
 
 FOLDER = Path("results/hindsight")
-"""Where ``dcgrid dev hindsight`` writes unless told otherwise, in the working directory."""
+"""Where ``dcgrid dev hindsight`` writes by default, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
 

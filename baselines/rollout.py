@@ -50,7 +50,7 @@ def rollout(
     scenario
         What to run; its split says which episodes the seeds mean.
     controller
-        Reset once, told where the agents stand if it is :class:`Placed`, then asked at each step.
+        Reset once, given the agents' buses if it is :class:`Placed`, then asked at each step.
     seeds
         One lane each.
     on_step

@@ -1,7 +1,7 @@
 """GPUs read through NVML, the management library of the NVIDIA driver: readings only, no setting is ever changed.
 
 Power is the instantaneous reading where the GPU gives one. The older reading is a mean over the last second on most
-GPUs since Ampere, which smooths away what a recording is for; `GpuReader.power_reading` tells which one is used.
+GPUs since Ampere, which smooths away what a recording is for; `GpuReader.power_reading` is the one that is used.
 Either is renewed at the GPU's own pace, which may be slower than it is asked.
 """
 

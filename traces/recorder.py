@@ -1,6 +1,6 @@
 """Recording the power of a machine's GPUs to a trace file.
 
-The file begins with one line `# dcgrid trace {json}` that tells how it came about, then come the names of the columns
+The file begins with one line `# dcgrid trace {json}` that says how it came about, then come the names of the columns
 and a row for each sample: the time in s and the power of each GPU in W. `PowerTrace.from_csv` reads it.
 """
 

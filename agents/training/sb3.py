@@ -220,7 +220,7 @@ def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, it
 
 
 def logged(model: BaseAlgorithm) -> dict[str, float]:
-    """What the algorithm told its logger last."""
+    """Figures that the algorithm logged last."""
     return {name: float(value) for name, value in model.logger.name_to_value.items()}
 
 

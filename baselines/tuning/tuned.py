@@ -30,7 +30,7 @@ from dcgrid_env.baselines.tuning.search import TUNABLE
 
 SUFFIX = "-tuned"
 OWN = Path("results/tuned.json")
-"""Where ``dcgrid dev tune`` writes unless told otherwise, in the working directory."""
+"""Where ``dcgrid dev tune`` writes by default, in the working directory."""
 NUMBERS = (
     "v0_pu", "idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share", "dt_s",
 )  # fmt: skip

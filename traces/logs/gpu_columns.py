@@ -68,7 +68,7 @@ def find_columns(
     Raises
     ------
     TraceError
-        For an empty log, one without time or power, and one whose columns cannot be told.
+        For an empty log, one without time or power, and one whose columns cannot be recognised.
     """
     lines = (line for line in iter(file.readline, "") if line.strip() and not line.startswith("#"))
     line = next(lines, None)

@@ -46,7 +46,7 @@ def read_gpu_log(
     ----------
     path : text file, UTF-8 or UTF-16, plain or gzip; lines at the top that begin with `#` are skipped.
     columns : for a log without header: what was queried, for example "timestamp,index,power.draw". Without it the
-        time, the power with its unit and a uuid or bus id are told from their cells.
+        time, the power with its unit and a uuid or bus id are recognised by their cells.
     unit : of readings without one (`nounits`): "W", "kW", "MW" or "mW"; needed if the header does not name it.
     gpus : number of GPUs; needed if no column tells them apart, and then the lines of a round must be complete and in
         the same order.
@@ -60,7 +60,7 @@ def read_gpu_log(
     ------
     TraceError
         With the file and the line, for a line that cannot be read, a power that is negative or above the limit, a
-        unit that is not told or contradicts another, times of a GPU that repeat or step back, a gap, several GPUs
+        unit that is not given or contradicts another, times of a GPU that repeat or step back, a gap, several GPUs
         that nothing tells apart, a GPU that never reports, and an empty log.
     """
     rule = GapRule(max_gap_s, gaps)

@@ -87,7 +87,7 @@ def read_csv(
     Raises
     ------
     TraceError
-        For an empty or unreadable file, a unit that is unknown, contradicted or not told, an unknown column, a text
+        For an empty or unreadable file, a unit that is unknown, contradicted or not given, an unknown column, a text
         cell, a missing cell, bad samples, power above the limit, or a gap; with the file and, where there is one, the
         line.
     """
@@ -223,7 +223,7 @@ def _layout(
         if None in units:
             column = names[columns[1 + units.index(None)]]
             raise TraceError(
-                f"{where}: {column!r} tells no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}), write it "
+                f"{where}: {column!r} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}), write it "
                 "into the name like 'site [kW]' or 'site_kw', or leave the column out with power_columns="
             )
     return _Layout(

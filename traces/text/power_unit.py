@@ -32,9 +32,9 @@ def last_word(header: str) -> str:
 
 
 def column_unit(where: str, header: str, unit: str | None) -> str | None:
-    """Unit of a column from its name and from what the caller gave; None if neither tells it.
+    """Unit of a column from its name and from what the caller gave; None if neither names it.
 
-    A name tells it in brackets at its end, or as its last word before them: `power (kW)`, `site [MW]`, `gpu0_w`,
+    A name gives it in brackets at its end, or as its last word before them: `power (kW)`, `site [MW]`, `gpu0_w`,
     `P/kW`, `load kW`. Square brackets hold a unit unless they hold a number (`gpu[0]`); round ones may hold anything.
 
     Parameters

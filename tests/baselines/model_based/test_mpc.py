@@ -310,8 +310,8 @@ def test_none_beats_hindsight_and_control_with_a_model_comes_near_it(name):
         for j, b in zip(found, best, strict=True):
             assert j > b.bound
             assert j > b.J - max(b.gap, 0.0)
-        foresight = np.mean([b.J for b in best])
-        assert np.mean(found) - foresight < share * (droop - foresight)
+        hindsight_j = np.mean([b.J for b in best])
+        assert np.mean(found) - hindsight_j < share * (droop - hindsight_j)
 
 
 @pytest.mark.parametrize("make", CONTROLLERS)
