@@ -86,6 +86,9 @@ def test_bad_training_is_one_line(module, capsys):
     assert stopped(capsys, "train", "ppo", "--colour", "1")[0] == 2
 
 
+NEEDS_TORCH = ("dcgrid_env.agents.algorithms.", "dcgrid_env.agents.training.")
+
+
 def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
     for missing in ("torch", "stable_baselines3"):
         with monkeypatch.context() as context:
