@@ -13,7 +13,15 @@ from dcgrid_env.envs.single import DcgridEnv
 from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, load_feeder
-from dcgrid_env.powerflow import PowerFlowError, Solution, distflow, lindistflow
+from dcgrid_env.powerflow import (
+    PowerFlowError,
+    Sensitivity,
+    Solution,
+    distflow,
+    lindistflow,
+    own_sensitivity,
+    sensitivity,
+)
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
@@ -55,6 +63,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "Sensing",
+    "Sensitivity",
     "Series",
     "Solution",
     "TensorEnv",
@@ -70,9 +79,11 @@ __all__ = [
     "lindistflow",
     "load_feeder",
     "make_scenario",
+    "own_sensitivity",
     "parallel_env",
     "register_device",
     "scenario_hash",
+    "sensitivity",
 ]
 
 _register()

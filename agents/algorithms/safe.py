@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env import Scenario, field_names
+from dcgrid_env import Scenario, field_names, sensitivity
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
 from dcgrid_env.agents.training.run_folder import torch
@@ -49,7 +49,7 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     The smallest over ``PLACEMENTS`` placements that the scenario draws; infinite where there are no agents of the kind.
     """
     index, n_dc = scenario.feeder.index, scenario.n_datacenters
-    r, x = (z / (scenario.band_pu or 1.0) for z in scenario.feeder.sensitivity())
+    r, x = (z / (scenario.band_pu or 1.0) for z in sensitivity(scenario.feeder))
     q_mvar = scenario.q_scale_kvar / 1e3
     # Half the range of actions moves half the power between the slowest clock and the top.
     p_mw = 0.5 * (1.0 - scenario.f_min_mhz / scenario.f_max_mhz) * scenario.datacenter.p_dynamic_kw / 1e3

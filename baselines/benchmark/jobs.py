@@ -173,7 +173,7 @@ def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np
     for lane in range(lanes):
         series = recorder.lane(lane)
         metrics.append(series.metrics())
-        inside = np.clip(series.v_pu[1:, 1:], V_EDGES_PU[0], V_EDGES_PU[-1])
+        inside = np.clip(series.v_pu[1:, series.scenario.feeder.load_slice], V_EDGES_PU[0], V_EDGES_PU[-1])
         counts += np.histogram(inside, V_EDGES_PU)[0]
     return metrics, counts
 

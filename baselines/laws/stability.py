@@ -35,7 +35,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Scenario
+from dcgrid_env import DcgridVectorEnv, Scenario, sensitivity
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
@@ -83,7 +83,7 @@ def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: b
     """R and X between the agents that act, for each placement, (placement, n, n)."""
     index, first = scenario.feeder.index, 0 if datacenters else scenario.n_datacenters
     at = np.array([[index(bus) for bus in buses[first:]] for buses in where], dtype=np.intp)
-    r, x = scenario.feeder.sensitivity()
+    r, x = sensitivity(scenario.feeder)
     return r[at[:, :, None], at[:, None, :]], x[at[:, :, None], at[:, None, :]]
 
 

@@ -72,9 +72,9 @@ class FeedbackOptimisation(ModelController):
         """See :class:`ModelController`."""
         super().reset(env_info)
         s, w, dc = env_info, env_info.weights, env_info.datacenter
-        n_bus = s.feeder.n_bus - 1
-        self._weights = w.voltage / n_bus, w.violation / n_bus
-        self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_bus / self.width_pu
+        n_node = len(s.feeder.load_nodes)
+        self._weights = w.voltage / n_node, w.violation / n_node
+        self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_node / self.width_pu
         self._backlog_price = (w.backlog + w.leftover) * s.dt_s / (dc.p_rated_kw.sum() or 1.0)  # of each kW held back
         self._effort_price = w.effort / s.n_agents / np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
         self._size = np.concatenate((dc.p_dynamic_kw, self._q_scale))
@@ -102,7 +102,7 @@ class FeedbackOptimisation(ModelController):
         return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
 
     def _dual(self, e: np.ndarray) -> np.ndarray:
-        """Move the multipliers on; what a rise of each bus's voltage costs by them, (lane, n_bus - 1)."""
+        """Move the multipliers on; what a rise of each bus's voltage costs by them, (lane, n_load_node)."""
         voltage, violation = self._weights
         keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.band_pu
         apart, above, below = self._multipliers or (np.zeros_like(e),) * 3

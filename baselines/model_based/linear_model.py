@@ -25,7 +25,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import LinearDvfs, Scenario, field_names
+from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity
 from dcgrid_env.baselines.controller import Local, LocalController
 
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
@@ -39,17 +39,17 @@ class Slopes(NamedTuple):
     """
 
     by_p: np.ndarray
-    """P.u. per kW drawn (negative), (lane, n_agent, n_bus - 1)."""
+    """P.u. per kW drawn (negative), (lane, n_agent, n_load_node)."""
     by_q: np.ndarray
-    """P.u. per kvar injected (positive), (lane, n_agent, n_bus - 1)."""
+    """P.u. per kvar injected (positive), (lane, n_agent, n_load_node)."""
 
 
 def slopes(scenario: Scenario, buses: np.ndarray) -> Slopes:
     """LinDistFlow's slopes of the believed feeder for agents at positions ``buses`` of ``bus_ids``, (lane, n_agent)."""
     if (buses == buses[:1]).all():
         buses = buses[:1]
-    r, x = scenario.model.sensitivity()
-    return Slopes(-r[buses, 1:] / 1000.0, x[buses, 1:] / 1000.0)
+    r, x = sensitivity(scenario.model)
+    return Slopes(-r[buses, scenario.feeder.load_slice] / 1000.0, x[buses, scenario.feeder.load_slice] / 1000.0)
 
 
 class Estimate(NamedTuple):
@@ -58,7 +58,7 @@ class Estimate(NamedTuple):
     local: Local
     """Local observations of the agents, each field (lane, ..)."""
     v_pu: np.ndarray
-    """Voltage of every bus but the substation, p.u., (lane, n_bus - 1)."""
+    """Voltage of every bus but the substation, p.u., (lane, n_load_node)."""
     q_limit_kvar: np.ndarray
     """Reactive limit as observed, kvar, (lane, n_agent)."""
     by_p: np.ndarray
@@ -104,7 +104,7 @@ class ModelController(LocalController):
         names = field_names(s)
         widths = [len(names[agent]) for agent in s.agents]
         self._limit_at = np.cumsum([0, *widths])[:-1] + names[s.agents[0]].index("q_limit")
-        self._bus_at = np.arange(widths[0] - (s.feeder.n_bus - 1), widths[0])
+        self._bus_at = np.arange(widths[0] - len(s.feeder.load_nodes), widths[0])
         self._slopes: Slopes | None = None
         if s.datacenter_buses is not None or not s.n_datacenters:
             fixed = (*(s.datacenter_buses or ()), *s.inverter_buses)
@@ -168,7 +168,7 @@ class ModelController(LocalController):
 
 
 def _moved(by_p: np.ndarray, by_q: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """What a change of p and of q, stacked (2, lane, n_agent), does to the voltages, p.u., (lane, n_bus - 1)."""
+    """What a change of p and of q, stacked (2, lane, n_agent), does to the voltages, p.u., (lane, n_load_node)."""
     return np.matmul(change[0][:, None], by_p)[:, 0] + np.matmul(change[1][:, None], by_q)[:, 0]
 
 
@@ -177,8 +177,8 @@ def _gain(scenario: Scenario) -> float:
     s, sigma_v = scenario, scenario.voltage_noise_pu
     if sigma_v == 0.0:
         return 1.0
-    r, x = s.model.sensitivity()
-    drop = (r * s.feeder.p_load_kw + x * s.feeder.q_load_kvar)[1:] / 1000.0
+    r, x = sensitivity(s.model)
+    drop = (r * s.feeder.p_load_kw + x * s.feeder.q_load_kvar)[s.feeder.load_slice] / 1000.0
     step = 2.0 * (1.0 - s.load_rho**s.dt_s) * s.load_sigma**2
     ratio = step * (drop**2).sum(axis=1).mean() / sigma_v**2
     return max(float(0.5 * (np.sqrt(ratio * ratio + 4.0 * ratio) - ratio)), _GAIN_LEAST)

@@ -116,7 +116,7 @@ class Mpc(ModelController):
         ceiling_kw = np.maximum(dc.p_dynamic_kw, arrives_kw)
         high_kw = ceiling_kw.copy()
         high_kw[:, 0] = np.minimum(high_kw[:, 0], at_hand_kw[:, 0])
-        by_p, size, n_bus = now.by_p[:, :n_dc], self._size[:n_dc], s.feeder.n_bus - 1
+        by_p, size, n_node = now.by_p[:, :n_dc], self._size[:n_dc], len(s.feeder.load_nodes)
         idle_pu = np.matmul(base_kw - local.p_kw[:, None, :n_dc], by_p) - np.matmul(local.q_kvar[:, None], now.by_q)
         return Program(
             offset=now.v_pu[:, None] - 1.0 + idle_pu,
@@ -129,8 +129,8 @@ class Mpc(ModelController):
             q_high=self._limit_kvar(now) / self._size,
             work=(waits_kw[:, None] + np.cumsum(arrives_kw, axis=1)) / size,
             price=self._price,
-            voltage=w.voltage / n_bus,
-            violation=w.violation / n_bus,
+            voltage=w.voltage / n_node,
+            violation=w.violation / n_node,
             effort=self._effort,
             band_pu=s.band_pu,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, sensitivity
 from dcgrid_env.baselines.reproduction.levers import settled
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import INVERTERS, Runs
@@ -23,7 +23,7 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
     low = runs.setting.published(5, v0_pu=1.0)
     own, others = {BUS: OWN_KW}, dict.fromkeys(PUBLISHED_BUSES[1:5], OWN_KW)
     at = five.feeder.index(BUS)
-    r, x = (float(m[at, at]) for m in five.feeder.sensitivity())
+    r, x = (float(m[at, at]) for m in sensitivity(five.feeder))
     loads, with_own, with_all = (float(settled(five, p)[at]) for p in ({}, own, own | others))
     return {
         "bus": BUS,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Feeder, Scenario, distflow, load_feeder, make_scenario
+from dcgrid_env import Feeder, Scenario, distflow, load_feeder, make_scenario, sensitivity
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import ACTIVE, BOTH, INVERTERS, NONE, REACTIVE, Law, Runs
 from dcgrid_env.baselines.reproduction.table1 import unserved_pct
@@ -43,7 +43,7 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
     for site in PUBLISHED_BUSES:
         scenario = runs.setting.pinned((site,))
         feeder, full = scenario.feeder, {site: 280.0}
-        x = feeder.sensitivity()[1][feeder.index(site)]
+        x = sensitivity(feeder).by_q_pu_per_mvar[feeder.index(site)]
         shared = {bus: float(x[feeder.index(bus)]) for bus in scenario.inverter_buses}
         ends = {"near": max(shared, key=shared.__getitem__), "far": min(shared, key=shared.__getitem__)}
         before = settled(scenario, full)
@@ -98,7 +98,7 @@ def _own_slopes(scenario: Scenario) -> dict[str, float]:
     """Means over the sites, all at their rating: r/x of the way to the substation, and the rise for 0.1 MW or Mvar."""
     feeder, buses = scenario.feeder, scenario.datacenter_buses
     assert buses is not None
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     at = [feeder.index(bus) for bus in buses]
     full = dict(zip(buses, scenario.datacenter.p_rated_kw.tolist(), strict=True))
     before = settled(scenario, full)

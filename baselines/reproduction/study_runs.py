@@ -127,7 +127,7 @@ class Runs:
 def _more(lane: Series) -> dict[str, float]:
     """Of squared voltages, which the public code calls voltages; over the second half; at the first site if fixed."""
     s = lane.scenario
-    v = lane.v_pu[1:, 1:]
+    v = lane.v_pu[1:, s.feeder.load_slice]
     figures = {
         "squared_deviation_mean_pu": float(np.abs(v**2 - 1.0).mean()),
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),

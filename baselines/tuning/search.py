@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, sensitivity
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -87,7 +87,7 @@ def _distances(scenario: Scenario) -> np.ndarray:
     else:
         at = [scenario.feeder.index(bus) for bus in scenario.datacenter_buses]
     at += [scenario.feeder.index(bus) for bus in scenario.inverter_buses]
-    return np.stack([np.diag(m)[at] for m in scenario.model.sensitivity()], axis=-1)
+    return np.stack([np.diag(m)[at] for m in sensitivity(scenario.model)], axis=-1)
 
 
 TUNABLE: dict[str, Tunable] = {

@@ -13,6 +13,7 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Q
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
+from dcgrid_env.grid import buses_as_text
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
 
 
@@ -39,7 +40,7 @@ class Inverters(PickledByFields):
     """
 
     def __post_init__(self) -> None:
-        settle(self, injection=_injection)
+        settle(self, buses=buses_as_text, injection=_injection)
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
         check_rating(self, "s_rated_kva", self.count)

@@ -12,7 +12,7 @@ from dcgrid_env.devices import Device, Work, converter
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import Exogenous, State
-from dcgrid_env.powerflow import Solution, distflow, lindistflow
+from dcgrid_env.powerflow import Solution, solver_for
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -30,7 +30,7 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
         tuple(agents[..., cut] + setting.rest for setting in settings)
         for settings, cut in zip(known.settings, cuts, strict=True)
     )
-    before = State(v, v, agents, agents, 0.0 * v[..., 1:], agents, agents, agents, devices)
+    before = State(v, v, agents, agents, None, agents, agents, agents, devices)
     state, solution = _step(scenario, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
 
@@ -84,20 +84,18 @@ def _step(
     nodes = exogenous.nodes
     p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))
     q_net = add_at(exogenous.q_load_kvar, nodes, _to_nodes(-q_agent, nodes))
-    if scenario.power_flow == "distflow":
-        solution = distflow(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, warm=state.current_sq_pu)
-    else:
-        solution = lindistflow(scenario.feeder, p_net, q_net, scenario.source_voltage_pu)
-    v, current_sq = solution.v_pu, solution.current_sq_pu
+    solve = solver_for(scenario.feeder, scenario.power_flow)
+    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, None, state.restart)
+    v, restart = solution.v_pu, solution.restart
     if not all_true(solution.converged):
-        solved = solution.converged[..., None]
-        v, current_sq = xp.where(solved, v, state.v_pu), xp.where(solved, current_sq, state.current_sq_pu)
+        solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
+        v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
         v_agent_pu=from_nodes(v, nodes),
         v_agent_last_pu=state.v_agent_pu,
-        current_sq_pu=current_sq,
+        restart=restart,
         p_kw=p_agent,
         q_kvar=q_agent,
         q_limit_kvar=q_limit,

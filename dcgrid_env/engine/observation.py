@@ -31,6 +31,7 @@ from dcgrid_env.engine.dynamics import from_nodes
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
+from dcgrid_env.powerflow import own_sensitivity, sensitivity
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
@@ -113,14 +114,13 @@ def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 @cached_on_owner
 def _own_distance(scenario: Scenario) -> np.ndarray:
     """(R_ii, X_ii) in bands, (n_bus, 2)."""
-    return scenario.model.own_sensitivity / (scenario.band_pu or 1.0)
+    return np.stack(own_sensitivity(scenario.model), axis=-1) / (scenario.band_pu or 1.0)
 
 
 @cached_on_owner
 def _between(feeder: Feeder) -> np.ndarray:
     """Impedance magnitude of the path between any two buses, (n_bus, n_bus)."""
-    r, x = feeder.sensitivity()
-    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in (r, x)))
+    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in sensitivity(feeder)))
 
 
 class _Layout(NamedTuple):

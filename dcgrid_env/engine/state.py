@@ -41,8 +41,8 @@ class State(NamedTuple):
     v_agent_pu: Array
     """Voltage at the agents, p.u., (lane, n_agent)."""
     v_agent_last_pu: Array
-    current_sq_pu: Array
-    """Squared branch current, per unit, (lane, n_bus - 1): the next solution's start."""
+    restart: Array
+    """Where the power flow starts next, ``Solution.restart`` of the last solved one; None before the first."""
     p_kw: Array
     """Draw from the grid, kW (an inverter's injection is negative), (lane, n_agent); 0 where disconnected."""
     q_kvar: Array

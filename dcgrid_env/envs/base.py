@@ -9,6 +9,7 @@ from gymnasium import spaces
 
 from dcgrid_env.engine import actions, observation
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
+from dcgrid_env.grid import bus_numbers
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
@@ -61,7 +62,8 @@ class Face:
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         self.render_mode, self.info_level = render_mode, info
-        self._bus_ids = np.array(self.scenario.feeder.bus_ids)
+        ids = self.scenario.feeder.bus_ids
+        self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
         self._simulation: Simulation = Simulation(self.scenario, lanes)
         self._last: Transition | None = None
 

@@ -1,6 +1,18 @@
 """Feeders: the frozen description of a radial network and the named published cases."""
 
 from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, load_feeder
-from dcgrid_env.grid.feeder import BusId, Feeder, FeederError
+from dcgrid_env.grid.feeder import Feeder, FeederError
+from dcgrid_env.grid.network import BusId, Network, bus_numbers, bus_text, buses_as_text
 
-__all__ = ["FEEDERS", "FEEDER_REGISTRY", "BusId", "Feeder", "FeederError", "load_feeder"]
+__all__ = [
+    "FEEDERS",
+    "FEEDER_REGISTRY",
+    "BusId",
+    "Feeder",
+    "FeederError",
+    "Network",
+    "bus_numbers",
+    "bus_text",
+    "buses_as_text",
+    "load_feeder",
+]

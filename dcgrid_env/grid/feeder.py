@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,15 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import fields_alone
-from dcgrid_env.core.units import S_BASE_KVA, impedance_base_ohm
-from dcgrid_env.grid.formats.csv_folder import check_lengths, check_numbers, read_feeder_tables
-from dcgrid_env.grid.topology import FeederError, orient
+from dcgrid_env.core.units import impedance_base_ohm
+from dcgrid_env.grid.checks import check_balanced, check_lengths
+from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
+from dcgrid_env.grid.network import (
+    BusId,
+    LineTable,
+    Network,
+    NodeTable,
+    balanced_network,
+    bus_text,
+    summed_at_nodes,
+)
+from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first, orient
 
-BusId = int | str
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
-__all__ = ["BusId", "Feeder", "FeederError"]
+__all__ = ["Feeder", "FeederError"]
 
 
 def _read_only(array: Any) -> Any:
@@ -38,15 +48,15 @@ class Feeder:
     Attributes
     ----------
     bus_ids
-        The feeder's own bus names, in file order but for the substation, which is ``bus_ids[0]``.
+        The feeder's own bus names, as text, in file order but for the substation, which is ``bus_ids[0]``.
     base_kv, v0_pu
         Line-to-line base voltage, kV; substation voltage of the published base case, per unit.
     p_load_kw, q_load_kvar, capacitor_kvar
         Base load (consumption positive) and shunt capacitors (injection positive), shape (n_bus,).
     parent
-        Index of the bus at the sending end of branch k, shape (n_bus - 1,).
+        Index of the bus at the sending end of branch k, shape (n_branch,).
     r_ohm, x_ohm
-        Series impedance per phase of the balanced equivalent, shape (n_bus - 1,). Zero is a closed switch.
+        Series impedance per phase of the balanced equivalent, shape (n_branch,). Zero is a closed switch.
     x, y
         Coordinates of the one-line diagram, shape (n_bus,), NaN where none are published.
     """
@@ -54,7 +64,7 @@ class Feeder:
     name: str
     base_kv: float
     v0_pu: float
-    bus_ids: tuple[BusId, ...]
+    bus_ids: tuple[str, ...]
     p_load_kw: FloatArray
     q_load_kvar: FloatArray
     capacitor_kvar: FloatArray
@@ -91,39 +101,62 @@ class Feeder:
             Naming the buses and branches: not radial, an island, an isolated bus, a duplicate or unknown bus, a
             negative or NaN figure.
         """
-        n = len(bus_ids)
-        check_lengths(name, "bus", n, {"x": x, "y": y})
-        check_lengths(name, "branch", len(from_bus), {"to_bus": to_bus})
-        buses = {
-            "p_kw": p_load_kw,
-            "q_kvar": q_load_kvar,
-            "capacitor_kvar": [0.0] * n if capacitor_kvar is None else capacitor_kvar,
-        }
-        branch_names = [f"{i}-{j}" for i, j in zip(from_bus, to_bus, strict=True)]
-        check_numbers(name, "feeder", ["base_kv", "v0_pu"], {"value": [base_kv, v0_pu]}, positive=True)
-        check_numbers(name, "bus", bus_ids, buses)
-        check_numbers(name, "branch", branch_names, {"r_ohm": r_ohm, "x_ohm": x_ohm}, non_negative=True)
-        drawn = {field: values for field, values in (("x", x), ("y", y)) if values is not None}
-        check_numbers(name, "bus", bus_ids, drawn, may_be_nan=True)
-        order, parent, branch = orient(name, substation, bus_ids, from_bus, to_bus)
-        nan = [np.nan] * n
+        n, nan = len(bus_ids), [math.nan] * len(bus_ids)
+        capacitors = [0.0] * n if capacitor_kvar is None else capacitor_kvar
+        columns = {"p_kw": p_load_kw, "q_kvar": q_load_kvar, "capacitor_kvar": capacitors}
+        check_lengths(name, "bus", n, columns | {"x": x, "y": y})
+        check_lengths(name, "branch", len(from_bus), {"to_bus": to_bus, "r_ohm": r_ohm, "x_ohm": x_ohm})
+        nodes = NodeTable(bus_ids, [0] * n, nan if x is None else x, nan if y is None else y)  # pyright: ignore
+        lines = LineTable(from_bus, to_bus, r_ohm, x_ohm)  # pyright: ignore
+        network = balanced_network(
+            name, base_kv=base_kv, substation=substation, v0_pu=v0_pu, nodes=nodes, lines=lines, **columns
+        )
+        return cls.from_network(network)
 
-        def frozen(values: Any, index: IntArray, dtype: Any = np.float64) -> Any:
-            return _read_only(np.asarray(values, dtype=dtype)[index])
+    @classmethod
+    def from_network(cls, network: Network) -> Feeder:
+        """Compile component tables: order buses and branches from the substation, and add up loads at each bus.
+
+        Raises
+        ------
+        FeederError
+            For tables that are not those of a balanced radial feeder, naming the component, the field and the value.
+        """
+        check_balanced(network)
+        node, line, load, shunt, source = network.node, network.line, network.load, network.shunt, network.source
+        order, parent, branch = orient(network.name, source.bus[0], node.bus, line.from_bus, line.to_bus)
+
+        def frozen(values: Any, rows: IntArray) -> FloatArray:
+            return _read_only(np.asarray(values, dtype=np.float64)[rows])
 
         return cls(
-            name=name,
-            base_kv=float(base_kv),
-            v0_pu=float(v0_pu),
-            bus_ids=tuple(bus_ids[i] for i in order),
-            p_load_kw=frozen(buses["p_kw"], order),
-            q_load_kvar=frozen(buses["q_kvar"], order),
-            capacitor_kvar=frozen(buses["capacitor_kvar"], order),
-            parent=frozen(parent, np.arange(n - 1), np.intp),
-            r_ohm=frozen(r_ohm, branch),
-            x_ohm=frozen(x_ohm, branch),
-            x=frozen(nan if x is None else x, order),
-            y=frozen(nan if y is None else y, order),
+            name=network.name,
+            base_kv=float(source.base_kv[0]),
+            v0_pu=float(source.v_pu[0]),
+            bus_ids=tuple(str(node.bus[i]) for i in order.tolist()),
+            p_load_kw=frozen(summed_at_nodes(node, load.bus, load.p_kw), order),
+            q_load_kvar=frozen(summed_at_nodes(node, load.bus, load.q_kvar), order),
+            capacitor_kvar=frozen(summed_at_nodes(node, shunt.bus, shunt.capacitor_kvar), order),
+            parent=_read_only(np.array(parent, dtype=np.intp)),
+            r_ohm=frozen(line.r_ohm, branch),
+            x_ohm=frozen(line.x_ohm, branch),
+            x=frozen(node.x, order),
+            y=frozen(node.y, order),
+        )
+
+    def to_network(self) -> Network:
+        """The component tables of this feeder, from which :meth:`from_network` makes the same feeder again."""
+        fed_from = [self.bus_ids[i] for i in self.parent]
+        return balanced_network(
+            self.name,
+            base_kv=self.base_kv,
+            substation=self.bus_ids[0],
+            v0_pu=self.v0_pu,
+            nodes=NodeTable(self.bus_ids, self.node_phase.tolist(), self.x.tolist(), self.y.tolist()),
+            p_kw=self.p_load_kw.tolist(),
+            q_kvar=self.q_load_kvar.tolist(),
+            capacitor_kvar=self.capacitor_kvar.tolist(),
+            lines=LineTable(fed_from, self.bus_ids[1:], self.r_ohm.tolist(), self.x_ohm.tolist()),
         )
 
     @classmethod
@@ -139,7 +172,11 @@ class Feeder:
         FeederError
             Naming the file, the row and the field, or the buses and branches.
         """
-        return cls.from_tables(**read_feeder_tables(Path(folder)))
+        return cls.from_network(read_csv(Path(folder)))
+
+    def to_csv(self, folder: str | Path) -> None:
+        """Write the three files that :meth:`from_csv` reads; it then gives the same feeder, to the bit."""
+        write_csv(self.to_network(), Path(folder))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Feeder:
         return self  # frozen: a copy shares it
@@ -156,61 +193,72 @@ class Feeder:
         """Number of buses, the substation among them."""
         return len(self.bus_ids)
 
+    @property
+    def n_branch(self) -> int:
+        """Number of branches, one for each bus but the substation."""
+        return len(self.parent)
+
+    @property
+    def n_node(self) -> int:
+        """Number of nodes. A node is a phase of a bus; a balanced feeder has one at each bus, in ``bus_ids``' order."""
+        return len(self.bus_ids)
+
+    @cached_property
+    def node_bus(self) -> IntArray:
+        """Position in ``bus_ids`` of each node's bus, shape (n_node,)."""
+        return _read_only(np.arange(self.n_node, dtype=np.intp))
+
+    @cached_property
+    def node_phase(self) -> IntArray:
+        """Phase of each node, shape (n_node,): 0, which stands for the positive sequence of a balanced feeder."""
+        return _read_only(np.zeros(self.n_node, dtype=np.intp))
+
+    @cached_property
+    def source_nodes(self) -> IntArray:
+        """Nodes of the substation, where the voltage is given."""
+        return _read_only(np.flatnonzero(self.node_bus == 0))
+
+    @cached_property
+    def load_nodes(self) -> IntArray:
+        """All other nodes, where the voltage follows from the loads: those that voltages are judged at."""
+        return _read_only(np.flatnonzero(self.node_bus != 0))
+
+    @cached_property
+    def load_slice(self) -> slice:
+        """``load_nodes`` as a slice of an axis over nodes, which takes them without a copy: the source's come first."""
+        return slice(len(self.source_nodes), None)
+
     def index(self, bus: BusId) -> int:
-        """Position of a bus in ``bus_ids``; FeederError for one that the feeder does not have."""
+        """Position of a bus, given as text or a whole number, in ``bus_ids``; FeederError where there is none."""
         try:
-            return self._index[bus]
+            return self._index[bus_text(bus)]
         except KeyError:
             raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
 
     @cached_property
-    def _index(self) -> dict[BusId, int]:
+    def _index(self) -> dict[str, int]:
         return {bus: i for i, bus in enumerate(self.bus_ids)}
 
     @cached_property
     def r_pu(self) -> FloatArray:
-        """Series resistance of each branch, per unit, shape (n_bus - 1,)."""
+        """Series resistance of each branch, per unit, shape (n_branch,)."""
         return _read_only(self.r_ohm / impedance_base_ohm(self.base_kv))
 
     @cached_property
     def x_pu(self) -> FloatArray:
-        """Series reactance of each branch, per unit, shape (n_bus - 1,)."""
+        """Series reactance of each branch, per unit, shape (n_branch,)."""
         return _read_only(self.x_ohm / impedance_base_ohm(self.base_kv))
 
     @cached_property
-    def depth_first(self) -> IntArray:
-        """Bus indices in depth-first order from the substation, shape (n_bus,): each subtree is one slice of it."""
-        children: list[list[int]] = [[] for _ in range(self.n_bus)]
-        for k, i in enumerate(self.parent):
-            children[i].append(k + 1)
-        order, stack = [], [0]
-        while stack:
-            i = stack.pop()
-            order.append(i)
-            stack.extend(reversed(children[i]))
-        return _read_only(np.array(order, dtype=np.intp))
+    def depth_first(self) -> DepthFirst:
+        """The buses in depth-first order from the substation, and where each stands in it."""
+        return depth_first(self.parent)
 
     @cached_property
     def path(self) -> FloatArray:
-        """0/1 matrix, shape (n_bus, n_bus - 1): 1 where branch k lies between bus i and the substation."""
-        path = np.zeros((self.n_bus, self.n_bus - 1))
-        for j in self.depth_first[1:]:
+        """0/1 matrix, shape (n_bus, n_branch): 1 where branch k lies between bus i and the substation."""
+        path = np.zeros((self.n_bus, self.n_branch))
+        for j in self.depth_first.order[1:]:
             path[j] = path[self.parent[j - 1]]
             path[j, j - 1] = 1.0
         return _read_only(path)
-
-    @cached_property
-    def own_sensitivity(self) -> FloatArray:
-        """Diagonals of ``sensitivity()``, shape (n_bus, 2): p.u. per MW, then p.u. per Mvar. No matrix is made."""
-        own = np.zeros((self.n_bus, 2))
-        for j in self.depth_first[1:]:
-            own[j] = own[self.parent[j - 1]] + (self.r_pu[j - 1], self.x_pu[j - 1])
-        return _read_only(own * (1000.0 / S_BASE_KVA))
-
-    def sensitivity(self) -> tuple[FloatArray, FloatArray]:
-        """LinDistFlow's R and X: drop of the voltage at i in p.u. for a load of 1 MW or 1 Mvar at j, around 1 p.u.
-
-        Shape (n_bus, n_bus) each; the sums of r and x over the shared path to the substation (Baran and Wu 1989).
-        """
-        mega = 1000.0 / S_BASE_KVA
-        return (self.path * self.r_pu) @ self.path.T * mega, (self.path * self.x_pu) @ self.path.T * mega

@@ -1,9 +1,9 @@
-"""Turn an undirected list of branches into a tree rooted at the substation, or say why it is none."""
+"""Turn an undirected list of branches into a tree rooted at the substation, or say why it is none, and index it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,47 @@ from numpy.typing import NDArray
 
 class FeederError(ValueError):
     """A feeder whose data cannot be used; the message names the buses, branches and fields."""
+
+
+class DepthFirst(NamedTuple):
+    """A tree in depth-first order from its root, so that every subtree is one slice of the order; shape (n_bus,) each.
+
+    A *place* is a position in that order. Place 0 is the root's.
+    """
+
+    order: NDArray[np.intp]
+    """Bus at each place."""
+    place: NDArray[np.intp]
+    """Place of each bus."""
+    parent: NDArray[np.intp]
+    """Place that feeds each place; the root is said to feed itself."""
+    end: NDArray[np.intp]
+    """Place after the last of the subtree that begins at each place."""
+
+
+def depth_first(parent: Sequence[int] | NDArray[np.intp]) -> DepthFirst:
+    """Index the tree whose bus k + 1 is fed by bus ``parent[k]`` and whose root is bus 0; read-only arrays."""
+    n = len(parent) + 1
+    children: list[list[int]] = [[] for _ in range(n)]
+    for k, i in enumerate(parent):
+        children[i].append(k + 1)
+    visited, stack = [], [0]
+    while stack:
+        i = stack.pop()
+        visited.append(i)
+        stack.extend(reversed(children[i]))
+    order = np.array(visited, dtype=np.intp)
+    place = np.empty_like(order)
+    place[order] = np.arange(n)
+    fed_from = np.zeros_like(order)
+    fed_from[1:] = place[np.asarray(parent, dtype=np.intp)[order[1:] - 1]]
+    end = np.arange(1, n + 1, dtype=np.intp)
+    for k in range(n - 1, 0, -1):
+        end[fed_from[k]] = max(end[fed_from[k]], end[k])
+    index = DepthFirst(order, place, fed_from, end)
+    for array in index:
+        array.flags.writeable = False
+    return index
 
 
 def orient(

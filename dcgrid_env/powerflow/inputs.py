@@ -12,6 +12,7 @@ from array_api_compat import is_array_api_obj
 
 from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 
 _MOST_SWEEPS = 2**31 - 1
@@ -21,7 +22,8 @@ _WANTED = {
     "p_kw": "give active power alone, real numbers in kW",
     "q_kvar": "give reactive power alone, real numbers in kvar",
     "v0_pu": "give a positive substation voltage in p.u.",
-    "warm": "give a Solution or its current_sq_pu",
+    "warm": "give a Solution or its restart",
+    "shunt_kvar": "give reactive injections alone, real numbers in kvar",
 }
 
 
@@ -32,13 +34,13 @@ def check_feeder(feeder: Any) -> None:
 
 
 def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
-    """Both loads as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_bus)."""
+    """Both loads as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_node)."""
     if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype and p_kw.dtype in _FLOATS):
         p_kw, q_kvar = _of_one_kind(_figures(feeder, "p_kw", p_kw), _figures(feeder, "q_kvar", q_kvar))
-    if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_bus:
+    if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_node:
         raise PowerFlowError(
             f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
-            f"be (..., {feeder.n_bus}), one figure for each of bus_ids"
+            f"be (..., {feeder.n_node}), one figure for each of bus_ids"
         )
     return p_kw, q_kvar
 
@@ -59,21 +61,41 @@ def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
 
 
 def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
-    """Squared currents to start from, of the loads' kind; PowerFlowError unless shaped (..., n_bus - 1) as they are.
+    """Squared currents to start from, of the loads' kind; PowerFlowError unless shaped (..., n_branch) as they are.
 
     That they are finite is not asked: the sweeps begin anew from zero where a start is of no use.
     """
     if warm is None:
         return None
-    start = warm.current_sq_pu if isinstance(warm, Solution) else warm
+    start = warm.restart if isinstance(warm, Solution) else warm
     if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
         start = _like("warm", _figures(feeder, "warm", start), p_kw)
-    if tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_bus - 1):
-        raise PowerFlowError(
-            f"warm start has shape {tuple(start.shape)}; for these loads it must be "
-            f"{(*p_kw.shape[:-1], feeder.n_bus - 1)}"
-        )
+    if tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_branch):
+        wanted = (*p_kw.shape[:-1], feeder.n_branch)
+        raise PowerFlowError(f"warm start has shape {tuple(start.shape)}; for these loads it must be {wanted}")
     return start
+
+
+def less_switched_shunts(feeder: Feeder, p_kw: Any, q_kvar: Any, control: Control) -> Array:
+    """Reactive loads of a balanced feeder less what switched shunts inject; PowerFlowError for a tap, or a wrong shape.
+
+    A switched shunt injects what it is rated for whatever the voltage, as the feeder's fixed capacitors do.
+    """
+    if control.tap_ratio is not None:
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: tap_ratio is {reprlib.repr(control.tap_ratio)}, and a balanced feeder has no "
+            "regulator; leave tap_ratio at None"
+        )
+    _, q_kvar = check_loads(feeder, p_kw, q_kvar)
+    if control.shunt_kvar is None:
+        return q_kvar
+    shunt = _like("shunt_kvar", _figures(feeder, "shunt_kvar", control.shunt_kvar), q_kvar)
+    if tuple(shunt.shape) not in (tuple(q_kvar.shape), (feeder.n_node,)):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: shunt_kvar has shape {tuple(shunt.shape)}; give one figure for each node, "
+            f"{(feeder.n_node,)}, or the shape of the loads, {tuple(q_kvar.shape)}"
+        )
+    return q_kvar - shunt
 
 
 def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:

@@ -25,13 +25,13 @@ class Solution(NamedTuple):
     """
 
     v_pu: Array
-    """Voltage magnitude, p.u., shape (..., n_bus)."""
+    """Voltage magnitude, p.u., shape (..., n_node)."""
     p_branch_kw: Array
-    """Active power into the sending end of branch k, kW, shape (..., n_bus - 1)."""
+    """Active power into the sending end of branch k, kW, shape (..., n_branch)."""
     q_branch_kvar: Array
-    """Reactive power into the sending end of branch k, kvar, shape (..., n_bus - 1)."""
+    """Reactive power into the sending end of branch k, kvar, shape (..., n_branch)."""
     current_sq_pu: Array
-    """Squared current of branch k, per unit, shape (..., n_bus - 1): what a warm start takes."""
+    """Squared current of branch k, per unit, shape (..., n_branch)."""
     loss_kw: Array
     """Active loss of all branches, kW, shape (...)."""
     converged: Array
@@ -40,6 +40,9 @@ class Solution(NamedTuple):
     """Sweeps done, int, shape (...)."""
     residual_kva: Array
     """Largest power mismatch at any bus, kVA, shape (...)."""
+    restart: Array
+    """Where the solver that made this can start the next, similar power flow from, shape (..., n). What stands in it is
+    that solver's own business; a lane of zeros is no start."""
 
 
 def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:

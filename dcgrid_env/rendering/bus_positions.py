@@ -38,7 +38,7 @@ def _beside(feeder: Feeder, xy: FloatArray) -> FloatArray:
     angle = 2.0 * np.pi * np.arange(16) / 16
     around = reach * np.column_stack((np.cos(angle), np.sin(angle)))
     while not np.isfinite(xy).all():
-        for i in feeder.depth_first:
+        for i in feeder.depth_first.order:
             near = [upstream[i], *(np.flatnonzero(feeder.parent == i) + 1)]
             near = [j for j in near if j >= 0 and np.isfinite(xy[j, 0])]
             if np.isfinite(xy[i, 0]) or not near:
@@ -79,7 +79,7 @@ class _Block:
 def _tree(feeder: Feeder) -> FloatArray:
     children: list[list[int]] = [[] for _ in range(feeder.n_bus)]
     weight = [(1, 1)] * feeder.n_bus  # buses on the longest way down, buses in all
-    for j in feeder.depth_first[::-1].tolist():
+    for j in feeder.depth_first.order[::-1].tolist():
         below = [weight[k] for k in children[j]]
         weight[j] = (1 + max((b[0] for b in below), default=0), 1 + sum(b[1] for b in below))
         if j > 0:

@@ -151,7 +151,7 @@ class Curves:
         t, v = steps * (s.dt_s / self.scale), history.v_pu[history.first : history.last + 1]
         low, high = v.min(axis=1), v.max(axis=1)
         self.range.set_verts([np.column_stack((np.r_[t, t[::-1]], np.r_[low, high[::-1]]))])
-        self.mean.set_data(t, v[:, 1:].mean(axis=1))
+        self.mean.set_data(t, v[:, s.feeder.load_slice].mean(axis=1))
         values = {"v_pu": v[:, history.buses], "p_ref_kw": history.p_ref_kw(s, steps)}
         for name, bundle in self.curves.items():
             rows = values[name] if name in values else getattr(history, name)[steps]

@@ -97,9 +97,10 @@ class MapPart:
         t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
         self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")
         lowest = int(np.argmin(v))
+        outside, nodes = self.feeder.outside(v)[s.feeder.load_slice].sum(), len(s.feeder.load_nodes)
         self.subtitle.set_text(
             f"lowest voltage {v[lowest]:.4f} p.u. at bus {s.feeder.bus_ids[lowest]};   "
-            f"{self.feeder.outside(v)[1:].sum()} of {s.feeder.n_bus - 1} buses outside {_band(s)} p.u."
+            f"{outside} of {nodes} buses outside {_band(s)} p.u."
             if history.solved
             else "the power flow has no solution (voltage collapse); these are the last solved voltages"
         )

@@ -48,14 +48,16 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
 
 
 def _voltages(ax, scenario: Scenario, run: Series, t: np.ndarray) -> None:
-    v = run.v_pu[:, 1:]
+    feeder = scenario.feeder
+    v = run.v_pu[:, feeder.load_slice]
     for share, alpha in ((0, 0.16), (10, 0.22), (25, 0.30)):
         low, high = np.percentile(v, [share, 100 - share], axis=1)
         label = {0: "all buses", 25: "middle half"}.get(share)
         ax.fill_between(t, low, high, color="#0072B2", alpha=alpha, linewidth=0, label=label)
     ax.plot(t, np.median(v, axis=1), color="#003f63", linewidth=1.4, label="median bus")
     worst = int(np.argmin(v.min(axis=0)))
-    ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: bus {scenario.feeder.bus_ids[worst + 1]}")
+    lowest = feeder.bus_ids[feeder.node_bus[feeder.load_nodes[worst]]]
+    ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: bus {lowest}")
     for edge in (1.0 - scenario.band_pu, 1.0 + scenario.band_pu):
         ax.axhline(edge, color="black", linestyle="--", linewidth=0.9)
     ax.axhline(1.0, color="black", linewidth=0.5, alpha=0.5)

@@ -4,6 +4,9 @@ What it covers is written down, as schema 1: for each kind of object its name an
 value. A field that is in no list came later; it is left out at its default, so that a new field with a default changes
 no fingerprint. What stands here is never changed: another list is another schema, with a number of its own, and
 published figures are made anew.
+
+Buses are known by text. Where the text of every bus of a feeder is a whole number, its buses are hashed as numbers, and
+elsewhere as text.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from typing import Any, NamedTuple
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import DEVICES, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import Feeder, bus_numbers
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.flat_names import FLAT
@@ -43,6 +46,7 @@ _SCENARIO = """
 """
 _OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in DEVICES}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
+_BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
 
 SCHEMA_1: dict[type[Any], Kind] = {
@@ -80,7 +84,7 @@ def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
         name = listed.removesuffix("?")
         if name in _OF_DEVICES and not _has_two_groups(value):
             continue
-        held = getattr(value, name)
+        held = _hashed(value, name)
         if name == listed or held is not None:
             yield name if kind.named else "", held
 
@@ -107,6 +111,15 @@ def _has_two_groups(scenario: Any) -> bool:
         "datacenter",
         "inverter",
     ]
+
+
+def _hashed(value: Any, name: str) -> Any:
+    """What is hashed of a field: its value, and numbers or texts for buses."""
+    given = getattr(value, name)
+    if name not in _BUSES or given is None:
+        return given
+    feeder = value if isinstance(value, Feeder) else value.feeder
+    return given if bus_numbers(feeder.bus_ids) is None else tuple(map(int, given))
 
 
 def _defaults(kind: type[Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_d
 from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Q, Work
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
+from dcgrid_env.grid import buses_as_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class DataCenters(PickledByFields):
     count: int = count(0, 10_000)
     """Number of sites."""
     buses: tuple[int | str, ...] | None = None
-    """Their buses, or None: drawn in each episode among the load buses without a device."""
+    """Their buses, kept as text, or None: drawn in each episode among the load buses without a device."""
     p_rated_kw: Rating
     """Rated power, kW."""
     idle_share: float = number(0.0, 0.99, default=0.23)
@@ -52,7 +53,7 @@ class DataCenters(PickledByFields):
     """Highest short draw of a site as a share of its rating; up to 1.3 has been seen."""
 
     def __post_init__(self) -> None:
-        settle(self, clock_law=_clock_law)
+        settle(self, buses=buses_as_text, clock_law=_clock_law)
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(

@@ -1,51 +1,29 @@
-"""Reading and checking a feeder's three files: feeder.toml, buses.csv, branches.csv."""
+"""A balanced feeder as a folder of three files, read and written: feeder.toml, buses.csv, branches.csv.
+
+``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu.
+``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y.
+``branches.csv``: from_bus, to_bus, r_ohm, x_ohm.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
+import json
 import math
-import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from numbers import Real
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.checks import check_balanced
+from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
 from dcgrid_env.grid.topology import FeederError
 
 
-def check_lengths(name: str, component: str, n: int, fields: Mapping[str, Sequence[Any] | None]) -> None:
-    """Raise FeederError at the first field (None is left out) that has not one value for each of ``n`` rows."""
-    for field, values in fields.items():
-        if values is not None and len(values) != n:
-            raise FeederError(f"feeder {name!r}: {len(values)} values of {field} for {n} {component} rows")
-
-
-def check_numbers(
-    name: str,
-    component: str,
-    ids: Sequence[Any],
-    fields: Mapping[str, Sequence[float]],
-    *,
-    non_negative: bool = False,
-    positive: bool = False,
-    may_be_nan: bool = False,
-) -> None:
-    """Raise FeederError, naming component and field, at the first value that is not finite or of the wrong sign."""
-    check_lengths(name, component, len(ids), fields)
-    for field, values in fields.items():
-        for i, value in zip(ids, values, strict=True):
-            if isinstance(value, bool) or not isinstance(value, Real) or (math.isnan(value) and not may_be_nan):
-                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
-            if math.isinf(value):
-                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
-            if (non_negative and value < 0) or (positive and value <= 0):
-                wanted = "> 0" if positive else ">= 0"
-                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; it must be {wanted}")
-
-
-def read_feeder_tables(folder: Path) -> dict[str, Any]:
-    """Read the three files into the arguments of ``Feeder.from_tables``. Bus names are integers where all are.
+def read_csv(folder: Path) -> Network:
+    """Read the three files of a folder.
 
     Raises
     ------
@@ -68,24 +46,62 @@ def read_feeder_tables(folder: Path) -> dict[str, Any]:
         {"p_kw": None, "q_kvar": None, "capacitor_kvar": 0.0, "x": math.nan, "y": math.nan},
     )
     branches = _columns(folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None})
-    texts = [*buses["bus"], *branches["from_bus"], *branches["to_bus"], str(head["substation"])]
-    as_id = int if all(re.fullmatch(r"-?[0-9]+", t) for t in texts) else str
-    return {
-        "name": str(head["name"]),
-        "base_kv": head["base_kv"],
-        "substation": as_id(str(head["substation"])),
-        "v0_pu": head["v0_pu"],
-        "bus_ids": [as_id(b) for b in buses["bus"]],
-        "p_load_kw": buses["p_kw"],
-        "q_load_kvar": buses["q_kvar"],
-        "capacitor_kvar": buses["capacitor_kvar"],
-        "x": buses["x"],
-        "y": buses["y"],
-        "from_bus": [as_id(b) for b in branches["from_bus"]],
-        "to_bus": [as_id(b) for b in branches["to_bus"]],
-        "r_ohm": branches["r_ohm"],
-        "x_ohm": branches["x_ohm"],
-    }
+    return balanced_network(
+        str(head["name"]),
+        base_kv=head["base_kv"],
+        substation=str(head["substation"]),
+        v0_pu=head["v0_pu"],
+        nodes=NodeTable(buses["bus"], [0] * len(buses["bus"]), buses["x"], buses["y"]),
+        p_kw=buses["p_kw"],
+        q_kvar=buses["q_kvar"],
+        capacitor_kvar=buses["capacitor_kvar"],
+        lines=LineTable(**branches),
+    )
+
+
+def write_csv(network: Network, folder: Path) -> None:
+    """Write a balanced network as the three files of a folder, which is made; figures read back to the bit.
+
+    Several loads or capacitors at a bus become one, their sum.
+
+    Raises
+    ------
+    FeederError
+        For a network that is not balanced, or a bus whose text a CSV file cannot give back; nothing is written.
+    """
+    check_balanced(network)
+    for bus in (*network.source.bus, *network.node.bus, *network.line.from_bus, *network.line.to_bus):
+        if bus != bus.strip() or len(bus.splitlines()) != 1:
+            raise FeederError(
+                f"feeder {network.name!r}: bus {bus!r} cannot be written; leave out spaces at its ends and line ends"
+            )
+    load, shunt, node, line = network.load, network.shunt, network.node, network.line
+    p_kw, q_kvar, capacitor_kvar = (
+        summed_at_nodes(node, buses, values)
+        for buses, values in ((load.bus, load.p_kw), (load.bus, load.q_kvar), (shunt.bus, shunt.capacitor_kvar))
+    )
+    rows = zip(node.bus, p_kw, q_kvar, capacitor_kvar, node.x, node.y, strict=True)
+    write_text(folder / "buses.csv", _csv("bus p_kw q_kvar capacitor_kvar x y", rows))
+    rows = zip(line.from_bus, line.to_bus, line.r_ohm, line.x_ohm, strict=True)
+    write_text(folder / "branches.csv", _csv("from_bus to_bus r_ohm x_ohm", rows))
+    source = network.source
+    head = {"name": network.name, "base_kv": float(source.base_kv[0])}
+    head |= {"substation": source.bus[0], "v0_pu": float(source.v_pu[0])}
+    # Last: without it the folder is no feeder. TOML's basic strings are JSON's, but for the one character.
+    lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in head.items())
+    write_text(folder / "feeder.toml", "".join(lines).replace("\x7f", "\\u007f"))
+
+
+def _csv(header: str, rows: Iterable[Sequence[Any]]) -> str:
+    written = io.StringIO()
+    writer = csv.writer(written, lineterminator="\n")
+    writer.writerow(header.split())
+    writer.writerows([v if isinstance(v, str) else _figure(float(v)) for v in row] for row in rows)
+    return written.getvalue()
+
+
+def _figure(value: float) -> str:
+    return "" if math.isnan(value) else repr(value)
 
 
 def _text(path: Path) -> str:

@@ -20,10 +20,7 @@ _KERNELS = {"distflow": compiled.distflow_lanes, "lindistflow": compiled.lindist
 @cached_on_owner
 def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
     """What the kernels know of a feeder: its depth-first order and, in that order, parent, r and x."""
-    order = feeder.depth_first.copy()
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    parent = np.concatenate(([0], place[feeder.parent[order[1:] - 1]]))
+    order, parent = feeder.depth_first.order.copy(), feeder.depth_first.parent.copy()  # writable, as kernels want them
     z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
     return order, parent, *z
 
@@ -60,8 +57,9 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
     if failed:
         raise_not_finite(feeder, p_kw, q_kvar)
     if len(shape) == 1:
-        return Solution(*out)
-    return Solution(*(a.reshape(*shape, *a.shape[1:]) if shape else a[0] for a in out))
+        return Solution(*out, restart=out[3])
+    shaped = tuple(a.reshape(*shape, *a.shape[1:]) if shape else a[0] for a in out)
+    return Solution(*shaped, restart=shaped[3])
 
 
 def _part(kernel: Any, known: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:

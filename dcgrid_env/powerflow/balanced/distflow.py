@@ -55,7 +55,7 @@ def distflow(
         Substation voltage, p.u., a number or an array that broadcasts to shape (...), of the loads' kind or NumPy's;
         the feeder's published one by default.
     warm
-        A solution (or its ``current_sq_pu``) of similar loads and the same shape to start from. A start that leads
+        A solution (or its ``restart``) of similar loads and the same shape to start from. A start that leads
         nowhere, NaN for instance, is set aside.
     tolerance_kva
         Largest power mismatch of a converged solution, a positive number; 1e-4 kVA in float64, 1e-2 in float32 by

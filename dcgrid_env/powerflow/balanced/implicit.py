@@ -23,7 +23,7 @@ def distflow_tensors(
 ) -> Solution:
     """Solve as ``distflow`` does. The derivative has none of its own: RuntimeError where one is recorded."""
     figures = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
-    return Solution(*figures)  # pyright: ignore[reportGeneralTypeIssues]
+    return Solution(*figures, figures[3])  # pyright: ignore
 
 
 class _DistFlow(torch.autograd.Function):
@@ -32,7 +32,7 @@ class _DistFlow(torch.autograd.Function):
         loads = (p_kw.detach().numpy(), q_kvar.detach().numpy(), v0_pu.detach().numpy())
         start = None if warm is None else warm.detach().numpy()
         solved = solve_lanes("distflow", feeder, *loads, start, *rest)
-        found = [torch.from_numpy(np.asarray(a)) for a in solved]
+        found = [torch.from_numpy(np.asarray(a)) for a in solved[:-1]]
         ctx.feeder = feeder
         ctx.save_for_backward(*found[:4], found[5])
         ctx.mark_non_differentiable(*found[5:])

@@ -34,14 +34,8 @@ class Tree(NamedTuple):
 @cached_on_owner
 def tree(feeder: Feeder, xp: Any, dtype: Any, device: Any) -> Tree:
     """Index and impedance arrays of a feeder, made once for each kind, precision and device of array."""
-    order = feeder.depth_first
+    order, place, parent, end = feeder.depth_first
     n = len(order)
-    place = np.empty(n, dtype=np.int64)
-    place[order] = np.arange(n)
-    parent = np.concatenate(([0], place[feeder.parent[order[1:] - 1]]))
-    end = np.arange(n) + 1
-    for k in range(n - 1, 0, -1):
-        end[parent[k]] = max(end[parent[k]], end[k])
     tour: list[int] = []
     inside: list[int] = []
     enter = np.empty(n, dtype=np.int64)
@@ -157,13 +151,15 @@ def _solution(
 ) -> Solution:
     xp = namespace(v_sq)
     branch = t.place[1:]
+    current_sq_pu = take_last(current_sq, branch)
     return Solution(
         v_pu=xp.sqrt(take_last(v_sq, t.place)),
         p_branch_kw=take_last(flow[0], branch) * S_BASE_KVA,
         q_branch_kvar=take_last(flow[1], branch) * S_BASE_KVA,
-        current_sq_pu=take_last(current_sq, branch),
+        current_sq_pu=current_sq_pu,
         loss_kw=xp.sum(t.r * current_sq, axis=-1) * S_BASE_KVA,
         converged=good,
         iterations=iterations,
         residual_kva=residual * S_BASE_KVA,
+        restart=current_sq_pu,
     )

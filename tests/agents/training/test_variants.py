@@ -40,7 +40,7 @@ def test_a_variant_has_other_places_and_ratings_and_the_same_widths(name):
     assert 0.0 < abs(one.v0_pu - base.v0_pu) <= 0.01
     loads = dict(zip(base.feeder.bus_ids, base.feeder.p_load_kw, strict=True))
     assert len(set(one.inverter_buses)) == base.n_inverters
-    assert all(loads[bus] > 0.0 for bus in one.inverter_buses)
+    assert all(loads[str(bus)] > 0.0 for bus in one.inverter_buses)
     env = DcgridVectorEnv(2, one)
     seen, _ = env.reset(seed=0)
     _, rewards, *_ = env.step(np.zeros(env.action_space.shape or (), np.float32))

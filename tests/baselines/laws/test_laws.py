@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario
+from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario, sensitivity
 from dcgrid_env.baselines import (
     CONTROLLERS,
     ConstantQ,
@@ -171,7 +171,7 @@ def test_a_controller_sees_physical_voltages_and_sensitivities_whatever_the_band
     scenario = make_scenario("toy6", band_pu=band_pu, horizon=1, weights=CostWeights(violation=0.0))
     before = rollout(scenario, watching, [0]).lane(0).v_pu[0]
     at = [scenario.feeder.index(bus) for bus in (4, 3, 5)]
-    r, x = scenario.feeder.sensitivity()
+    r, x = sensitivity(scenario.feeder)
     assert watching.seen.r_pu_per_mw[0] == pytest.approx(r[at, at], rel=1e-6)
     assert watching.seen.x_pu_per_mvar[0] == pytest.approx(x[at, at], rel=1e-6)
     assert watching.seen.v_pu[0] == pytest.approx(before[at], rel=1e-6)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import make_scenario
+from dcgrid_env import make_scenario, sensitivity
 from dcgrid_env.baselines import Droop, NoControl, rollout
 from dcgrid_env.baselines.laws import stability
 from dcgrid_env.baselines.laws.stability import largest_stable, placements, spectral_radius, warning, worst_radius
@@ -14,7 +14,7 @@ TOY6 = (4, 3, 5)
 
 def matrices(scenario, buses):
     at = [scenario.feeder.index(bus) for bus in buses]
-    return (m[np.ix_(at, at)] for m in scenario.feeder.sensitivity())
+    return (m[np.ix_(at, at)] for m in sensitivity(scenario.feeder))
 
 
 @pytest.mark.parametrize("dt_s", [0.1, 1.0])

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import CostWeights, DcgridEnv, PrefillDecodeDvfs, distflow, forecast, lindistflow, make_scenario
+from dcgrid_env import (
+    CostWeights,
+    DcgridEnv,
+    PrefillDecodeDvfs,
+    distflow,
+    forecast,
+    lindistflow,
+    make_scenario,
+    sensitivity,
+)
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.linear_model import ModelController, slopes
 from dcgrid_env.baselines.model_based.mpc import Mpc
@@ -40,7 +49,7 @@ def test_slopes_by_hand():
     feeder = scenario.feeder
     known = slopes(scenario, np.array([[feeder.index(bus) for bus in (4, 3, 5)]]))
     assert known.by_p.shape == known.by_q.shape == (1, 3, feeder.n_bus - 1)
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     at = feeder.index(4)
     assert known.by_p[0, 0] == pytest.approx(-r[at, 1:] / 1000.0)
     assert known.by_q[0, 0] == pytest.approx(x[at, 1:] / 1000.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import load_feeder
+from dcgrid_env import load_feeder, sensitivity
 from dcgrid_env.baselines.reproduction import bus13, levers
 from dcgrid_env.baselines.reproduction.load import choose_load
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
@@ -13,7 +13,7 @@ from dcgrid_env.baselines.reproduction.study_runs import Setting
 def test_settled_is_the_power_flow_by_hand(few):
     scenario = few.setting.published(5)
     feeder = scenario.feeder
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     at = feeder.index(13)
     before = levers.settled(scenario)
     more = levers.settled(scenario, {13: 10.0}, {13: 20.0})

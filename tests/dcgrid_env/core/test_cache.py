@@ -131,10 +131,3 @@ def test_a_pickle_holds_the_fields_alone():
     assert len(pickle.dumps(scenario)) == fresh
     assert again.difference(scenario) is None
     run(again)
-
-
-def test_own_sensitivity_is_the_diagonal_of_the_matrices():
-    feeder = long_feeder(120, 3)
-    diagonals = np.stack([np.diag(m) for m in feeder.sensitivity()], axis=-1)
-    np.testing.assert_allclose(feeder.own_sensitivity, diagonals, rtol=1e-13)
-    assert not feeder.own_sensitivity.flags.writeable

@@ -122,12 +122,12 @@ def test_placements_are_distinct_candidates_and_reach_all_of_them():
     assert np.all(drawn.buses[:, 5:] == fixed)
 
 
-@pytest.mark.parametrize(("name", "dc", "inv"), [("toy6", [4], [3, 5]), ("ieee33-weak", [18, 33, 25], [7, 14, 20, 30])])
+@pytest.mark.parametrize(("name", "dc", "inv"), [("toy6", "4", "3 5"), ("ieee33-weak", "18 33 25", "7 14 20 30")])
 def test_fixed_placements(name, dc, inv):
     scenario = make_scenario(name)
     drawn = draw(scenario, range(4))
     ids = [[scenario.feeder.bus_ids[i] for i in row] for row in drawn.buses]
-    assert ids == [[*dc, *inv]] * 4
+    assert ids == [[*dc.split(), *inv.split()]] * 4
 
 
 def test_nodes_are_flat_positions():

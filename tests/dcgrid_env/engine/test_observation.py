@@ -145,7 +145,7 @@ def hand_made(lanes: int = 1) -> dict[str, Any]:
         "v_last_pu": [1.0] * 6,
         "v_agent_pu": [1.02, 0.97, 1.04],
         "v_agent_last_pu": [1.01, 0.98, 1.04],
-        "current_sq_pu": [0.0] * 5,
+        "restart": [0.0] * 5,
         "backlog_kws": [5000.0],
         "class_backlog_kws": [5000.0],
         "class_arrived_kw": [0.0],

@@ -27,7 +27,7 @@ def hand_made_state(**changes: Any) -> State:
         "v_last_pu": [0.7, 0.97, 1.03, 1.06, 0.95, 1.02],
         "v_agent_pu": [0.93, 1.06, 1.02],
         "v_agent_last_pu": [0.95, 1.06, 1.02],
-        "current_sq_pu": [0.0] * 5,
+        "restart": [0.0] * 5,
         "backlog_kws": [500.0],
         "class_backlog_kws": [500.0],
         "class_arrived_kw": [0.0],

@@ -97,8 +97,8 @@ def test_names_of_buses_that_are_no_numbers():
     s = make_scenario("toy6")
     s = s.replace(
         feeder=feeder,
-        datacenter_buses=tuple(names[b] for b in s.datacenter_buses or ()),
-        inverter_buses=tuple(names[b] for b in s.inverter_buses),
+        datacenter_buses=tuple(names[str(b)] for b in s.datacenter_buses or ()),
+        inverter_buses=tuple(names[str(b)] for b in s.inverter_buses),
     )
     _, info = DcgridEnv(s).reset(seed=0)
     assert (info["bus_dc_0"], type(info["bus_dc_0"])) == ("bus 4", np.str_)

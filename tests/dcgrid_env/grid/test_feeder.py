@@ -1,4 +1,4 @@
-"""Feeder: what is built from tables, per unit, paths, sensitivity, and that nobody can change it."""
+"""Feeder: what is built from tables, per unit, paths, and that nobody can change it."""
 
 import copy
 import itertools
@@ -7,13 +7,11 @@ from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from dcgrid_env import FEEDERS, Feeder, FeederError, distflow, lindistflow, load_feeder
+from dcgrid_env import FEEDERS, Feeder, FeederError, distflow, load_feeder, sensitivity
 
 ARRAYS = ["p_load_kw", "q_load_kvar", "capacitor_kvar", "parent", "r_ohm", "x_ohm", "x", "y"]
-CACHED = ["r_pu", "x_pu", "depth_first", "path"]
+CACHED = ["r_pu", "x_pu", "path", "node_bus", "node_phase", "source_nodes", "load_nodes"]
 
 
 def assert_same_feeder(a, b):
@@ -78,8 +76,10 @@ def test_index(build):
     assert [feeder.index(bus) for bus in feeder.bus_ids] == [0, 1, 2, 3, 4]
     with pytest.raises(FeederError, match=r"'hand' has no bus 'e'.*'sub', 'd'"):
         feeder.index("e")
-    with pytest.raises(FeederError, match="no bus '1'"):
-        load_feeder("toy6").index("1")
+    assert load_feeder("toy6").index(1) == load_feeder("toy6").index("1") == 1
+    for bus in (1.0, True, None):
+        with pytest.raises(FeederError, match=f"bus {bus} is neither text nor a whole number"):
+            load_feeder("toy6").index(bus)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_feeder_of_one_bus():
@@ -99,7 +99,7 @@ def test_a_feeder_2000_buses_long():
         q_load_kvar=[0.0] * n, **line,
     )  # fmt: skip
     assert feeder.parent.tolist() == list(range(n - 1))
-    assert feeder.depth_first.tolist() == list(range(n))
+    assert feeder.depth_first.order.tolist() == list(range(n))
     v_pu = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar).v_pu
     assert (np.diff(v_pu) < 0).all()
 
@@ -132,7 +132,7 @@ def test_copies_and_pickles_are_the_same_feeder(build, clone, used):
     feeder = build()
     if used:  # with its derived arrays made and cached
         distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar)
-        feeder.sensitivity()
+        sensitivity(feeder)
         feeder.index("a")
     twin = clone(feeder)
     assert_same_feeder(twin, feeder)
@@ -149,62 +149,22 @@ def test_copies_are_read_only_too(build, clone):
     assert not any(getattr(twin, field).flags.writeable for field in ARRAYS)
 
 
-# --- depth-first order ----------------------------------------------------------------------------------------------
-
-
-@given(hang_on=st.lists(st.integers(0, 29), max_size=29), data=st.data())
-def test_depth_first_order_puts_each_subtree_in_one_slice(hang_on, data):
-    n = len(hang_on) + 1
-    parent_of = {k + 1: a % (k + 1) for k, a in enumerate(hang_on)}
-    names = data.draw(st.permutations(range(n)))
-    feeder = Feeder.from_tables(
-        name="tree", base_kv=1.0, substation=0, v0_pu=1.0, bus_ids=names, p_load_kw=[0.0] * n, q_load_kvar=[0.0] * n,
-        from_bus=list(parent_of), to_bus=list(parent_of.values()), r_ohm=[0.1] * (n - 1), x_ohm=[0.1] * (n - 1),
-    )  # fmt: skip
-    subtree = {bus: {bus} for bus in range(n)}
-    for bus in range(n - 1, 0, -1):
-        subtree[parent_of[bus]] |= subtree[bus]
-    order = [feeder.bus_ids[i] for i in feeder.depth_first]
-    assert sorted(order) == list(range(n))
-    for at, bus in enumerate(order):
-        assert set(order[at : at + len(subtree[bus])]) == subtree[bus]
-
-
-# --- sensitivity ----------------------------------------------------------------------------------------------------
-
-
-def test_sensitivity_of_toy6_worked_by_hand():
-    # 0 - 1, 1 - 2, 1 - 3, 0 - 4, 4 - 5, each 0.01 + j0.02 p.u.: the number of branches that two buses share.
-    shared = np.array(
-        [
-            [0, 0, 0, 0, 0, 0],
-            [0, 1, 1, 1, 0, 0],
-            [0, 1, 2, 1, 0, 0],
-            [0, 1, 1, 2, 0, 0],
-            [0, 0, 0, 0, 1, 1],
-            [0, 0, 0, 0, 1, 2],
-        ]
-    )
-    r, x = load_feeder("toy6").sensitivity()
-    np.testing.assert_allclose(r, 0.01 * shared, rtol=1e-14)
-    np.testing.assert_allclose(x, 0.02 * shared, rtol=1e-14)
-
-
-def test_sensitivity_is_per_megawatt_on_the_feeders_own_base(build):
-    # sub - a - c - d with 1, 3, 4 ohm at 10 kV: 1 MW through 1 ohm drops 1 MW * 1 ohm / (10 kV)^2 = 0.01 p.u.
-    feeder = build()
-    r, x = feeder.sensitivity()
-    d, a, b = feeder.index("d"), feeder.index("a"), feeder.index("b")
-    assert r[d, d] == pytest.approx(0.08, rel=1e-14)
-    assert x[d, d] == pytest.approx(0.16, rel=1e-14)
-    assert r[d, b] == r[b, d] == r[a, a] == r[b, b] == pytest.approx(0.01, rel=1e-14)
+# --- nodes ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEEDERS)
-def test_sensitivity_is_what_a_small_load_does(name):
+def test_a_balanced_feeder_has_one_node_at_each_bus(name):
     feeder = load_feeder(name)
-    r, x = feeder.sensitivity()
-    kw = 1e-3 * np.eye(feeder.n_bus)  # one bus each, 1 W
-    for drop, loads in ((r, (kw, 0 * kw)), (x, (0 * kw, kw))):
-        measured = (1.0 - lindistflow(feeder, *loads, v0_pu=1.0).v_pu) / 1e-6
-        np.testing.assert_allclose(measured.T, drop, atol=1e-6 * drop.max())
+    assert feeder.n_node == feeder.n_bus == feeder.n_branch + 1
+    assert feeder.node_bus.tolist() == list(range(feeder.n_bus))
+    assert feeder.node_phase.tolist() == [0] * feeder.n_bus
+    assert feeder.source_nodes.tolist() == [0]
+    assert feeder.load_nodes.tolist() == list(range(1, feeder.n_bus))
+
+
+def test_the_slice_takes_the_load_nodes_without_a_copy(build):
+    feeder = build()
+    values = np.arange(10.0).reshape(2, 5)
+    taken = values[..., feeder.load_slice]
+    assert taken.tolist() == values[..., feeder.load_nodes].tolist()
+    assert np.shares_memory(taken, values)

@@ -1,9 +1,12 @@
-"""What is not a radial feeder, and that the message names the buses and branches."""
+"""Trees and their depth-first index; what is not a radial feeder, and that the message names buses and branches."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dcgrid_env import FeederError
-from dcgrid_env.grid.topology import orient
+from dcgrid_env.grid.topology import depth_first, orient
 
 
 def test_orient_worked_by_hand():
@@ -12,6 +15,54 @@ def test_orient_worked_by_hand():
     assert order.tolist() == [2, 0, 1, 3]
     assert list(parent) == [2, 0, 0]
     assert branch.tolist() == [0, 2, 1]
+
+
+# --- depth-first index ----------------------------------------------------------------------------------------------
+
+
+@st.composite
+def trees(draw):
+    """Parents of the buses 1.. of a tree, numbered in any order with the root as bus 0."""
+    hang_on = draw(st.lists(st.integers(0, 29), max_size=29))
+    n = len(hang_on) + 1
+    renamed = [0, *draw(st.permutations(range(1, n)))]
+    parent = dict.fromkeys(range(1, n), 0)
+    for k, a in enumerate(hang_on):
+        parent[renamed[k + 1]] = renamed[a % (k + 1)]
+    return [parent[bus] for bus in range(1, n)]
+
+
+def test_depth_first_worked_by_hand():
+    # 0 feeds 2 and 3; 2 feeds 4 and 1.
+    index = depth_first([2, 0, 0, 2])
+    assert index.order.tolist() == [0, 2, 1, 4, 3]
+    assert index.place.tolist() == [0, 2, 1, 4, 3]
+    assert index.parent.tolist() == [0, 0, 1, 1, 0]
+    assert index.end.tolist() == [5, 4, 3, 4, 5]
+
+
+@given(trees())
+def test_each_subtree_is_one_slice_of_the_order(parent):
+    n = len(parent) + 1
+    subtree = [{bus} for bus in range(n)]
+    for bus in range(1, n):
+        above = bus
+        while above:
+            above = parent[above - 1]
+            subtree[above].add(bus)
+    index = depth_first(np.array(parent, dtype=np.intp))
+    assert sorted(index.order) == list(range(n))
+    for at, bus in enumerate(index.order):
+        assert index.place[bus] == at
+        assert set(index.order[at : index.end[at]]) == subtree[bus]
+        assert index.order[index.parent[at]] == (parent[bus - 1] if at else 0)
+
+
+def test_the_index_cannot_be_written():
+    assert not any(array.flags.writeable for array in depth_first([0, 1]))
+
+
+# --- what is no tree ------------------------------------------------------------------------------------------------
 
 
 def test_duplicate_bus(build):

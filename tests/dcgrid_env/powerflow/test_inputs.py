@@ -182,7 +182,7 @@ def test_substation_voltages_that_are_no_real_numbers(toy6, method, kind, value)
     "x", ["1"] * 5, {}, np.ones(5) + 0j, np.ones(5) > 0, np.ones(5, object), np.ma.masked_array(np.ones(5), True),
 ])  # fmt: skip
 def test_warm_starts_that_are_no_real_numbers(toy6, kind, value):
-    with pytest.raises(PowerFlowError, match=r"'toy6': warm is .*; (give a Solution or its current_sq_pu|fill it)"):
+    with pytest.raises(PowerFlowError, match=r"'toy6': warm is .*; (give a Solution or its restart|fill it)"):
         distflow(toy6, kind(ONES), kind(ONES), warm=value)
 
 

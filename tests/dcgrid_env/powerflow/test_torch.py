@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import Solution, distflow, lindistflow, load_feeder
+from dcgrid_env import Solution, distflow, lindistflow, load_feeder, sensitivity
 
 DEVIATION = {"v_pu": 1e-7, "p_branch_kw": 1e-2, "q_branch_kvar": 1e-2, "current_sq_pu": 1e-4, "loss_kw": 1e-3}
 
@@ -134,7 +134,7 @@ def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads
     p_kw, q_kvar, v0_pu = as_torch(*random_loads(feeder, 40, seed=34))
     before = distflow(feeder, 0.999 * p_kw, 0.999 * q_kvar, v0_pu)
     cold = distflow(feeder, p_kw, q_kvar, v0_pu)
-    for start in (before, before.current_sq_pu):
+    for start in (before, before.restart):
         warm = distflow(feeder, p_kw, q_kvar, v0_pu, warm=start)
         assert bool(warm.converged.all())
         assert bool((warm.iterations < cold.iterations).all())
@@ -250,7 +250,7 @@ def test_derivatives_at_the_default_tolerance(feeder):
 
 @both_forms
 def test_derivative_at_little_load_is_the_sensitivity(feeder):
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     p_kw, q_kvar = recorded(np.full(feeder.n_bus, 1e-3), np.full(feeder.n_bus, 1e-3))
     v_pu = distflow(feeder, p_kw, q_kvar, 1.0).v_pu
     i = int(v_pu.argmin())

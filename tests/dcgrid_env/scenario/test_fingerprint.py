@@ -1,11 +1,13 @@
 """Hashes: the same for the same, another for anything that differs, in another process too."""
 
+import dataclasses
 import subprocess
 import sys
 
 import pytest
 
 from dcgrid_env import CostWeights, Fault, PrefillDecodeDvfs, episode_hash, make_scenario, scenario_hash
+from dcgrid_env.scenario.fingerprint import fields
 from dcgrid_env.traces import PowerTrace
 
 CHANGES = {
@@ -68,6 +70,29 @@ def test_an_episode_is_known_by_what_comes_from_outside():
     assert first != episode_hash(scenario.replace(split="train"), 0)
     # What the controllers are told changes nothing of what comes from outside.
     assert first == episode_hash(scenario.replace(voltage_noise_pu=0.01, preview=False, observe="feeder"), 0)
+
+
+def renamed(scenario, name):
+    """The same scenario on the same feeder under other bus ids."""
+    feeder = dataclasses.replace(scenario.feeder, bus_ids=tuple(map(name, scenario.feeder.bus_ids)))
+    placed = {field: tuple(map(name, getattr(scenario, field))) for field in ("datacenter_buses", "inverter_buses")}
+    return scenario.replace(feeder=feeder, **placed)
+
+
+def test_buses_that_are_whole_numbers_are_hashed_as_numbers():
+    scenario = make_scenario("ieee33-weak")
+    assert dict(fields(scenario.feeder)[1])["bus_ids"] == tuple(range(1, 34))  # pyright: ignore[reportOptionalSubscript]
+    always = dict(fields(scenario)[1])  # pyright: ignore[reportOptionalSubscript]
+    assert (always["datacenter_buses"], always["inverter_buses"]) == ((18, 33, 25), (7, 14, 20, 30))
+    assert dict(fields(make_scenario("ieee123"))[1])["datacenter_buses"] is None  # pyright: ignore
+    assert scenario_hash(scenario.replace(datacenter_buses=("18", "33", "25"))) == scenario_hash(scenario)
+
+
+def test_buses_of_which_one_is_no_whole_number_are_hashed_as_text():
+    scenario = renamed(make_scenario("ieee33-weak"), lambda bus: "12a" if bus == "12" else bus)
+    always = dict(fields(scenario)[1])  # pyright: ignore[reportOptionalSubscript]
+    assert always["datacenter_buses"] == ("18", "33", "25")
+    assert scenario_hash(scenario) != scenario_hash(make_scenario("ieee33-weak"))
 
 
 @pytest.mark.slow

@@ -87,11 +87,12 @@ def test_every_preset_is_in_the_table():
 def test_constants_of_a_preset(name):
     feeder, v0, n, rating, s_share, buses, inverters, kvar, trace, sigma, horizon = TABLE[name]
     s = make_scenario(name)
+    buses = None if buses is None else tuple(map(str, buses))
     assert s.name == name
     assert s.feeder is load_feeder(feeder)
     assert s.v0_pu == v0
     assert (s.n_datacenters, s.p_rated_kw, s.datacenter_buses) == (n, rating, buses)
-    assert (s.inverter_buses, s.inverter_s_kva) == (inverters, kvar)
+    assert (s.inverter_buses, s.inverter_s_kva) == (tuple(map(str, inverters)), kvar)
     assert (s.trace, s.load_sigma, s.horizon) == (trace, sigma, horizon)
     for field, value in (COMMON | BEYOND.get(name, {})).items():
         assert getattr(s, field) == value, field

@@ -317,14 +317,14 @@ def test_a_feeder_must_be_one():
 @pytest.mark.parametrize("field", ["inverter_buses", "datacenter_buses"])
 def test_an_unknown_bus_lists_those_there_are(field):
     buses = (77,) if field == "inverter_buses" else (2, 77)
-    with pytest.raises(ScenarioError, match=r"'mine'.*no bus 77; its buses are \[0, 1, 2, 3, 4, 5\]"):
+    with pytest.raises(ScenarioError, match=r"'mine'.*no bus '77'; its buses are \['0', '1', '2', '3', '4', '5'\]"):
         scenario_of_ones_own(**{field: buses})
 
 
 @pytest.mark.parametrize("field", ["inverter_buses", "datacenter_buses"])
 def test_no_device_at_the_substation(field):
     buses = (0,) if field == "inverter_buses" else (2, 0)
-    with pytest.raises(ScenarioError, match=r"'mine'.*device at the substation 0"):
+    with pytest.raises(ScenarioError, match=r"'mine'.*device at the substation '0'"):
         scenario_of_ones_own(**{field: buses})
 
 
@@ -333,12 +333,12 @@ def test_no_device_at_the_substation(field):
 )
 def test_one_device_a_bus(changes):
     bus = {"(2, 2)": 2, "(2, 3)": 3, "(4, 4)": 4}[str(next(iter(changes.values())))]
-    with pytest.raises(ScenarioError, match=rf"more than one device at bus {bus}; give each its own"):
+    with pytest.raises(ScenarioError, match=rf"more than one device at bus '{bus}'; give each its own"):
         scenario_of_ones_own(**changes)
 
 
 def test_as_many_buses_as_datacenters():
-    with pytest.raises(ScenarioError, match=r"n_datacenters is 2, but datacenter_buses is \(2,\); give both"):
+    with pytest.raises(ScenarioError, match=r"n_datacenters is 2, but datacenter_buses is \('2',\); give both"):
         scenario_of_ones_own(datacenter_buses=(2,))
 
 

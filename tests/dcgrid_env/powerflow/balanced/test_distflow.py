@@ -9,7 +9,7 @@ from dcgrid_env.powerflow.balanced.compiled import distflow_lanes
 
 SHAPES = {
     "v_pu": 6, "p_branch_kw": 5, "q_branch_kvar": 5, "current_sq_pu": 5,
-    "loss_kw": None, "converged": None, "iterations": None, "residual_kva": None,
+    "loss_kw": None, "converged": None, "iterations": None, "residual_kva": None, "restart": 5,
 }  # fmt: skip
 FLOATS = ["v_pu", "p_branch_kw", "q_branch_kvar", "current_sq_pu", "loss_kw", "residual_kva"]
 
@@ -190,7 +190,7 @@ def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads
     p_kw, q_kvar, v0_pu = random_loads(feeder, lanes, seed=8)
     before = distflow(feeder, 0.999 * p_kw, 0.999 * q_kvar, v0_pu)
     cold = distflow(feeder, p_kw, q_kvar, v0_pu)
-    for start in (before, before.current_sq_pu):
+    for start in (before, before.restart):
         warm = distflow(feeder, p_kw, q_kvar, v0_pu, warm=start)
         assert warm.converged.all()
         assert (warm.iterations < cold.iterations).all()
@@ -213,8 +213,8 @@ def test_a_warm_start_from_a_very_different_load_still_converges(feeder, lanes):
     p_kw, q_kvar = (np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     light, heavy = distflow(feeder, 0.1 * p_kw, 0.1 * q_kvar), distflow(feeder, far * p_kw, far * q_kvar)
     assert heavy.converged.all()
-    nonsense = np.full_like(light.current_sq_pu, 1e6)
-    unknown = np.full_like(light.current_sq_pu, np.nan)
+    nonsense = np.full_like(light.restart, 1e6)
+    unknown = np.full_like(light.restart, np.nan)
     for scale, start in ((0.1, heavy), (far, light), (-1.0, heavy), (1.0, nonsense), (1.0, unknown)):
         cold = distflow(feeder, scale * p_kw, scale * q_kvar)
         warm = distflow(feeder, scale * p_kw, scale * q_kvar, warm=start)

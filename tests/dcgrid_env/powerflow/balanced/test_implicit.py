@@ -152,7 +152,7 @@ def test_float32_is_close_to_float64(feeder, random_loads):
 
 def test_a_warm_start_leaves_the_derivative(feeder, random_loads):
     loads = random_loads(feeder, 12, seed=55)
-    start = distflow(feeder, 0.99 * loads[0], loads[1], loads[2]).current_sq_pu
+    start = distflow(feeder, 0.99 * loads[0], loads[1], loads[2]).restart
     cold, warm = recorded(*loads), recorded(*loads)
     weighted(distflow(feeder, *cold, tolerance_kva=1e-9), 4).backward()
     weighted(distflow(feeder, *warm, warm=torch.tensor(start), tolerance_kva=1e-9), 4).backward()

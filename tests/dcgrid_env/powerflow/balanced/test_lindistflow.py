@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import distflow, lindistflow
+from dcgrid_env import distflow, lindistflow, sensitivity
 
 
 def test_is_the_formula_with_the_feeders_sensitivity(feeder, random_loads):
     p_kw, q_kvar, v0_pu = random_loads(feeder, 30, seed=20)
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     v_sq = v0_pu[:, None] ** 2 - 2.0 * (p_kw @ r.T + q_kvar @ x.T) / 1000.0
     solution = lindistflow(feeder, p_kw, q_kvar, v0_pu)
     np.testing.assert_allclose(solution.v_pu, np.sqrt(v_sq), atol=1e-12, rtol=0.0)
@@ -46,7 +46,7 @@ def test_differs_from_distflow_by_the_square_of_the_load(feeder, random_loads):
 
 @pytest.mark.parametrize("lanes", [1, 20])
 def test_a_load_that_drives_a_voltage_to_zero_is_not_converged(feeder, lanes):
-    r, x = feeder.sensitivity()
+    r, x = sensitivity(feeder)
     drop = 2.0 * (r @ feeder.p_load_kw + x @ feeder.q_load_kvar).max() / 1000.0  # of the squared voltage
     p_kw, q_kvar = (np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     p_kw[-1] *= 1.02 / drop

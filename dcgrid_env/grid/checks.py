@@ -1,0 +1,73 @@
+"""Checks of a grid's tables: each refusal names the feeder, the component, the field and its value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.topology import FeederError
+
+
+def check_lengths(name: str, component: str, n: int, fields: Mapping[str, Sequence[Any] | None]) -> None:
+    """Raise FeederError at the first field (None is left out) that has not one value for each of ``n`` rows."""
+    for field, values in fields.items():
+        if values is not None and len(values) != n:
+            raise FeederError(f"feeder {name!r}: {len(values)} values of {field} for {n} {component} rows")
+
+
+def check_numbers(
+    name: str,
+    component: str,
+    ids: Sequence[Any],
+    fields: Mapping[str, Sequence[float]],
+    *,
+    non_negative: bool = False,
+    positive: bool = False,
+    may_be_nan: bool = False,
+) -> None:
+    """Raise FeederError, naming component and field, at the first value that is not finite or of the wrong sign."""
+    check_lengths(name, component, len(ids), fields)
+    for field, values in fields.items():
+        for i, value in zip(ids, values, strict=True):
+            if isinstance(value, bool) or not isinstance(value, Real) or (math.isnan(value) and not may_be_nan):
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
+            if math.isinf(value):
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
+            if (non_negative and value < 0) or (positive and value <= 0):
+                wanted = "> 0" if positive else ">= 0"
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; it must be {wanted}")
+
+
+def check_balanced(network: Network) -> None:
+    """Raise FeederError unless the tables describe a balanced grid: one source, one node a bus, usable figures.
+
+    Whether it is radial is not looked at here: see ``topology.orient``.
+    """
+    name, source, node, line = network.name, network.source, network.node, network.line
+    for kind, table in (("transformer", network.transformer), ("regulator", network.regulator)):
+        if len(table):
+            raise FeederError(
+                f"feeder {name!r}: {kind} {table.from_bus[0]}-{table.to_bus[0]} cannot be used; balanced feeders take "
+                "lines, shunts, loads, a source"
+            )
+    if len(source) != 1:
+        raise FeederError(f"feeder {name!r}: {len(source)} sources; give one, at the substation")
+    known = set(node.bus)
+    for kind, table in (("node", node), ("load", network.load), ("shunt", network.shunt)):
+        for bus, phase in zip(table.bus, table.phase, strict=True):
+            if phase != 0:
+                raise FeederError(
+                    f"feeder {name!r}: {kind} at bus {bus!r} is of phase {phase!r}; balanced feeders have phase 0 alone"
+                )
+            if bus not in known:
+                raise FeederError(f"feeder {name!r}: {kind} at the unknown bus {bus!r}; add it to the nodes")
+    voltages = [source.base_kv[0], source.v_pu[0]]
+    check_numbers(name, "feeder", ["base_kv", "v0_pu"], {"value": voltages}, positive=True)
+    check_numbers(name, "bus", network.load.bus, {"p_kw": network.load.p_kw, "q_kvar": network.load.q_kvar})
+    check_numbers(name, "bus", network.shunt.bus, {"capacitor_kvar": network.shunt.capacitor_kvar})
+    branches = [f"{i}-{j}" for i, j in zip(line.from_bus, line.to_bus, strict=True)]
+    check_numbers(name, "branch", branches, {"r_ohm": line.r_ohm, "x_ohm": line.x_ohm}, non_negative=True)
+    check_numbers(name, "bus", node.bus, {"x": node.x, "y": node.y}, may_be_nan=True)

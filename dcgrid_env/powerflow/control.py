@@ -1,0 +1,19 @@
+"""What devices change of the grid itself, beside the power that they draw or inject."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dcgrid_env.core.arrays import Array
+
+
+class Control(NamedTuple):
+    """Settings of the grid during one power flow; None where no device sets them.
+
+    Leading dimensions are those of the loads, or none where all lanes have the same setting.
+    """
+
+    tap_ratio: Array | None = None
+    """Voltage ratio of each regulator, shape (..., n_regulator), 1 in the neutral position."""
+    shunt_kvar: Array | None = None
+    """Reactive injection of switched shunts by node, kvar, shape (..., n_node)."""

@@ -1,0 +1,63 @@
+"""How far the voltage at each node moves with the power at each node, linearised around 1 p.u. without load.
+
+For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of r and x over the path that two nodes
+share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
+Trans. Power Delivery 4(1), 1989).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.grid import Feeder
+
+_PU_PER_MVA = 1000.0 / S_BASE_KVA
+
+
+class Sensitivity(NamedTuple):
+    """Derivatives of voltage magnitudes by power *injected*; a load of as much lowers the voltage by as much."""
+
+    by_p_pu_per_mw: NDArray[np.float64]
+    """dV_i / dp_j, p.u. per MW injected, row i, column j."""
+    by_q_pu_per_mvar: NDArray[np.float64]
+    """dV_i / dq_j, p.u. per Mvar injected, row i, column j."""
+
+
+@cached_on_owner
+def sensitivity(feeder: Feeder) -> Sensitivity:
+    """Derivative of the voltage at every node by the power injected at every node, around 1 p.u. and no load.
+
+    Returns
+    -------
+    Sensitivity
+        Two read-only matrices of shape (n_node, n_node), made once for a feeder. Rows and columns of the source's
+        nodes are zero: its voltage is given.
+    """
+    path = feeder.path
+    r, x = ((path * z_pu) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
+    return Sensitivity(_read_only(r), _read_only(x))
+
+
+@cached_on_owner
+def own_sensitivity(feeder: Feeder) -> Sensitivity:
+    """Derivative of the voltage at every node by the power injected at that same node, around 1 p.u. and no load.
+
+    Returns
+    -------
+    Sensitivity
+        The diagonals of :func:`sensitivity` up to rounding, read-only and of shape (n_node,); no matrix is made.
+    """
+    own = np.zeros((2, feeder.n_node))
+    for j in feeder.depth_first.order[1:]:
+        own[:, j] = own[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
+    return Sensitivity(*map(_read_only, own * _PU_PER_MVA))
+
+
+def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    array.flags.writeable = False
+    return array

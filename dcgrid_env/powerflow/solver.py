@@ -1,0 +1,76 @@
+"""One protocol for every power flow, and the lookup of the solver that fits a kind of feeder."""
+
+from __future__ import annotations
+
+import reprlib
+from functools import cache
+from typing import Any, Protocol
+
+from dcgrid_env.core.arrays import Array
+from dcgrid_env.grid import Feeder
+from dcgrid_env.powerflow.balanced.solvers import solve_distflow, solve_lindistflow
+from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.solution import PowerFlowError, Solution
+
+
+class Solver(Protocol):
+    """Solves the power flow of one kind of feeder, for one feeder or a batch, by one method."""
+
+    def __call__(
+        self,
+        feeder: Any,
+        p_kw: Array,
+        q_kvar: Array,
+        source_voltage_pu: Any,
+        control: Control | None = None,
+        start: Array | None = None,
+    ) -> Solution:
+        """Solve the power flow.
+
+        Parameters
+        ----------
+        feeder
+            A feeder of the kind that the solver is for.
+        p_kw, q_kvar
+            Net load at each node (consumption positive), shape (..., n_node), NumPy arrays or torch tensors.
+        source_voltage_pu
+            Voltage of the source, p.u., a number or an array that broadcasts to shape (...).
+        control
+            What devices change of the grid; None for nothing.
+        start
+            ``Solution.restart`` of a similar power flow of the same shape, where to start from. Zeros and None mean
+            that nothing is known, and a start that leads nowhere is set aside.
+
+        Raises
+        ------
+        PowerFlowError
+            For input that cannot be used, a control that the feeder has no use for among it. A load without a
+            solution is no error: see ``Solution.converged``.
+        """
+        ...
+
+
+_SOLVERS: dict[type[Any], dict[str, Solver]] = {
+    Feeder: {"distflow": solve_distflow, "lindistflow": solve_lindistflow},
+}
+
+
+def solver_for(feeder: Any, method: str) -> Solver:
+    """Find the solver of a feeder's kind by the name of its method, such as ``"distflow"`` or ``"lindistflow"``.
+
+    Raises
+    ------
+    PowerFlowError
+        For what is no feeder, or a method that its kind does not have, listing those that it has.
+    """
+    methods = _methods_of(type(feeder))
+    if not methods:
+        raise PowerFlowError(f"feeder is {reprlib.repr(feeder)}; give a Feeder, for instance load_feeder('ieee33')")
+    if method not in methods:
+        raise PowerFlowError(f"feeder {feeder.name!r}: no power flow {method!r}; choose one of {', '.join(methods)}")
+    return methods[method]
+
+
+@cache
+def _methods_of(kind: type[Any]) -> dict[str, Solver]:
+    return next((_SOLVERS[base] for base in kind.__mro__ if base in _SOLVERS), {})
