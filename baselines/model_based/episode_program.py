@@ -50,7 +50,7 @@ class EpisodeProgram:
         self.q_limit_kvar = np.tile(s.q_scale_kvar, (s.horizon, 1))
         self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
         self.q_limit_kvar *= episode.available
-        n_bus = s.feeder.n_bus - 1
+        n_bus = len(s.feeder.load_nodes)
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
         self.same = [self._band(), self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
@@ -142,7 +142,7 @@ class EpisodeProgram:
         backlog = np.full((s.horizon, s.n_datacenters), w.backlog / rated_kw)
         backlog[-1] += w.leftover / rated_kw
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
-        n_bus = s.feeder.n_bus - 1
+        n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])

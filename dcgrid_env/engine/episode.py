@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -247,3 +248,12 @@ def exogenous(
         q += capacitors * scenario.feeder.capacitor_kvar
     compute = compute_share(scenario, episode, step)
     return Exogenous(p, q, p_ref, injection, episode.placed.nodes, compute, available), z
+
+
+def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:
+    """The steps 0 .. T of an episode in turn, (lane,), each with what comes from outside in its interval."""
+    noise = np.zeros((len(episode.key), scenario.feeder.n_bus))
+    for k in range(scenario.horizon + 1):
+        step = np.full(len(episode.key), k)
+        outside, noise = exogenous(scenario, episode, step, noise, p_ref_kw(scenario, episode, step))
+        yield step, outside

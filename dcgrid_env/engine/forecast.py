@@ -39,15 +39,12 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
     drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
-    noise = np.zeros((1, scenario.feeder.n_bus))
-    found = []
-    for k in range(scenario.horizon + 1):
-        step = np.array([k])
-        p_ref = episode.p_ref_kw(scenario, drawn, step)
-        outside, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
+    steps = []
+    for _, outside in episode.unroll(scenario, drawn):
         available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]
-        found.append((outside.p_load_kw[0], outside.q_load_kvar[0], p_ref[0], outside.p_inverter_kw[0], available))
-    return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*found, strict=True)))
+        fields = (outside.p_load_kw, outside.q_load_kvar, outside.p_ref_kw, outside.p_inverter_kw)
+        steps.append((*(values[0] for values in fields), available))
+    return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*steps, strict=True)))
 
 
 def episode_hash(scenario: Scenario, seed: int) -> str:

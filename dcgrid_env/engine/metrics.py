@@ -68,7 +68,7 @@ class Series:
     def metrics(self) -> dict[str, float]:
         """The figures of the module's table."""
         s = self.scenario
-        v = self.v_pu[1:, 1:]
+        v = self.v_pu[1:, s.feeder.load_slice]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
         ratings = np.concatenate([device.converter_kva for device in s.devices])
@@ -81,7 +81,7 @@ class Series:
             "outside_buses_pct": 100.0 * outside.any(axis=0).mean(),
             "voltage_min_pu": v.min(),
             "voltage_max_pu": v.max(),
-            "voltage_step_mean_pu": np.abs(np.diff(self.v_pu[:, 1:], axis=0)).mean(),
+            "voltage_step_mean_pu": np.abs(np.diff(self.v_pu[:, s.feeder.load_slice], axis=0)).mean(),
             "loss_mean_kw": self.loss_kw.mean(),
             "loss_energy_kwh": self.loss_kw.sum() * s.dt_s / 3600.0,
             "q_effort_pct": 100.0 * (np.abs(self.q_kvar) / ratings).mean(),

@@ -56,7 +56,7 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
         count = min(N_NEIGHBOURS, scenario.n_agents - 1)
         wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
     elif scenario.observe == "feeder":
-        wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[1:])
+        wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[scenario.feeder.load_slice])
     agents = iter(scenario.agents)
     return {
         next(agents): (*COMMON, *(field.name for field in fields), *wider)
@@ -152,13 +152,13 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
             if scenario.observe == "neighbours":
                 column += range(len(scale) + 3 * near * agent, len(scale) + 3 * near * (agent + 1))
             elif scenario.observe == "feeder":
-                column += range(len(scale), len(scale) + scenario.feeder.n_bus - 1)
+                column += range(len(scale), len(scale) + len(scenario.feeder.load_nodes))
             agent += 1
         block += len(fields)
     if scenario.observe == "neighbours":
         scale = np.concatenate((scale, np.ones(3 * near * n)))
     elif scenario.observe == "feeder":
-        scale = np.concatenate((scale, np.full(scenario.feeder.n_bus - 1, per_band)))
+        scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), per_band)))
     return _Layout(
         xp.asarray(scale, dtype=dtype, device=device_of), xp.asarray(np.array(column, dtype=np.int64), device=device_of)
     )
@@ -216,7 +216,7 @@ def observe(
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":
-        raw.append(v_measured_pu[:, 1:] - 1.0)
+        raw.append(v_measured_pu[:, scenario.feeder.load_slice] - 1.0)
     return take_last(xp.concat(raw, axis=-1) * layout.scale, layout.column)
 
 

@@ -71,17 +71,17 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
     xp, w, known = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
-    n_bus = scenario.feeder.n_bus - 1
-    v = state.v_pu[..., 1:]
+    judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
+    v = state.v_pu[..., judged]
     deviation = xp.abs(v - 1.0)
     excess = positive_part(deviation - scenario.band_pu)
     effort = xp.abs(state.q_kvar) / known.converter_kva
     none = 0.0 * solution.loss_kw
     costs = terms(scenario).kind(
-        voltage=sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / n_bus),
-        violation=sum_last(excess) * (w.violation / n_bus),
+        voltage=sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / n_judged),
+        violation=sum_last(excess) * (w.violation / n_judged),
         effort=sum_last(effort) * (w.effort / scenario.n_agents),
-        step=sum_last(xp.abs(v - state.v_last_pu[..., 1:])) * (w.step / n_bus) if w.step else none,
+        step=sum_last(xp.abs(v - state.v_last_pu[..., judged])) * (w.step / n_judged) if w.step else none,
         loss=solution.loss_kw * (w.loss / known.p_all_kw) if w.loss else none,
         **dict.fromkeys(terms(scenario).names, none),
     )

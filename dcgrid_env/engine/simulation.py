@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core import random
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
+from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import Solution
 from dcgrid_env.scenario.scenario import Scenario
@@ -154,7 +154,7 @@ class Simulation:
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
         outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
-        measured = (self._measure(drawn, step, state),) * (self.scenario.measurement_delay + 2)
+        measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
         none = np.zeros(len(lanes))
         transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
@@ -163,12 +163,7 @@ class Simulation:
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
-        """Voltages as measured: of every bus where agents observe the feeder, else of the agents."""
-        s = self.scenario
-        true = state.v_pu if s.observe == "feeder" else state.v_agent_pu
-        if s.voltage_noise_pu == 0.0:
-            return true
-        return true + s.voltage_noise_pu * random.standard(drawn.key, random.MEASUREMENT, step, true.shape[1])
+        return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
 
     def _transition(
         self,

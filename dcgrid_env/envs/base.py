@@ -27,14 +27,14 @@ def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (n,), np.float32)
 
 
-def check_running(face: Face) -> None:
+def check_running(env: BaseEnvironment) -> None:
     """RuntimeError unless the (first lane's) episode goes on."""
-    last = face._simulation.transition
+    last = env._simulation.transition
     if last.truncated[0] or last.terminated[0]:
         raise RuntimeError("the episode is over; call reset()")
 
 
-class Face:
+class BaseEnvironment:
     """Mixed into the environment classes; holds one simulation and nothing else of substance."""
 
     scenario: Scenario

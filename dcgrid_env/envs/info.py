@@ -34,7 +34,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     if level == "costs":
         return figures
     state = transition.state
-    v = state.v_pu[:, 1:]
+    v = state.v_pu[:, scenario.feeder.load_slice]
     figures["power_flow_converged"] = transition.converged.astype(np.float64)
     figures["voltage_min_pu"] = np.minimum.reduce(v, -1)
     figures["voltage_max_pu"] = np.maximum.reduce(v, -1)

@@ -14,7 +14,7 @@ from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine import observation
 from dcgrid_env.engine.actions import action_layout, joined_actions
 from dcgrid_env.engine.parameters import parameters
-from dcgrid_env.envs.base import Face, check_running
+from dcgrid_env.envs.base import BaseEnvironment, check_running
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
@@ -27,7 +27,7 @@ STATE_BOUND = 1e4
 """Bound of the global state's entries: far beyond any voltage deviation in bands or any backlog in seconds."""
 
 
-class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
+class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
     """A scenario with an agent in each slot: ``dc_0``.. then ``inv_0``.., the same in every episode.
 
     A data centre acts on (clock, q), an inverter on (q,), each in [-1, 1]; ``info[agent]["bus"]`` is where it stands.
@@ -78,7 +78,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
         fields = zip(s.devices, observation.device_fields(s), strict=True)
-        n_state = s.feeder.n_bus - 1 + 2 * s.n_agents + sum(device.count * len(of) for device, of in fields) + 1
+        n_state = len(s.feeder.load_nodes) + 2 * s.n_agents + sum(device.count * len(of) for device, of in fields) + 1
         self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
         self._rng, _ = seeding.np_random()
 
@@ -138,7 +138,7 @@ class DcgridParallelEnv(Face, ParallelEnv[str, np.ndarray, Any]):
         known = parameters(s, now.state.p_kw)
         coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
         parts = [
-            (now.state.v_pu[0, 1:] - 1.0) / (s.band_pu or 1.0),
+            (now.state.v_pu[0, s.feeder.load_slice] - 1.0) / (s.band_pu or 1.0),
             now.state.p_kw[0] / known.p_scale_kw,
             now.state.q_kvar[0] * known.per_q_scale,
         ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.actions import joint_action
-from dcgrid_env.envs.base import Face, check_running, joint_spaces
+from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_spaces
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
 
 
-class DcgridEnv(PlainSpec, Face, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
+class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
 
     ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the

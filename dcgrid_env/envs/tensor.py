@@ -18,6 +18,7 @@ from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import Work
 from dcgrid_env.engine import dynamics, observation, reward
 from dcgrid_env.engine.actions import action_layout
+from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.observation import Placement
 from dcgrid_env.engine.state import Exogenous, State
 from dcgrid_env.powerflow import PowerFlowError
@@ -99,7 +100,7 @@ class TensorEnv:
         )
         self.step_number = 0
         self.state, _ = dynamics.initial_state(self.scenario, self._exogenous())
-        self._measured = (self._measure(),) * (self.scenario.measurement_delay + 2)
+        self._measured = (self._measure(),) * remembered(self.scenario)
         self._due = as_like(np.ones(len(lanes)), self.like)
         return self._observe()
 
@@ -165,10 +166,7 @@ class TensorEnv:
         )  # fmt: skip
 
     def _measure(self) -> Array:
-        """Voltages as measured: of every bus where agents observe the feeder, else of the agents."""
-        true = self.state.v_pu if self.scenario.observe == "feeder" else self.state.v_agent_pu
-        noise = self._now(self._outside.noise_pu)
-        return true if noise is None else true + noise
+        return measure(self.scenario, self.state, self._now(self._outside.noise_pu))
 
     def _observe(self) -> Array:
         work = Work(self._now(self._outside.p_ref_kw, 1), self._now(self._outside.compute_share, 1))
@@ -209,20 +207,16 @@ def _kind(values: Array) -> str:
 
 def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
     """Everything from outside over the first episode of each seed, and the positions of the agents' buses."""
-    from dcgrid_env.core import random
-    from dcgrid_env.engine import episode  # bring the compiler with them, so not on import
+    from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
 
     s = scenario
     drawn = episode.draw(s, seeds, np.zeros_like(seeds))
-    n_seen = s.feeder.n_bus if s.observe == "feeder" else s.n_agents
-    noise = np.zeros((len(seeds), s.feeder.n_bus))
     steps, noise_pu = [], []
-    for k in range(s.horizon + 1):
-        step = np.full(len(seeds), k)
-        outside, noise = episode.exogenous(s, drawn, step, noise, episode.p_ref_kw(s, drawn, step))
+    for step, outside in episode.unroll(s, drawn):
         steps.append(outside)
-        if s.voltage_noise_pu:
-            noise_pu.append(s.voltage_noise_pu * random.standard(drawn.key, random.MEASUREMENT, step, n_seen))
+        noise = measurement_noise(s, drawn.key, step)
+        if noise is not None:
+            noise_pu.append(noise)
     after = np.full(len(seeds), s.horizon + 1)
 
     def stacked(name: str, last: np.ndarray | None = None) -> np.ndarray | None:

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.actions import joint_action
-from dcgrid_env.envs.base import Face, joint_spaces
+from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
@@ -26,7 +26,7 @@ AUTORESET_MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 
 
 class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
-    PlainSpec, Face, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
+    PlainSpec, BaseEnvironment, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
     """``num_envs`` lanes of a scenario; lane i seeded with seed + i is the single environment's episode of that seed.
 
