@@ -62,6 +62,15 @@ class CostTerm(NamedTuple):
     """Weight of a term that ``CostWeights`` does not have."""
 
 
+class GridChange(NamedTuple):
+    """What a device changes of the grid itself over an interval; None for what it leaves alone."""
+
+    shunt_kvar: Array | None = None
+    """Reactive injection of a switched shunt at the device's nodes, kvar, (lane, slot)."""
+    tap_ratio: Array | None = None
+    """Ratio of the regulator that each slot moves, 1 in the neutral position, (lane, slot)."""
+
+
 class Work(NamedTuple):
     """What a device is asked to do over one interval, where ``Device.input`` is "workload"."""
 
@@ -83,6 +92,9 @@ class Device(Protocol):
     """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (lane, slot)), or None."""
     levels: ClassVar[tuple[str, ...]]
     """Fields of the state that are amounts at an instant, and so have a value at t = 0; the others are of a step."""
+
+    changes_grid: ClassVar[bool]
+    """Whether ``grid_change`` is to be asked."""
 
     @property
     def count(self) -> int:
@@ -161,6 +173,10 @@ class Device(Protocol):
         state, p_kw
             State at the end, and the draw from the grid, kW, (lane, slot), an injection negative.
         """
+        ...
+
+    def grid_change(self, parameters: Any, state: Any) -> GridChange:
+        """What the grid is like over the interval that ``state`` ends, beside what the device draws."""
         ...
 
     def observe(self, parameters: Any, state: Any, given_next: Any) -> tuple[Array, ...]:

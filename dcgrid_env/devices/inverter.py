@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
-from dcgrid_env.devices.device import Channel, CostTerm, Field, Q
+from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.grid import buses_as_text
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
@@ -25,6 +25,7 @@ class Inverters(PickledByFields):
     prefix: ClassVar[str] = "inv"
     input: ClassVar[str | None] = "injection"
     levels: ClassVar[tuple[str, ...]] = ()
+    changes_grid: ClassVar[bool] = False
 
     buses: tuple[int | str, ...] = ()
     """Their buses, one each."""
@@ -113,6 +114,10 @@ class Inverters(PickledByFields):
     ) -> tuple[tuple[()], Array]:
         """Inject what the schedule says."""
         return (), -given
+
+    def grid_change(self, parameters: InverterParams, state: tuple[()]) -> GridChange:
+        """Leave the grid as it is."""
+        return GridChange()
 
     def observe(self, parameters: InverterParams, state: tuple[()], given_next: Array) -> tuple[Array, ...]:
         """Nothing, see ``fields``."""

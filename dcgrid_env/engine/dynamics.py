@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from dcgrid_env.devices import Device, Work, converter
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import Exogenous, State
-from dcgrid_env.powerflow import Solution, solver_for
+from dcgrid_env.powerflow import Control, Solution, solver_for
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -85,7 +86,8 @@ def _step(
     p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))
     q_net = add_at(exogenous.q_load_kvar, nodes, _to_nodes(-q_agent, nodes))
     solve = solver_for(scenario.feeder, scenario.power_flow)
-    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, None, state.restart)
+    control = _control(scenario, known.devices, devices, exogenous) if _changing(scenario) else None
+    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
     v, restart = solution.v_pu, solution.restart
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
@@ -101,6 +103,27 @@ def _step(
         q_limit_kvar=q_limit,
         devices=tuple(devices),
     ), solution
+
+
+@cached_on_owner
+def _changing(scenario: Scenario) -> tuple[int, ...]:
+    """Positions of the devices that change the grid itself."""
+    return tuple(i for i, device in enumerate(scenario.devices) if device.changes_grid)
+
+
+def _control(scenario: Scenario, known: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
+    """What the devices change of the grid, gathered: shunts at their nodes, taps in the order of the devices."""
+    xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
+    shunt_kvar, ratios = None, []
+    for i in _changing(scenario):
+        change = scenario.devices[i].grid_change(known[i], states[i])
+        if change.shunt_kvar is not None:
+            nodes = exogenous.nodes[:, cuts[i]]
+            before = 0.0 * exogenous.q_load_kvar if shunt_kvar is None else shunt_kvar
+            shunt_kvar = add_at(before, nodes, _to_nodes(change.shunt_kvar, nodes))
+        if change.tap_ratio is not None:
+            ratios.append(change.tap_ratio)
+    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
 
 
 def given(device: Device, exogenous: Exogenous) -> Any:

@@ -16,7 +16,7 @@ from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
 from dcgrid_env.devices.datacenter.named_laws import clock_law
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
-from dcgrid_env.devices.device import Channel, CostTerm, Field, Q, Work
+from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.grid import buses_as_text
 
@@ -29,6 +29,7 @@ class DataCenters(PickledByFields):
     prefix: ClassVar[str] = "dc"
     input: ClassVar[str | None] = "workload"
     levels: ClassVar[tuple[str, ...]] = ("backlog_kws", "class_backlog_kws")
+    changes_grid: ClassVar[bool] = False
 
     count: int = count(0, 10_000)
     """Number of sites."""
@@ -174,6 +175,10 @@ class DataCenters(PickledByFields):
             done.class_arrived_kw, done.class_served_kw,
         )  # fmt: skip
         return after, done.p_kw
+
+    def grid_change(self, parameters: DataCenterParams, state: DataCenterState) -> GridChange:
+        """Leave the grid as it is."""
+        return GridChange()
 
     def observe(self, parameters: DataCenterParams, state: DataCenterState, given_next: Work) -> tuple[Array, ...]:
         """Raw figures of the fields, kW and kW s."""

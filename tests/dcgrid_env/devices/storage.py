@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, number, settle
-from dcgrid_env.devices import Channel, CostTerm, Field
+from dcgrid_env.devices import Channel, CostTerm, Field, GridChange
 from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_only
 
 
@@ -40,6 +40,7 @@ class Storages(PickledByFields):
     prefix: ClassVar[str] = "sto"
     input: ClassVar[str | None] = None
     levels: ClassVar[tuple[str, ...]] = ("stored_kwh",)
+    changes_grid: ClassVar[bool] = False
 
     buses: tuple[int | str, ...]
     p_rated_kw: Rating
@@ -106,6 +107,9 @@ class Storages(PickledByFields):
         p_kw = xp.maximum(xp.minimum(asked_kw, room_kw), -left_kw)
         gained = xp.where(p_kw > 0, p_kw * parameters.efficiency, p_kw / parameters.efficiency)
         return StorageState(state.stored_kwh + gained * hours, p_kw), p_kw
+
+    def grid_change(self, parameters: StorageParameters, state: StorageState) -> GridChange:
+        return GridChange()
 
     def observe(self, parameters: StorageParameters, state: StorageState, given_next: Any) -> tuple[Array, ...]:
         return (state.stored_kwh,)

@@ -6,8 +6,21 @@ import sys
 
 import pytest
 
-from dcgrid_env import CostWeights, Fault, PrefillDecodeDvfs, episode_hash, make_scenario, scenario_hash
+from dcgrid_env import (
+    CostWeights,
+    Fault,
+    Feeder,
+    PrefillDecodeDvfs,
+    Scenario,
+    Sensing,
+    episode_hash,
+    make_scenario,
+    scenario_hash,
+)
+from dcgrid_env.scenario import fingerprint
+from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.fingerprint import fields
+from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.traces import PowerTrace
 
 CHANGES = {
@@ -104,3 +117,40 @@ def test_hashes_are_the_same_in_another_process():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     scenario = make_scenario("fault", split="test")
     assert done.stdout.split() == [scenario_hash(scenario), episode_hash(scenario, 3)]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _LaterFeeder(Feeder):
+    """A feeder with a field that came after hashes were published."""
+
+    frequency_hz: float = 50.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _LaterSensing(Sensing):
+    """A part with a field that came later."""
+
+    lost_share: float = 0.0
+
+
+def test_a_later_field_at_its_default_changes_no_hash(monkeypatch):
+    monkeypatch.setitem(fingerprint.SCHEMA_1, _LaterFeeder, fingerprint.SCHEMA_1[Feeder])
+    for name in ("ieee33-weak", "fault"):
+        scenario = make_scenario(name, split="test")
+        own = {field.name: getattr(scenario.feeder, field.name) for field in dataclasses.fields(Feeder)}
+        known = {field.name: getattr(scenario.sensing, field.name) for field in dataclasses.fields(Sensing)}
+        later = scenario.replace(feeder=_LaterFeeder(**own), sensing=_LaterSensing(**known))
+        assert scenario_hash(later) == scenario_hash(scenario)
+        for other in (
+            scenario.replace(feeder=_LaterFeeder(**own, frequency_hz=60.0)),
+            scenario.replace(sensing=_LaterSensing(**known, lost_share=0.1)),
+        ):
+            assert scenario_hash(other) != scenario_hash(scenario)
+
+
+def test_the_schema_lists_every_published_field():
+    listed = {name.removesuffix("?") for name in fingerprint.SCHEMA_1[Scenario].fields}
+    own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
+    assert listed == own | set(FLAT)
+    assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
+    assert fingerprint.SCHEMA_1[CostWeights].fields == CostWeights._fields
