@@ -36,8 +36,12 @@ class Case:
 
     def loads(self) -> tuple[np.ndarray, np.ndarray]:
         """kW and kvar in the order of the feeder's bus_ids."""
-        order = np.array(self.feeder.bus_ids)
+        order = list(self.at())
         return 1000.0 * self.p[order], 1000.0 * self.q[order]
+
+    def at(self) -> dict[int, int]:
+        """Position in the feeder's bus_ids of each bus, in their order."""
+        return {int(bus): i for i, bus in enumerate(self.feeder.bus_ids)}
 
     def below(self, bus: int) -> Iterator[int]:
         return (j for j, i in self.up.items() if i == bus)
@@ -91,7 +95,7 @@ def test_the_solution_fulfils_the_distflow_equations(kind, case):
     solution = solve(case, kind, tolerance_kva=TOLERANCE_KVA)
     assert solution.converged
     assert solution.residual_kva <= TOLERANCE_KVA
-    at = {bus: i for i, bus in enumerate(case.feeder.bus_ids)}
+    at = case.at()
     v = {bus: solution.v_pu[at[bus]] ** 2 for bus in at}
     P = {bus: solution.p_branch_kw[at[bus] - 1] / 1000.0 for bus in case.up}
     Q = {bus: solution.q_branch_kvar[at[bus] - 1] / 1000.0 for bus in case.up}
@@ -118,7 +122,7 @@ def test_the_solution_fulfils_the_distflow_equations(kind, case):
 def test_complex_voltages_and_currents_carry_the_same_power(case):
     # Away from DistFlow's squares: walk down with phasors, current = conj(S / V), and meet each load at its bus.
     solution = solve(case, "numpy", tolerance_kva=TOLERANCE_KVA)
-    at = {bus: i for i, bus in enumerate(case.feeder.bus_ids)}
+    at = case.at()
     voltage, current = {0: complex(case.v0)}, {}
     for j in sorted(case.up):  # a bus is numbered after the one that feeds it
         sent = (solution.p_branch_kw[at[j] - 1] + 1j * solution.q_branch_kvar[at[j] - 1]) / 1000.0
@@ -152,7 +156,7 @@ def test_more_load_at_a_bus_lowers_its_voltage(case, data):
 def test_lindistflow_adds_loads_and_drops_along_the_tree(kind, case):
     solution = solve(case, kind, lindistflow)
     assert solution.converged
-    at = {bus: i for i, bus in enumerate(case.feeder.bus_ids)}
+    at = case.at()
     for j, i in case.up.items():
         P, Q = solution.p_branch_kw[at[j] - 1] / 1000.0, solution.q_branch_kvar[at[j] - 1] / 1000.0
         assert abs(P - case.p[j] - sum(solution.p_branch_kw[at[k] - 1] / 1000.0 for k in case.below(j))) < 1e-12
