@@ -22,8 +22,8 @@ def distflow_tensors(
     feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, warm: Any | None, tolerance: float, max_sweeps: int
 ) -> Solution:
     """Solve as ``distflow`` does. The derivative has none of its own: RuntimeError where one is recorded."""
-    figures = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
-    return Solution(*figures, figures[3])  # pyright: ignore
+    figures: Any = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
+    return Solution(*figures, restart=figures[3].detach())
 
 
 class _DistFlow(torch.autograd.Function):
