@@ -100,7 +100,7 @@ class EpisodeProgram:
         excess = least["w"].reshape(self.scenario.horizon, -1)
         step, bus = np.unravel_index(np.argmax(excess), excess.shape)
         return (
-            f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]!r} the voltage is at least "
+            f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]} the voltage is at least "
             f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten "
             "the load"
         )
