@@ -50,7 +50,7 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
         record: dict[str, Any] = {"site": site}
         for name, bus in {"own": site, **ends}.items():
             rise = settled(scenario, full, {bus: 1000.0}) - before
-            record |= {f"{name}_bus": bus, f"{name}_x_pu_per_mvar": float(x[feeder.index(bus)])}
+            record |= {f"{name}_bus": int(bus), f"{name}_x_pu_per_mvar": float(x[feeder.index(bus)])}
             record[f"{name}_rise_pu_per_mvar"] = float(rise[feeder.index(site)])
         alone = runs.setting.pinned((site,), inverter_buses=(ends["near"],), inverter_s_kva=350.0)
         record["none_site_deviation_pu"] = runs.of(alone, NONE).mean("first_site_deviation_pu")

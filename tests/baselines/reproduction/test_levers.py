@@ -65,7 +65,7 @@ def test_published_placement():
     setting = Setting(choose_load("generated"), episodes=2, placement="published")
     assert setting.counts == (1, 2, 3, 4, 5, 8)
     for n in setting.counts:
-        assert setting.scenario(n).datacenter_buses == PUBLISHED_BUSES[:n]
+        assert setting.scenario(n).datacenter_buses == tuple(map(str, PUBLISHED_BUSES[:n]))
     assert Setting(choose_load("generated"), episodes=2).scenario(5).datacenter_buses is None
 
 
