@@ -4,7 +4,7 @@ Importing the package, or running a policy, needs no torch; the algorithms and `
 """
 
 from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.network import Network, PolicyError
+from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import find_controller

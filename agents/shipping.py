@@ -9,7 +9,7 @@ from pathlib import Path
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import Card, Scored
-from dcgrid_env.agents.policy.network import PolicyError
+from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.training.config import stored_config

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from dcgrid_env.agents.policy.network import PolicyError
+from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.core.files import write_json
 
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")

@@ -31,7 +31,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from array_api_compat import array_namespace
 
-from dcgrid_env.agents.policy.network import Network, PolicyError, figures
+from dcgrid_env.agents.policy.neural_network import Network, PolicyError, figures
 
 UNITS = 6
 """Bent units of psi beside the straight one."""

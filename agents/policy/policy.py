@@ -12,7 +12,7 @@ from dcgrid_env import Scenario, action_layout
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
-from dcgrid_env.agents.policy.network import Family, Network, PolicyError
+from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.core.files import write_bytes

@@ -17,7 +17,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from dcgrid_env.agents.policy.network import PolicyError
+from dcgrid_env.agents.policy.neural_network import PolicyError
 
 KEY = "dcgrid policy"
 """The one key: safetensors writes several in any order, and the same policy is to be the same bytes."""

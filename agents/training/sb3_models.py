@@ -11,7 +11,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 
-from dcgrid_env.agents.policy.network import Network
+from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
 from dcgrid_env.agents.training.config import trained_on

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.agents.policy.monotone import UNITS, WIDTH, Head, MonotoneNetwork, head_output
-from dcgrid_env.agents.policy.network import Network
+from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.training.run_folder import torch
 
 CLIP = 10.0
