@@ -2,7 +2,7 @@
 
 | field | plain form | object |
 |---|---|---|
-| feeder | a shipped feeder's name, or the path of a folder | Feeder |
+| feeder | a feeder's name (shipped, or of another package), or the path of a folder | Feeder |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost | a mapping of their fields | Workload, Background, Sensing, Cost |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
@@ -27,7 +27,7 @@ import numpy as np
 from dcgrid_env.devices import DEVICES
 from dcgrid_env.devices.datacenter.named_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.grid import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, load_feeder
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
@@ -50,7 +50,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, Feeder):
-        return value.name if value.name in FEEDERS and load_feeder(value.name) is value else value
+        return value.name if value.name in FEEDER_REGISTRY and load_feeder(value.name) is value else value
     if type(value) in CLOCK_LAWS.values():
         return plain_law(value)
     if isinstance(value, list | tuple):
@@ -73,7 +73,7 @@ def reads_files(name: str, value: Any) -> bool:
     if name == "devices" and isinstance(value, list | tuple):
         return any(reads_files("device", held) for held in value)
     if name == "feeder":
-        return isinstance(value, str | Path) and value not in FEEDERS
+        return isinstance(value, Path) or (isinstance(value, str) and value not in FEEDER_REGISTRY)
     if name == "trace":
         return isinstance(value, Path | list | tuple) or (isinstance(value, str) and value not in TRACE_SOURCES)
     return name in ("inverter_trace", "injection") and isinstance(value, str | Path) and value != SUN
@@ -81,11 +81,13 @@ def reads_files(name: str, value: Any) -> bool:
 
 def feeder_from_plain(value: Any) -> Any:
     """A feeder by its name or folder; any other value as it is. FeederError for one that there is not."""
-    if not isinstance(value, str | Path) or value in FEEDERS:
-        return load_feeder(value) if isinstance(value, str) else value
+    if not isinstance(value, str | Path):
+        return value
+    if isinstance(value, str) and value in FEEDER_REGISTRY:
+        return load_feeder(value)
     if _is_there(value, Path.is_dir):
         return Feeder.from_csv(value)
-    raise FeederError(f"unknown feeder {str(value)!r}; there are {', '.join(FEEDERS)}; or give a folder of your own")
+    raise FeederError(f"{FEEDER_REGISTRY.unknown(str(value))}; or give a folder of your own")
 
 
 def faults_from_plain(value: Any) -> Any:

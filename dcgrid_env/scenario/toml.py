@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid import FEEDERS
+from dcgrid_env.grid import FEEDER_REGISTRY
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import to_plain
@@ -112,7 +112,9 @@ def _from_here(folder: Path, name: str, value: Any) -> Any:
         return {key: _from_here(folder, key, held) for key, held in value.items()}
     if isinstance(value, list) and name in ("devices", "trace"):
         return [_from_here(folder, name, held) for held in value]
-    if isinstance(value, str) and name in ("feeder", "trace", "injection", "inverter_trace") and value not in FEEDERS:
+    if name == "feeder" and isinstance(value, str) and value in FEEDER_REGISTRY:
+        return value
+    if isinstance(value, str) and name in ("feeder", "trace", "injection", "inverter_trace"):
         there = folder / value
         return str(there) if there.exists() else value
     return value

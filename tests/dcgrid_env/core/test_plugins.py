@@ -17,6 +17,7 @@ PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 GROUPS = {registry.group: registry for registry in (CONTROLLER_REGISTRY, SCENARIO_REGISTRY, FEEDER_REGISTRY)}
 
 GOOD = """
+from dataclasses import replace
 from dcgrid_env import load_feeder, make_scenario
 from dcgrid_env.baselines import NoControl
 
@@ -24,7 +25,10 @@ class Law(NoControl): ...
 
 CONTROLLERS = {"toy-law": ("the toy's law", Law), ".toy": ("a toy's file", lambda path: Law())}
 SCENARIOS = {"toy-day": ("a day of the toy", lambda: make_scenario("toy6", name="toy-day"))}
-FEEDERS = {"toy-net": ("the toy's feeder", lambda: load_feeder("toy6"))}
+FEEDERS = {
+    "toy-net": ("the toy's feeder", lambda: load_feeder("toy6")),
+    "toy-far": ("the toy's far feeder", lambda: replace(load_feeder("toy6"), name="toy-far")),
+}
 """
 GOOD_POINTS = """
 [dcgrid.controllers]
@@ -82,6 +86,20 @@ def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
     ):
         assert line in [" ".join(text.split()) for text in listed.stdout.splitlines()]
     assert ".toy" not in listed.stdout  # that is an ending, no name
+
+
+def test_a_scenario_takes_the_name_of_another_packages_feeder(site):
+    folder = site("good-toy", GOOD, GOOD_POINTS)
+    (folder / "toy-far").mkdir()  # a name goes before a folder, and the name is no file that may change
+    (folder / "far.toml").write_text("base = 'toy6'\nfeeder = 'toy-far'\n")
+    code = (
+        "from dcgrid_env import *\nfrom dcgrid_env.scenario.plain import reads_files, to_plain\n"
+        "s = make_scenario('toy6', feeder='toy-far')\n"
+        "print(s.feeder is load_feeder('toy-far'), to_plain(s.feeder), reads_files('feeder', 'toy-far'))\n"
+        "print(make_scenario('far.toml').feeder is s.feeder)\n"
+        "try: make_scenario('toy6', feeder='toy-near')\nexcept ValueError as error: print('toy-far' in str(error))"
+    )
+    assert printed(folder, code) == ["True", "toy-far", "False", "True", "True"]
 
 
 def test_nothing_is_loaded_before_it_is_asked_for(site):
