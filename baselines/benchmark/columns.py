@@ -46,7 +46,7 @@ def fit(header: Sequence[str], rows: Sequence[Sequence[str]], width: int, fixed:
     header, rows
         The table's text.
     width
-        Of the terminal, characters.
+        How many characters a line of the terminal takes.
     fixed
         How many of the first columns name the rows; they stand in every part, and their cells fold as headings do.
 

@@ -54,7 +54,7 @@ def gather(
     Parameters
     ----------
     cases, controllers, episodes
-        As planned.
+        What was planned: scenarios, names of controllers, and the number of episodes of each pair.
     done
         Records of the finished units; those of a pair that failed elsewhere are left out.
     failures

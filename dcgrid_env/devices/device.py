@@ -162,7 +162,7 @@ class Device(Protocol):
         parameters, state
             Those of before, arrays of one kind.
         setpoints
-            Of the channels in their order but the reactive one, in their units, (lane, slot) each.
+            What each channel but the reactive one is set to, (lane, slot) each, in the order and units of ``channels``.
         given
             What comes from outside, see ``input``.
         dt_s
@@ -201,6 +201,7 @@ class Device(Protocol):
         dt_s
             Length of a step, s.
         requests
-            Of each slot the requests behind its work and when the episode begins among them, s; None without any.
+            For each slot, the requests behind its work and the time among them, s, at which the episode begins; None
+            where no slot's work is made of requests.
         """
         ...

@@ -33,7 +33,7 @@ class Episode(NamedTuple):
     start: np.ndarray
     """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_site)."""
     sun: np.ndarray
-    """The same of generated PV, (lane,); 0 where there is none."""
+    """Where the window of generated PV begins, flat position row * n_step + step of its pool, (lane,); 0 without PV."""
     begin_h: np.ndarray
     """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
     still: np.ndarray
@@ -212,7 +212,7 @@ def exogenous(
     Parameters
     ----------
     scenario, episode
-        As drawn.
+        The scenario, and what a reset drew of it for each lane.
     step
         (lane,) int64; at 0 the noise starts afresh.
     noise

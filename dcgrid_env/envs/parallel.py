@@ -181,6 +181,6 @@ def env(
     info: InfoLevel = "full",
     **overrides: Any,
 ) -> AECEnv[str, Any, Any]:
-    """The same environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
+    """The environment of a scenario in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
     turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
     return parallel_to_aec(turns)

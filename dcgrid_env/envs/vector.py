@@ -47,7 +47,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     num_envs
         Lanes.
     scenario, **overrides
-        As for :class:`dcgrid_env.DcgridEnv`.
+        What :class:`dcgrid_env.DcgridEnv` takes.
     render_mode
         None, "rgb_array" (``render`` gives a tuple of images, one for each lane) or "human" (a window shows lane 0).
     info

@@ -206,7 +206,7 @@ def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, ma
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def lindistflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, out):
-    """As ``distflow_lanes`` without the loss terms: one pass, no iteration."""
+    """Solve what ``distflow_lanes`` solves without its loss terms: one pass, no iteration."""
     lanes, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
