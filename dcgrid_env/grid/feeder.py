@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.core.units import impedance_base_ohm
-from dcgrid_env.grid.checks import check_balanced, check_lengths
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
 from dcgrid_env.grid.network import (
     BusId,
@@ -25,6 +24,7 @@ from dcgrid_env.grid.network import (
     bus_text,
     summed_at_nodes,
 )
+from dcgrid_env.grid.network_checks import check_balanced, check_lengths
 from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first, orient
 
 FloatArray = NDArray[np.float64]

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.checks import check_balanced
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
+from dcgrid_env.grid.network_checks import check_balanced
 from dcgrid_env.grid.topology import FeederError
 
 

@@ -55,14 +55,14 @@ def check_balanced(network: Network) -> None:
             )
     if len(source) != 1:
         raise FeederError(f"feeder {name!r}: {len(source)} sources; give one, at the substation")
-    known = set(node.bus)
+    buses = set(node.bus)
     for kind, table in (("node", node), ("load", network.load), ("shunt", network.shunt)):
         for bus, phase in zip(table.bus, table.phase, strict=True):
             if phase != 0:
                 raise FeederError(
                     f"feeder {name!r}: {kind} at bus {bus!r} is of phase {phase!r}; balanced feeders have phase 0 alone"
                 )
-            if bus not in known:
+            if bus not in buses:
                 raise FeederError(f"feeder {name!r}: {kind} at the unknown bus {bus!r}; add it to the nodes")
     voltages = [source.base_kv[0], source.v_pu[0]]
     check_numbers(name, "feeder", ["base_kv", "v0_pu"], {"value": voltages}, positive=True)
