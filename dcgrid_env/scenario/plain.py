@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.devices import DEVICES
-from dcgrid_env.devices.datacenter.named_laws import CLOCK_LAWS, plain_law
+from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, load_feeder
 from dcgrid_env.scenario.background import Background

@@ -47,14 +47,14 @@ def work_classes_of(dvfs: Any) -> int:
 def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.ndarray:
     """Speed of each work class at a clock as a share of that at the top clock, (..., n_dc, n_class), for ``f_mhz``
     (..., n_dc): how much of more work than can be done is done."""
-    found = []
+    shares = []
     for work_class in range(work_classes_of(dvfs)):
         plenty = np.zeros((*f_mhz.shape, work_classes_of(dvfs)))
         plenty[..., work_class] = 1e3 * params.p_dynamic_kw
         work = plenty if work_classes_of(dvfs) > 1 else plenty[..., 0]
         done, top = (dvfs.serve(params, f, work)[0] for f in (f_mhz, params.f_max_mhz + 0.0 * f_mhz))
-        found.append(done[..., work_class] / top[..., work_class] if work_classes_of(dvfs) > 1 else done / top)
-    return np.stack(found, axis=-1)
+        shares.append(done[..., work_class] / top[..., work_class] if work_classes_of(dvfs) > 1 else done / top)
+    return np.stack(shares, axis=-1)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
-from dcgrid_env.devices.datacenter.named_laws import clock_law
+from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
@@ -121,14 +121,14 @@ class DataCenters(PickledByFields):
         """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
         longest_s = horizon * dt_s * boost
-        found = (
+        common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog", "s at the rating", 0.0, longest_s, rated),
         )
         if self.work_classes == 1:
-            return found
+            return common
         return (
-            *found,
+            *common,
             Field("p_ref_next_compute", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog_compute", "s at the rating", 0.0, longest_s, rated),
         )

@@ -93,11 +93,12 @@ def serve_requests(
     )
 
 
-def _integral(to_s: np.ndarray, held: np.ndarray, dt_s: float) -> np.ndarray:
-    """Of a figure held over each step, (n_step,), from the beginning to ``to_s`` (n,); its last value holds on."""
-    edge_s = dt_s * np.arange(len(held) + 1)
-    inside = np.interp(to_s, edge_s, np.concatenate(([0.0], np.cumsum(held) * dt_s)))
-    return inside + held[-1] * np.maximum(to_s - edge_s[-1], 0.0)
+def _integral(to_s: np.ndarray, figure: np.ndarray, dt_s: float) -> np.ndarray:
+    """Integral of a figure that is constant in each step, (n_step,), from the beginning to ``to_s`` (n,), and keeps its
+    last value afterwards."""
+    edge_s = dt_s * np.arange(len(figure) + 1)
+    inside = np.interp(to_s, edge_s, np.concatenate(([0.0], np.cumsum(figure) * dt_s)))
+    return inside + figure[-1] * np.maximum(to_s - edge_s[-1], 0.0)
 
 
 def request_delays(sites: Iterable[Served]) -> RequestDelays:

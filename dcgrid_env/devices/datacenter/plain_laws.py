@@ -27,10 +27,10 @@ def clock_law(value: Any) -> Any:
     if not isinstance(law, str) or law not in CLOCK_LAWS:
         names = ", ".join(map(repr, CLOCK_LAWS))
         raise ValueError(f"give {names}, or a mapping with the key 'law' that is one of them")
-    known = [field.name for field in dataclasses.fields(CLOCK_LAWS[law])]
+    fields = [field.name for field in dataclasses.fields(CLOCK_LAWS[law])]
     for key in parameters:
-        if key not in known:
-            raise ValueError(f"law {law!r} has no parameter {key!r}; there are {', '.join(known) or 'none'}")
+        if key not in fields:
+            raise ValueError(f"law {law!r} has no parameter {key!r}; there are {', '.join(fields) or 'none'}")
     return CLOCK_LAWS[law](**parameters)
 
 
