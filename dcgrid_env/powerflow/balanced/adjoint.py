@@ -38,15 +38,15 @@ def distflow_adjoint_lanes(order, parent, r, x, solved, weights, converged, tole
     v_pu, p_branch, q_branch, current = solved
     g_v, g_p, g_q, g_l, g_loss = weights
     d_p, d_q, d_v0 = out
-    lanes, n = v_pu.shape
+    n_lanes, n = v_pu.shape
     work = np.empty((12, n, BLOCK), v_pu.dtype)
     w, P, Q, l, gw, gP, gQ, gl, Pb, Qb, lb, wb = (
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10], work[11],
     )  # fmt: skip
     off = np.empty(BLOCK, v_pu.dtype)
     size = np.empty(BLOCK, v_pu.dtype)
-    for first in range(0, lanes, BLOCK):
-        count = min(BLOCK, lanes - first)
+    for first in range(0, n_lanes, BLOCK):
+        count = min(BLOCK, n_lanes - first)
         for b in range(BLOCK):
             lane = first + min(b, count - 1)
             on = 1.0 if converged[lane] else 0.0

@@ -31,29 +31,29 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
     ``rest`` is what the kernel takes beyond the loads: for DistFlow the warm start or None, tolerance and most sweeps.
     """
     shape, n, dtype = p_kw.shape[:-1], feeder.n_bus, p_kw.dtype
-    lanes = p_kw.size // n
-    loads = _rows(p_kw, (lanes, n)), _rows(q_kvar, (lanes, n)), _rows(v0_pu, (lanes,))
+    n_lanes = p_kw.size // n
+    loads = _rows(p_kw, (n_lanes, n)), _rows(q_kvar, (n_lanes, n)), _rows(v0_pu, (n_lanes,))
     if rest:
         warm = rest[0]
-        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm, (lanes, n - 1))
+        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm, (n_lanes, n - 1))
         rest = (warm, *rest[1:])
-    over_branches = np.empty((3, lanes, n - 1), dtype)
-    per_lane = np.empty((2, lanes), dtype)
+    over_branches = np.empty((3, n_lanes, n - 1), dtype)
+    per_lane = np.empty((2, n_lanes), dtype)
     out = (
-        np.empty((lanes, n), dtype),
+        np.empty((n_lanes, n), dtype),
         over_branches[0],
         over_branches[1],
         over_branches[2],
         per_lane[0],
-        np.empty(lanes, np.bool_),
-        np.empty(lanes, np.int64),
+        np.empty(n_lanes, np.bool_),
+        np.empty(n_lanes, np.int64),
         per_lane[1],
     )
-    kernel, known = _KERNELS[method], constants(feeder, dtype.type)
-    if lanes == 1:
-        failed = kernel(*known, *loads, *rest, out)
+    kernel, of_feeder = _KERNELS[method], constants(feeder, dtype.type)
+    if n_lanes == 1:
+        failed = kernel(*of_feeder, *loads, *rest, out)
     else:
-        failed = over_lanes(partial(_part, kernel, known, loads, rest, out), lanes)
+        failed = over_lanes(partial(_part, kernel, of_feeder, loads, rest, out), n_lanes)
     if failed:
         raise_not_finite(feeder, p_kw, q_kvar)
     if len(shape) == 1:
@@ -62,10 +62,10 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
     return Solution(*shaped, restart=shaped[3])
 
 
-def _part(kernel: Any, known: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:
+def _part(kernel: Any, of_feeder: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:
     cut = slice(first, last)
     rest = (rest[0][cut], *rest[1:]) if rest else ()
-    return kernel(*known, *(a[cut] for a in loads), *rest, tuple(a[cut] for a in out))
+    return kernel(*of_feeder, *(a[cut] for a in loads), *rest, tuple(a[cut] for a in out))
 
 
 def _rows(values: Any, shape: tuple[int, ...]) -> Any:

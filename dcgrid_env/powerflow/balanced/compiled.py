@@ -133,7 +133,7 @@ def _block(parent, r, x, scratch, off, collapsed):
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
-    lanes, n = p_kw.shape
+    n_lanes, n = p_kw.shape
     work = np.empty((6, n, BLOCK), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     off = np.empty(BLOCK, p_kw.dtype)
@@ -141,8 +141,8 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
     collapsed = np.empty(BLOCK, p_kw.dtype)
     done = np.empty(BLOCK, np.bool_)
     most = min(BLOCK_SWEEPS, max_sweeps)
-    for first in range(0, lanes, BLOCK):
-        count = min(BLOCK, lanes - first)
+    for first in range(0, n_lanes, BLOCK):
+        count = min(BLOCK, n_lanes - first)
         for b in range(BLOCK):
             lane = first + min(b, count - 1)
             done[b] = b >= count
@@ -176,15 +176,15 @@ def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, ma
     currents to start from, or has no rows. A lane that does not settle from there starts again from no current, with
     ``max_sweeps``. Returns the number of lanes without a solution.
     """
-    lanes, n = p_kw.shape
-    few = lanes <= FEW
+    n_lanes, n = p_kw.shape
+    few = n_lanes <= FEW
     if not few:
         _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out)
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     cold = warm[:0]
     failed = 0
-    for lane in range(lanes):
+    for lane in range(n_lanes):
         if not few and out[6][lane] > 0:
             continue
         sweeps, residual = 0, np.inf
@@ -207,12 +207,12 @@ def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, ma
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def lindistflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, out):
     """Solve what ``distflow_lanes`` solves without its loss terms: one pass, no iteration."""
-    lanes, n = p_kw.shape
+    n_lanes, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     p, q, P, Q, v, l = scratch
     failed = 0
-    for lane in range(lanes):
+    for lane in range(n_lanes):
         settled = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
         for k in range(n):
             P[k, 0] = p[k, 0]

@@ -32,11 +32,11 @@ class _DistFlow(torch.autograd.Function):
         loads = (p_kw.detach().numpy(), q_kvar.detach().numpy(), v0_pu.detach().numpy())
         start = None if warm is None else warm.detach().numpy()
         solved = solve_lanes("distflow", feeder, *loads, start, *rest)
-        found = [torch.from_numpy(np.asarray(a)) for a in solved[:-1]]
+        tensors = [torch.from_numpy(np.asarray(a)) for a in solved[:-1]]
         ctx.feeder = feeder
-        ctx.save_for_backward(*found[:4], found[5])
-        ctx.mark_non_differentiable(*found[5:])
-        return tuple(found)
+        ctx.save_for_backward(*tensors[:4], tensors[5])
+        ctx.mark_non_differentiable(*tensors[5:])
+        return tuple(tensors)
 
     @staticmethod
     def backward(ctx: Any, *weights: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -46,27 +46,27 @@ class _DistFlow(torch.autograd.Function):
             )
         *solved, converged = (a.detach().numpy() for a in ctx.saved_tensors)
         n, dtype, shape = ctx.feeder.n_bus, solved[0].dtype, converged.shape
-        lanes = converged.size
+        n_lanes = converged.size
         widths = (n, n - 1, n - 1, n - 1, None)
-        known = constants(ctx.feeder, dtype.type)
-        g = [_rows(w.numpy(), lanes, width) for w, width in zip(weights, widths, strict=False)]
-        s = [_rows(a, lanes, width) for a, width in zip(solved, widths, strict=False)]
-        ok = _rows(converged, lanes, None)
-        out = (np.empty((lanes, n), dtype), np.empty((lanes, n), dtype), np.empty(lanes, dtype))
+        of_feeder = constants(ctx.feeder, dtype.type)
+        g = [_rows(w.numpy(), n_lanes, width) for w, width in zip(weights, widths, strict=False)]
+        s = [_rows(a, n_lanes, width) for a, width in zip(solved, widths, strict=False)]
+        ok = _rows(converged, n_lanes, None)
+        out = (np.empty((n_lanes, n), dtype), np.empty((n_lanes, n), dtype), np.empty(n_lanes, dtype))
         tolerance = adjoint.TOLERANCE[dtype.itemsize]
         kernel: Any = adjoint.distflow_adjoint_lanes
 
         def part(a: int, b: int) -> int:
             cut = slice(a, b)
             solved_part, weights_part, out_part = (tuple(x[cut] for x in arrays) for arrays in (s, g, out))
-            kernel(*known, solved_part, weights_part, ok[cut], tolerance, out_part)
+            kernel(*of_feeder, solved_part, weights_part, ok[cut], tolerance, out_part)
             return 0
 
-        over_lanes(part, lanes)
+        over_lanes(part, n_lanes)
         d_p, d_q = (torch.from_numpy(d.reshape(*shape, n)) for d in out[:2])
         return d_p, d_q, torch.from_numpy(out[2].reshape(shape)), None, None, None, None
 
 
-def _rows(values: np.ndarray, lanes: int, width: int | None) -> np.ndarray:
+def _rows(values: np.ndarray, n_lanes: int, width: int | None) -> np.ndarray:
     """(lane, width) or (lane,), contiguous: the one memory layout that the kernel is compiled for."""
-    return np.ascontiguousarray(values.reshape((lanes,) if width is None else (lanes, width)))
+    return np.ascontiguousarray(values.reshape((n_lanes,) if width is None else (n_lanes, width)))
