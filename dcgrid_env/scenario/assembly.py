@@ -23,14 +23,14 @@ _ORDER = ("datacenter", "inverter")
 """Kinds of devices that have flat names, in the order in which a scenario made of flat names has them."""
 
 
-def assembled(base: Any, known: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
+def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a scenario: those of ``base`` (None for a new one) with what is given put in.
 
     Parameters
     ----------
     base
         A scenario, or None.
-    known
+    own
         Names of a scenario's own fields.
     given
         Values by the name of a field, of a part or of a part's field (``flat_names``). A mapping for a part changes
@@ -44,32 +44,32 @@ def assembled(base: Any, known: Iterable[str], given: Mapping[str, Any]) -> dict
     ScenarioError
         For a value that cannot be.
     """
-    own = list(known)
+    own = list(own)
     for key in given:
         if key not in own and key not in FLAT:
             whose = f"scenario {base.name!r}" if base is not None else "Scenario"
             raise TypeError(
                 f"{whose} got an unexpected keyword argument {key!r}; its fields are {', '.join((*own, *FLAT))}"
             )
-    made = {} if base is None else {name: getattr(base, name) for name in own}
-    made |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
+    fields = {} if base is None else {name: getattr(base, name) for name in own}
+    fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
     flat: dict[str, dict[str, tuple[str, Any]]] = {}
     for key, value in given.items():
         if key in FLAT:
             part, field = FLAT[key]
             flat.setdefault(part, {})[field] = (key, value)
-    name = made.get("name")
+    name = fields.get("name")
     for field, (key, value) in flat.pop("", {}).items():
         if field in given:
             raise ScenarioError(f"scenario {name!r}: {field} and {key} are one field; give one of them")
-        made[field] = value
+        fields[field] = value
     for part, kind in PARTS.items():
-        if part in given or part in flat or part not in made:
+        if part in given or part in flat or part not in fields:
             start = getattr(base, part, None)
-            made[part] = _part(name, part, kind, start, given.get(part), flat.get(part, {}))
+            fields[part] = _part(name, part, kind, start, given.get(part), flat.get(part, {}))
     by_kind = {kind: flat[kind] for kind in _ORDER if kind in flat}
-    made["devices"] = _devices(name, base, given.get("devices"), by_kind)
-    return made
+    fields["devices"] = _devices(name, base, given.get("devices"), by_kind)
+    return fields
 
 
 def _part(
@@ -109,23 +109,23 @@ def _devices(
 ) -> tuple[Any, ...]:
     """The groups of devices, those of flat names made or changed."""
     if given is None:
-        found = [] if base is None else list(base.devices)
+        groups = [] if base is None else list(base.devices)
     else:
         listed = given if isinstance(given, list | tuple) else (given,)
-        found = [_device(scenario, f"devices[{i}]", device) for i, device in enumerate(listed)]
+        groups = [_device(scenario, f"devices[{i}]", device) for i, device in enumerate(listed)]
     for place, kind in enumerate(_ORDER):
         if kind not in flat and not (base is None and given is None):
             continue
-        at = [i for i, device in enumerate(found) if device.kind == kind]
+        at = [i for i, device in enumerate(groups) if device.kind == kind]
         if len(at) > 1:
             name = next(iter(flat[kind].values()))[0]
             raise ScenarioError(
                 f"scenario {scenario!r} has {len(at)} groups of kind {kind!r}; give devices, not {name}"
             )
-        start = found[at[0]] if at else None
-        made = _part(scenario, kind, DEVICES[kind], start, None, flat.get(kind, {}))
-        found[at[0] if at else min(place, len(found)) : (at[0] + 1 if at else min(place, len(found)))] = [made]
-    return tuple(found)
+        start = groups[at[0]] if at else None
+        group = _part(scenario, kind, DEVICES[kind], start, None, flat.get(kind, {}))
+        groups[at[0] if at else min(place, len(groups)) : (at[0] + 1 if at else min(place, len(groups)))] = [group]
+    return tuple(groups)
 
 
 def _device(scenario: Any, path: str, given: Any) -> Any:

@@ -33,7 +33,7 @@ class Kind(NamedTuple):
     name: str
     fields: tuple[str, ...]
     """Always hashed."""
-    named: bool = True
+    with_names: bool = True
     """Whether the names of these fields are hashed too."""
 
 
@@ -52,7 +52,7 @@ _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
 SCHEMA_1: dict[type[Any], Kind] = {
     Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
     Feeder: Kind("Feeder", tuple(_FEEDER.split())),
-    CostWeights: Kind("tuple8", tuple(_WEIGHTS.split()), named=False),
+    CostWeights: Kind("tuple8", tuple(_WEIGHTS.split()), with_names=False),
     Fault: Kind("Fault", ("among", "begin_s", "duration_s")),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
@@ -84,9 +84,9 @@ def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
         name = listed.removesuffix("?")
         if name in _OF_DEVICES and not _has_two_groups(value):
             continue
-        held = _hashed(value, name)
-        if name == listed or held is not None:
-            yield name if kind.named else "", held
+        content = _hashed(value, name)
+        if name == listed or content is not None:
+            yield name if kind.with_names else "", content
 
 
 def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:

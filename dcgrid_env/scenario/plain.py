@@ -41,8 +41,8 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, CostWeights):
         return {key: to_plain(weight) for key, weight in value._asdict().items()}
     if isinstance(value, Fault):
-        held = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        return {key: to_plain(v) for key, v in held.items() if v != (math.inf, math.inf)}
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
     if isinstance(value, Workload | Background | Sensing | Cost):
         return _fields_to_plain(value)
     if type(value) in DEVICES.values():
@@ -69,9 +69,9 @@ def _fields_to_plain(part: Any) -> dict[str, Any]:
 def reads_files(name: str, value: Any) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
     if isinstance(value, Mapping):
-        return any(reads_files(key, held) for key, held in value.items())
+        return any(reads_files(key, item) for key, item in value.items())
     if name == "devices" and isinstance(value, list | tuple):
-        return any(reads_files("device", held) for held in value)
+        return any(reads_files("device", item) for item in value)
     if name == "feeder":
         return isinstance(value, Path) or (isinstance(value, str) and value not in FEEDER_REGISTRY)
     if name == "trace":
@@ -96,22 +96,22 @@ def faults_from_plain(value: Any) -> Any:
         value = (value,)
     if not isinstance(value, list | tuple):
         return value
-    known = [field.name for field in dataclasses.fields(Fault)]
-    found = []
+    keys = [field.name for field in dataclasses.fields(Fault)]
+    faults = []
     for i, fault in enumerate(value):
         if isinstance(fault, Mapping):
-            for key in (*fault, *(name for name in known[:2] if name not in fault)):
-                if key not in known or key not in fault:
-                    wrong = "is no key" if key not in known else "is missing"
-                    raise ScenarioError(f"faults[{i}]: {key!r} {wrong}; give {', '.join(known)}, the last if need be")
+            for key in (*fault, *(name for name in keys[:2] if name not in fault)):
+                if key not in keys or key not in fault:
+                    wrong = "is no key" if key not in keys else "is missing"
+                    raise ScenarioError(f"faults[{i}]: {key!r} {wrong}; give {', '.join(keys)}, the last if need be")
             try:
                 # JSON proper has no infinity: no duration, or null, is for good.
                 given = {key: v for key, v in fault.items() if not (key == "duration_s" and v is None)}
                 fault = Fault(**{key: tuple(v) if isinstance(v, list | np.ndarray) else v for key, v in given.items()})
             except (TypeError, ValueError) as error:
                 raise ScenarioError(f"faults[{i}]: {error}") from None
-        found.append(fault)
-    return tuple(found)
+        faults.append(fault)
+    return tuple(faults)
 
 
 def _is_there(path: str | Path, kind: Callable[[Path], bool]) -> bool:

@@ -266,14 +266,14 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
         return base
     try:
         key = (base, *((name, _key(value)) for name, value in overrides.items()))
-        known = _ALIVE.get(key)
+        kept = _ALIVE.get(key)
     except TypeError:  # an override that cannot be a key
         return base.replace(**overrides)
-    if known is None:
-        known = base.replace(**overrides)
+    if kept is None:
+        kept = base.replace(**overrides)
         if not any(reads_files(name, value) for name, value in overrides.items()):
-            _ALIVE[key] = known
-    return known
+            _ALIVE[key] = kept
+    return kept
 
 
 @cache
@@ -286,5 +286,5 @@ def _preset(name: str) -> Scenario:
 def _key(value: Any) -> Any:
     """A hashable form in which values of different types differ though they are equal, as 1, 1.0 and True are."""
     if isinstance(value, Mapping):
-        return dict, tuple((key, _key(held)) for key, held in value.items())
+        return dict, tuple((key, _key(item)) for key, item in value.items())
     return type(value), tuple(map(_key, value)) if isinstance(value, list | tuple) else value

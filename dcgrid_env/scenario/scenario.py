@@ -66,11 +66,11 @@ class Scenario(PickledByFields, FlatNames):
     def __init__(self, **given: Any):
         self._fill(assembled(None, self.__dataclass_fields__, given))
 
-    def _fill(self, made: Mapping[str, Any]) -> None:
+    def _fill(self, values: Mapping[str, Any]) -> None:
         for field in dataclasses.fields(self):
-            if field.name not in made and field.default is MISSING:
+            if field.name not in values and field.default is MISSING:
                 raise TypeError(f"Scenario() missing the keyword argument {field.name!r}")
-            object.__setattr__(self, field.name, made.get(field.name, field.default))
+            object.__setattr__(self, field.name, values.get(field.name, field.default))
         if not isinstance(self.name, str) or not self.name.strip():
             raise ScenarioError(f"scenario {self.name!r}: name is {self.name!r}; give a text that is not empty")
         with located(self.name, "", {"source_voltage_pu": "v0_pu"}):
@@ -166,11 +166,11 @@ class Scenario(PickledByFields, FlatNames):
     @cached_property
     def agents(self) -> tuple[str, ...]:
         """Agent ids, slots that are the same in every episode: dc_0.., then inv_0.."""
-        found: list[str] = []
+        ids: list[str] = []
         for device in self.devices:
-            first = sum(name.startswith(f"{device.prefix}_") for name in found)
-            found += (f"{device.prefix}_{first + i}" for i in range(device.count))
-        return tuple(found)
+            first = sum(name.startswith(f"{device.prefix}_") for name in ids)
+            ids += (f"{device.prefix}_{first + i}" for i in range(device.count))
+        return tuple(ids)
 
     @property
     def n_agents(self) -> int:
@@ -244,20 +244,20 @@ class Scenario(PickledByFields, FlatNames):
     @cached_property
     def fault_targets(self) -> tuple[np.ndarray, ...]:
         """What each fault draws from: an agent's position, or n_agents + the position of a capacitor's bus."""
-        found = []
+        drawn_from = []
         for fault in self.faults:
             targets: list[int] = []
             for name in fault.among:
                 targets += [self.agents.index(name)] if name in self.agents else self._of_kind(name)
-            found.append(np.unique(targets))
-        return tuple(map(read_only, found))
+            drawn_from.append(np.unique(targets))
+        return tuple(map(read_only, drawn_from))
 
     def _of_kind(self, kind: str) -> list[int]:
         if kind == CAPACITOR:
             connected = self.feeder.capacitor_kvar > 0 if self.capacitors else np.zeros(self.feeder.n_bus, bool)
             return [self.n_agents + int(bus) for bus in np.flatnonzero(connected)]
         kinds = [device.kind for device in self.devices for _ in range(device.count)]
-        return [i for i, found in enumerate(kinds) if found == kind]
+        return [i for i, of_agent in enumerate(kinds) if of_agent == kind]
 
     @cached_property
     def candidates(self) -> np.ndarray:

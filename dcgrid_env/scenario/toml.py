@@ -98,9 +98,9 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
             plain = {name: now for name, now in plain.items() if now != before[name]}
         _refuse_objects(scenario, field.name, plain)
         if field.name == "devices":
-            plain = [{name: held for name, held in device.items() if held is not None} for device in plain]
+            plain = [{name: item for name, item in device.items() if item is not None} for device in plain]
         (tables if field.name in (*PARTS, "devices", "faults") else table)[field.name] = _without_none(plain)
-    text = tomli_w.dumps(table | {name: held for name, held in tables.items() if held or base is not None})
+    text = tomli_w.dumps(table | {name: item for name, item in tables.items() if item or base is not None})
     if path is not None:
         write_text(Path(path), text)
     return text
@@ -109,9 +109,9 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
 def _from_here(folder: Path, name: str, value: Any) -> Any:
     """Paths as they are from the folder of the file."""
     if isinstance(value, dict):
-        return {key: _from_here(folder, key, held) for key, held in value.items()}
+        return {key: _from_here(folder, key, item) for key, item in value.items()}
     if isinstance(value, list) and name in ("devices", "trace"):
-        return [_from_here(folder, name, held) for held in value]
+        return [_from_here(folder, name, item) for item in value]
     if name == "feeder" and isinstance(value, str) and value in FEEDER_REGISTRY:
         return value
     if isinstance(value, str) and name in ("feeder", "trace", "injection", "inverter_trace"):
@@ -126,28 +126,28 @@ NONE = "none"
 
 def _none_in(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _none_in(held) for key, held in value.items()}
+        return {key: _none_in(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_none_in(held) for held in value]
+        return [_none_in(item) for item in value]
     return None if value == NONE else value
 
 
 def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _without_none(held) for key, held in value.items()}
+        return {key: _without_none(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_without_none(held) for held in value]
+        return [_without_none(item) for item in value]
     return NONE if value is None else value
 
 
 def _refuse_objects(scenario: Any, path: str, value: Any) -> None:
     """Raise ScenarioError where something has no plain form."""
     if isinstance(value, dict):
-        for key, held in value.items():
-            _refuse_objects(scenario, f"{path}.{key}", held)
+        for key, item in value.items():
+            _refuse_objects(scenario, f"{path}.{key}", item)
     elif isinstance(value, list):
-        for i, held in enumerate(value):
-            _refuse_objects(scenario, f"{path}[{i}]", held)
+        for i, item in enumerate(value):
+            _refuse_objects(scenario, f"{path}[{i}]", item)
     elif not isinstance(value, bool | int | float | str | None):
         raise ScenarioError(
             f"scenario {scenario.name!r}: {path} is a {type(value).__name__} that is in no file; name a shipped one, "

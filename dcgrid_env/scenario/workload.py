@@ -53,8 +53,8 @@ def _trace(value: Any) -> Any:
     if is_recording(value):
         return (_recording(value),)
     if isinstance(value, list | tuple):
-        named = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
-        return tuple(_recording(v) if is_named else v for v, is_named in zip(value, named, strict=True))
+        in_file = [isinstance(item, str | Path) and item not in TRACE_SOURCES for item in value]
+        return tuple(_recording(v) if is_in_file else v for v, is_in_file in zip(value, in_file, strict=True))
     return value
 
 
