@@ -127,10 +127,12 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     """
     reference = parse(spec)
     if reference is not None:
-        made = _construct(spec, reference, load(reference, f"controller {spec!r}"))
-        if not isinstance(made, Controller):
-            raise ValueError(f"controller {spec!r}: {type(made).__name__} is no controller; give it reset and act")
-        return made
+        controller = _construct(spec, reference, load(reference, f"controller {spec!r}"))
+        if not isinstance(controller, Controller):
+            raise ValueError(
+                f"controller {spec!r}: {type(controller).__name__} is no controller; give it reset and act"
+            )
+        return controller
     if is_file(spec):
         if not Path(spec).is_file():
             raise ValueError(f"controller {spec!r}: there is no such file; {_forms()}")

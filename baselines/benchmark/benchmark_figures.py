@@ -135,16 +135,16 @@ def _scores(ax: Axes, rows: Mapping[str, Summary], names: Sequence[str]) -> None
     left = max(min(0.0, *values, *[row.score.low for row in rows.values() if row.score]), -1.5)
     ax.set_xlim(left - 0.12, 1.12)
     for y, name in enumerate(names):
-        found = rows[name].score if name in rows else None
-        if found is None:
+        score = rows[name].score if name in rows else None
+        if score is None:
             ax.text(left, y, "no result", fontsize=7, color=REST_COLOUR, va="center")
-        elif found.value < left:
+        elif score.value < left:
             ax.plot(left, y, marker="<", color=REST_COLOUR, markersize=5)
-            ax.text(left + 0.08, y, f"{found.value:.1f}", fontsize=7, color=REST_COLOUR, va="center")
+            ax.text(left + 0.08, y, f"{score.value:.1f}", fontsize=7, color=REST_COLOUR, va="center")
         else:
             colour = REFERENCE_COLOUR if name == REFERENCE else "black"
-            ax.plot([found.low, found.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
-            ax.plot(found.value, y, marker="o", color=colour, markersize=4.5)
+            ax.plot([score.low, score.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
+            ax.plot(score.value, y, marker="o", color=colour, markersize=4.5)
     ax.set_yticks(range(len(names)), [short(name) for name in names], fontsize=8)
     ax.tick_params(axis="x", labelsize=8)
     _plain(ax)
@@ -230,11 +230,11 @@ def _violins(ax: Axes, names: Sequence[str], voltages: Mapping[str, np.ndarray],
         counts = voltages[name]
         colour = REFERENCE_COLOUR if name == REFERENCE else FRONT_COLOUR
         width = 0.42 * counts / counts.max()
-        seen = np.flatnonzero(counts)
-        part = slice(seen[0], seen[-1] + 1)
+        occupied = np.flatnonzero(counts)
+        part = slice(occupied[0], occupied[-1] + 1)
         ax.fill_between(middle[part], row - width[part], row + width[part], color=colour, alpha=0.35, linewidth=0)
-        lows.append(float(middle[seen[0]]))
-        highs.append(float(middle[seen[-1]]))
+        lows.append(float(middle[occupied[0]]))
+        highs.append(float(middle[occupied[-1]]))
         share = np.cumsum(counts) / counts.sum()
         p1, p25, p50, p75, p99 = (middle[np.searchsorted(share, q)] for q in (0.01, 0.25, 0.5, 0.75, 0.99))
         ax.plot([p1, p99], [row, row], color=colour, linewidth=1.0)

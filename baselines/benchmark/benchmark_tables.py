@@ -75,15 +75,15 @@ class Table:
 
         header, shown = [_plain(text) for text in self.header], []
         for part in fit(header, self.rows, width, fixed):
-            made = RichTable(title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-            made.title = None if shown else Text(self.title)
+            table = RichTable(title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+            table.title = None if shown else Text(self.title)
             for i, wide in zip(part.columns, part.widths, strict=True):
                 side = "right" if i >= fixed else "left"
-                made.add_column(Text(folded(header[i], wide)), justify=side, overflow="fold", width=wide)
+                table.add_column(Text(folded(header[i], wide)), justify=side, overflow="fold", width=wide)
             for row in self.rows:
                 cells = zip(part.columns, part.widths, strict=True)
-                made.add_row(*(Text(folded(row[i], wide) if i < fixed else row[i]) for i, wide in cells))
-            shown.append(made)
+                table.add_row(*(Text(folded(row[i], wide) if i < fixed else row[i]) for i, wide in cells))
+            shown.append(table)
         return Group(*shown)
 
 
@@ -95,8 +95,8 @@ def heading(metric: Metric) -> str:
 def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:
     """Scores of all controllers (rows) on all scenarios (columns)."""
     names = [row.controller for row in summaries[0].rows]
-    found = {(s.scenario, row.controller): row for s in summaries for row in s.rows}
-    rows = [(name, *(_score_cell(found[s.scenario, name], interval) for s in summaries)) for name in names]
+    by_name = {(s.scenario, row.controller): row for s in summaries for row in s.rows}
+    rows = [(name, *(_score_cell(by_name[s.scenario, name], interval) for s in summaries)) for name in names]
     reasons: dict[str, list[str]] = {}
     for s in summaries:
         if s.no_score:

@@ -62,7 +62,7 @@ def gather(
     published
         Hindsight's figures for a scenario, None where there are none.
     """
-    found = []
+    results = []
     for case in cases:
         name = case.scenario().name
         failed = {controller: text for (scenario, controller), text in failures.items() if scenario == name}
@@ -82,14 +82,14 @@ def gather(
             except ValueError as error:
                 doubt = str(error)
         summary = summarise(name, episodes, records, observes, failed, controllers, hindsight, doubt)
-        found.append(Results(case, summary, records, voltages))
-    return found
+        results.append(Results(case, summary, records, voltages))
+    return results
 
 
 def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Published | None]) -> str | None:
     """Why there is no hindsight for the episodes of a scenario and the command that solves them; None if there is."""
-    known = published(case.scenario())
-    missing = len(known.missing(range(episodes))) if known else episodes
+    costs = published(case.scenario())
+    missing = len(costs.missing(range(episodes))) if costs else episodes
     if not missing:
         return None
     command = f"dcgrid dev hindsight {case.spec.options('--scenarios')} --episodes {episodes}"

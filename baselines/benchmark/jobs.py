@@ -157,20 +157,20 @@ def controller_hash(controller: Controller, spec: str = "") -> str:
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
-    named = parse(spec)
-    file = Path(spec) if is_file(spec) else named.path if named else None
+    reference = parse(spec)
+    file = Path(spec) if is_file(spec) else reference.path if reference else None
     if file is not None:
         digest.update(file.read_bytes())
-    if named and (named.positional or named.keywords):
-        digest.update(repr((named.positional, named.keywords)).encode())
+    if reference and (reference.positional or reference.keywords):
+        digest.update(repr((reference.positional, reference.keywords)).encode())
     _add(digest, controller, {})
     return digest.hexdigest()[:16]
 
 
-def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np.ndarray]:
+def _figures(recorder: Recorder, n_lanes: int) -> tuple[list[dict[str, float]], np.ndarray]:
     """Metrics of each lane, and counts of all voltages in the bins of ``V_EDGES_PU``."""
     metrics, counts = [], np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64)
-    for lane in range(lanes):
+    for lane in range(n_lanes):
         series = recorder.lane(lane)
         metrics.append(series.metrics())
         inside = np.clip(series.v_pu[1:, series.scenario.feeder.load_slice], V_EDGES_PU[0], V_EDGES_PU[-1])
@@ -178,10 +178,10 @@ def _figures(recorder: Recorder, lanes: int) -> tuple[list[dict[str, float]], np
     return metrics, counts
 
 
-def _add(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+def _add(digest: Any, value: Any, places: dict[int, tuple[int, Any]]) -> None:
     """Feed a parameter by value; of code its name, of what has no value to read the type alone.
 
-    ``seen`` holds the place and the object of those fed before, by ``id``: one met again is fed as its place.
+    ``places`` holds the place and the object of those fed before, by ``id``: one met again is fed as its place.
     """
     digest.update(f"{type(value).__qualname__}:".encode())
     if isinstance(value, str | bytes | int | float | complex | np.generic | PurePath | None):
@@ -189,51 +189,51 @@ def _add(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
     elif isinstance(value, CODE):
         digest.update(f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')};".encode())
     elif isinstance(value, tuple):
-        _add_all(digest, value, seen)
-    elif id(value) in seen:
-        digest.update(f"{seen[id(value)][0]};".encode())
+        _add_all(digest, value, places)
+    elif id(value) in places:
+        digest.update(f"{places[id(value)][0]};".encode())
     else:
-        seen[id(value)] = (len(seen), value)
-        _add_held(digest, value, seen)
+        places[id(value)] = (len(places), value)
+        _add_content(digest, value, places)
 
 
-def _add_held(digest: Any, value: Any, seen: dict[int, tuple[int, Any]]) -> None:
+def _add_content(digest: Any, value: Any, places: dict[int, tuple[int, Any]]) -> None:
     """Feed what an object holds: its items or figures, and its attributes."""
     if isinstance(value, Mapping):
-        for key, held in value.items():
+        for key, item in value.items():
             digest.update(f"{key!r}=".encode())
-            _add(digest, held, seen)
+            _add(digest, item, places)
     elif isinstance(value, list):
-        _add_all(digest, value, seen)
+        _add_all(digest, value, places)
     elif isinstance(value, AbstractSet):
-        _add_all(digest, sorted(value, key=repr), seen)
+        _add_all(digest, sorted(value, key=repr), places)
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.shape}{value.dtype}".encode())
         if value.dtype == object:
-            _add_all(digest, value.ravel().tolist(), seen)
+            _add_all(digest, value.ravel().tolist(), places)
         else:
             digest.update(value.tobytes())
     elif isinstance(value, MethodType):
         digest.update(f"{value.__qualname__};".encode())
-        _add(digest, value.__self__, seen)
+        _add(digest, value.__self__, places)
     elif hasattr(value, "tolist"):  # another library's array
         with contextlib.suppress(Exception):
             digest.update(f"{value.tolist()!r};".encode())
-    for name, held in _attributes(value):
+    for name, item in _attributes(value):
         digest.update(f".{name}=".encode())
-        _add(digest, held, seen)
+        _add(digest, item, places)
 
 
 def _attributes(value: Any) -> list[tuple[str, Any]]:
-    found = list(getattr(value, "__dict__", {}).items())
+    attributes = list(getattr(value, "__dict__", {}).items())
     for kind in type(value).__mro__:
         slots = vars(kind).get("__slots__", ())
         names = (slots,) if isinstance(slots, str) else slots
-        found += [(name, getattr(value, name)) for name in names if name[:2] != "__" and hasattr(value, name)]
-    return found
+        attributes += [(name, getattr(value, name)) for name in names if name[:2] != "__" and hasattr(value, name)]
+    return attributes
 
 
-def _add_all(digest: Any, values: Sequence[Any], seen: dict[int, tuple[int, Any]]) -> None:
+def _add_all(digest: Any, values: Sequence[Any], places: dict[int, tuple[int, Any]]) -> None:
     digest.update(f"{len(values)};".encode())
     for value in values:
-        _add(digest, value, seen)
+        _add(digest, value, places)

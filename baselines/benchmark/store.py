@@ -39,11 +39,11 @@ class Store:
         self._about = FORMAT | {"version": __version__}
         at = self.folder / "about.json"
         if at.is_file():
-            found = _read(at)
+            about = _read(at)
             for key, value in self._about.items():
-                if found.get(key) != value:
+                if about.get(key) != value:
                     raise ValueError(
-                        f"{self.folder} holds units of {key} {found.get(key)!r}, this is {value!r}; give another "
+                        f"{self.folder} holds units of {key} {about.get(key)!r}, this is {value!r}; give another "
                         f"--out, or delete that folder and {out / 'results.json'}"
                     )
         elif (out / "results.json").exists():
@@ -86,9 +86,9 @@ def _digest(record: dict[str, Any]) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{path} is no JSON ({error}); delete it, and it is computed anew") from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise ValueError(f"{path} is no unit; delete it, and it is computed anew")
-    return found
+    return content

@@ -33,12 +33,12 @@ class Summary:
         """The row as results.json holds it."""
         if self.failure is not None:
             return {"scenario": self.scenario, "controller": self.controller, "failure": self.failure}
-        named = {"score": self.score, "difference": self.difference}
+        estimates = {"score": self.score, "difference": self.difference}
         return {
             "scenario": self.scenario,
             "controller": self.controller,
             "observes": self.observes,
-            **{name: found._asdict() if found else None for name, found in named.items()},
+            **{name: estimate._asdict() if estimate else None for name, estimate in estimates.items()},
             "interquartile_mean": self.interquartile_mean,
             "means": dict(self.means or {}),
         }
@@ -119,12 +119,12 @@ def summarise(
         if episodes > 1:
             # Difference and interquartile mean do not hang on what hindsight costs: anything below serves for them.
             against = j if droop is None else droop
-            found = score(j, against, np.subtract(against, 1.0) if reason or best is None else best)
+            scored = score(j, against, np.subtract(against, 1.0) if reason or best is None else best)
             row = replace(
                 row,
-                interquartile_mean=found.interquartile_mean,
-                difference=None if droop is None else found.difference,
-                score=None if reason else found.score,
+                interquartile_mean=scored.interquartile_mean,
+                difference=None if droop is None else scored.difference,
+                score=None if reason else scored.score,
             )
         rows.append(row)
     hindsight = None
