@@ -51,15 +51,15 @@ class Ablate(Study):
         console = plain_console()
         failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
         with working(console, f"{self.episodes} test episodes of {scenario}"):
-            found = ablation.ablation(scenario, self.episodes, runs, failures)
-            ablated = ablation.ablation_table(scenario, self.episodes, found)
+            results = ablation.ablation(scenario, self.episodes, runs, failures)
+            ablated = ablation.ablation_table(scenario, self.episodes, results)
         console.print(brief(ablated, "score", "J", "mean delay, s", "training, s").rich(console.width))
         transferred = None
         if policies:
             with working(console, f"{len(policies)} policies on {len(others)} scenarios"):
                 transferred = ablation.transfer_table(policies, others, self.episodes)
             console.print(transferred.rich(console.width))
-        write_text(self.out / "ablations.md", ablation.markdown(ablated, found, transferred, meta()["command"]))
+        write_text(self.out / "ablations.md", ablation.markdown(ablated, results, transferred, meta()["command"]))
         say(console, f"wrote {self.out / 'ablations.md'}")
 
 
@@ -70,7 +70,7 @@ def _policies(asked: str) -> dict[str, Policy]:
 
     names = []
     for name in split_names(asked):
-        named = [known for known in SHIPPED if known.endswith("-analytic")] if name == "analytic" else [name]
-        names += [] if name == "none" else named
-    found = {name: Policy.load(name) for name in names}
-    return {name: policy for name, policy in found.items() if policy.kind == "shared"}
+        chosen = [policy for policy in SHIPPED if policy.endswith("-analytic")] if name == "analytic" else [name]
+        names += [] if name == "none" else chosen
+    policies = {name: Policy.load(name) for name in names}
+    return {name: policy for name, policy in policies.items() if policy.kind == "shared"}

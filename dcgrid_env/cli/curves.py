@@ -33,11 +33,11 @@ class Curves(Command):
 
         if not self.folders:
             raise ValueError("folders is empty; give the folder of at least one training run")
-        found = lines([read(folder) for folder in self.folders])
+        by_scenario = lines([read(folder) for folder in self.folders])
         check_folder(self.out.parent)
-        write_figure(self.out, curves_figure(found), dpi=130)
+        write_figure(self.out, curves_figure(by_scenario), dpi=130)
         console = plain_console()
-        for scenario, every in found.items():
+        for scenario, every in by_scenario.items():
             for line in every:
                 say(console, f"{scenario}, {line.label}: {ending(line)}")
         say(console, f"wrote {self.out}")
@@ -45,7 +45,7 @@ class Curves(Command):
 
 def ending(line: Line) -> str:
     """Where the runs of a line end: how far below the tuned droop's cost, or above it."""
-    mean, low, high = (_against(found[-1]) for found in (line.mean_pct, line.low_pct, line.high_pct))
+    mean, low, high = (_against(course[-1]) for course in (line.mean_pct, line.low_pct, line.high_pct))
     if line.n_runs == 1:
         return f"1 run, J at the end {mean} the tuned droop's"
     return f"{line.n_runs} runs, J at the end {mean} the tuned droop's on average (the best {high}, the worst {low})"

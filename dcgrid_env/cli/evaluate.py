@@ -81,14 +81,14 @@ class Evaluate(Command):
             except ValueError as error:
                 left_out.append(f"{name} is left out: {error}")
         console = plain_console()
-        found = {}
+        evaluations = {}
         with console.status(f"{self.episodes} episodes"):
             for name, controller in controllers.items():
-                found[name] = evaluate(controller, scenario, seeds, name)
-        scores, why = _scores(found, self, spec, jobs, console)
+                evaluations[name] = evaluate(controller, scenario, seeds, name)
+        scores, why = _scores(evaluations, self, spec, jobs, console)
         about = f"{self.episodes} episodes" + f", seeds from {self.seed}" * (self.seed > 0)
-        console.print(table(found, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
-        said = [*([why] if why else []), *left_out, *remarks(self.policy, found)]
+        console.print(table(evaluations, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
+        said = [*([why] if why else []), *left_out, *remarks(self.policy, evaluations)]
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
 
@@ -127,33 +127,33 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
 
 
 def _scores(
-    found: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, jobs: int, console: Console
+    evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, jobs: int, console: Console
 ) -> tuple[dict[str, Estimate], str | None]:
     """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
     from dcgrid_env.baselines import published
     from dcgrid_env.baselines.hindsight_costs import FOLDER
     from dcgrid_env.baselines.score import REFERENCE
 
-    if REFERENCE not in found:
+    if REFERENCE not in evaluations:
         return {}, f"no score: it is measured from {REFERENCE}"
-    droop = found[REFERENCE]
+    droop = evaluations[REFERENCE]
     scenario, seeds = droop.scenario, droop.seeds
     try:
-        known = published(scenario, FOLDER)
-        missing = _missing(known, seeds)
+        costs = published(scenario, FOLDER)
+        missing = _missing(costs, seeds)
         if missing and not cfg.hindsight:
             return {}, _offer(scenario, missing, len(seeds), jobs, console)
         if missing:
             solve_missing({scenario.name: spec}, cfg.split, {scenario.name: missing}, FOLDER, jobs, console)
-            known = published(scenario, FOLDER)
-        return {name: evaluation.score(droop, known).score for name, evaluation in found.items()}, None
+            costs = published(scenario, FOLDER)
+        return {name: evaluation.score(droop, costs).score for name, evaluation in evaluations.items()}, None
     except ValueError as error:
         text = str(error)
         return {}, text if text.startswith("no score") else f"no score: {text}"
 
 
-def _missing(known: Published | None, seeds: Sequence[int]) -> list[int]:
-    return known.missing(seeds) if known else list(seeds)
+def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
+    return costs.missing(seeds) if costs else list(seeds)
 
 
 def _offer(scenario: Scenario, missing: Sequence[int], n: int, jobs: int, console: Console) -> str:
@@ -180,7 +180,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
+def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
     """The controllers side by side."""
     from dcgrid_env import METRICS
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
@@ -188,29 +188,31 @@ def table(found: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title
     rows = []
     if scores:
         for i, label in enumerate(("score", "95 % interval: from", "to")):
-            rows.append((label, *(f"{scores[name][i]:.3f}" for name in found)))
+            rows.append((label, *(f"{scores[name][i]:.3f}" for name in evaluations)))
     for metric in (METRICS[name] for name in ROWS):
-        rows.append((metric.heading, *(metric.text(one.means[metric.name]) for one in found.values())))
-    return Table(title, ("mean over episodes", *found), tuple(rows))
+        rows.append((metric.heading, *(metric.text(one.means[metric.name]) for one in evaluations.values())))
+    return Table(title, ("mean over episodes", *evaluations), tuple(rows))
 
 
-def remarks(policy: str, found: Mapping[str, Evaluation]) -> list[str]:
+def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     """What must not be overlooked: delay that pays for voltage, and rules that measure nothing and do better."""
     from dcgrid_env import METRICS
     from dcgrid_env.baselines.score import REFERENCE, STATIC
 
-    said, own = [], found[policy].means
+    said, own = [], evaluations[policy].means
     delay, j = METRICS["delay_mean_s"], METRICS["J"]
-    droop = found[REFERENCE].means if REFERENCE in found else own
+    droop = evaluations[REFERENCE].means if REFERENCE in evaluations else own
     if delay.is_worse(own, droop):
         said.append(
             f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(own[delay.name])} s, "
             f"there {delay.text(droop[delay.name])} s"
         )
-    best = min((name for name in STATIC if name in found), key=lambda name: found[name].means["J"], default=policy)
-    if policy not in STATIC and j.is_worse(own, found[best].means):
+    best = min(
+        (name for name in STATIC if name in evaluations), key=lambda name: evaluations[name].means["J"], default=policy
+    )
+    if policy not in STATIC and j.is_worse(own, evaluations[best].means):
         said.append(
-            f"{policy}: J {j.text(own['J'])} is above that of {best}, {j.text(found[best].means['J'])}, which measures "
-            "nothing"
+            f"{policy}: J {j.text(own['J'])} is above that of {best}, {j.text(evaluations[best].means['J'])}, which "
+            "measures nothing"
         )
     return said

@@ -46,10 +46,10 @@ class Generalise(Study):
         console = plain_console()
         failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
         with working(console, f"{self.episodes} test episodes of each scenario"):
-            found = generalise.generalise(self.episodes, runs, failures)
-            made = generalise.table(self.episodes, found)
+            results = generalise.generalise(self.episodes, runs, failures)
+            table = generalise.table(self.episodes, results)
         console.print(
-            brief(made, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width)
+            brief(table, "score there", "trained there", "best static rule", "mean delay, s").rich(console.width)
         )
-        write_text(self.out / "generalise.md", generalise.markdown(found, made, meta()["command"]))
+        write_text(self.out / "generalise.md", generalise.markdown(results, table, meta()["command"]))
         say(console, f"wrote {self.out / 'generalise.md'}")

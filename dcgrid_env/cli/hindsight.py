@@ -112,11 +112,11 @@ def solve_missing(
         kept = kept_now()
         due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
         bar = progress.add_task("episodes", total=len(due))
-        for (spec, seed), found in each(partial(solve, split), due, jobs):
+        for (spec, seed), record in each(partial(solve, split), due, jobs):
             name = spec.make(split).name
-            if isinstance(found, Died):
-                raise OSError(f"the process that solved {name}, seed {seed}, ended with code {found.exit_code}")
-            kept[name][seed] = found
+            if isinstance(record, Died):
+                raise OSError(f"the process that solved {name}, seed {seed}, ended with code {record.exit_code}")
+            kept[name][seed] = record
             _write(hindsight_file(folder, name), spec, split, kept[name])
             progress.advance(bar)
     return kept
@@ -129,13 +129,13 @@ def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
 
     spec, seed = task
     scenario = spec.make(split)
-    found = hindsight(scenario, seed)
+    solved = hindsight(scenario, seed)
     return {
         "seed": seed,
         "hash": episode_hash(scenario, seed),
-        "J": found.J,
-        "bound": found.bound,
-        "rounds": found.rounds,
+        "J": solved.J,
+        "bound": solved.bound,
+        "rounds": solved.rounds,
     }
 
 

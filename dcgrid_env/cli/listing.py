@@ -63,11 +63,11 @@ def card_line(card: Card) -> str:
     if card.scored is None:
         return line
     delay_s = METRICS["delay_mean_s"].text(card.scored.delay_mean_s)
-    found, n = card.scored, len(card.scored.seeds)
-    value, low, high = found.score
-    where = "" if found.scenario == card.scenario else f" on {found.scenario}"
+    scored, n = card.scored, len(card.scored.seeds)
+    value, low, high = scored.score
+    where = "" if scored.scenario == card.scenario else f" on {scored.scenario}"
     line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {delay_s} s"
     if n < 2:
         return line
-    mean, least, most = sum(found.seed_scores) / n, min(found.seed_scores), max(found.seed_scores)
+    mean, least, most = sum(scored.seed_scores) / n, min(scored.seed_scores), max(scored.seed_scores)
     return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f})"

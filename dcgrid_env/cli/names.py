@@ -61,17 +61,17 @@ def scenario_specs(text: str, overrides: tuple[str, ...], split: str) -> dict[st
     from dcgrid_env import PRESETS
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-    named = list(PRESETS) if text.strip() == "all" else split_names(text)
-    if not named:
+    listed = list(PRESETS) if text.strip() == "all" else split_names(text)
+    if not listed:
         raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
-    found: dict[str, ScenarioSpec] = {}
-    for where in named:
+    specs: dict[str, ScenarioSpec] = {}
+    for where in listed:
         spec = ScenarioSpec(where, overrides)
         name = spec.make(split).name
-        if name in found:
+        if name in specs:
             raise ValueError(
-                f"scenarios: {found[name].where} and {where} are both called {name!r}; give each a name of its own, or "
+                f"scenarios: {specs[name].where} and {where} are both called {name!r}; give each a name of its own, or "
                 "run one at a time"
             )
-        found[name] = spec
-    return found
+        specs[name] = spec
+    return specs

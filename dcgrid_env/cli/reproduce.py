@@ -73,12 +73,12 @@ def _claims(rows: list[dict[str, str]]) -> Table:
     from rich import box
     from rich.table import Table
 
-    made = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_lines=True)
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_lines=True)
     for heading in ("claim", "paper", "ours", "verdict"):
-        made.add_column(heading)
+        table.add_column(heading)
     for row in rows:
-        made.add_row(row["claim"], row["paper"], row["ours"], row["verdict"])
-    return made
+        table.add_row(row["claim"], row["paper"], row["ours"], row["verdict"])
+    return table
 
 
 def _origin(runs: Runs) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | Non
     from dcgrid_env.baselines import TUNED
     from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_parameters
 
-    found = {
+    files = {
         name: tuned_parameters(name.removesuffix(SUFFIX), scenario, tuned).file for name in controllers if name in TUNED
     }
-    return [f"{name}: gains of {scenario.name} from {file}" for name, file in found.items() if file is not None]
+    return [f"{name}: gains of {scenario.name} from {file}" for name, file in files.items() if file is not None]

@@ -103,13 +103,13 @@ def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
         console.print(f"{done} of {len(asked)} stand in {cfg.out} and are kept; --again searches them again")
     with progress_bar(console) as progress:
         bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
-        for search, found in each(partial(_tuned, cfg.episodes), due, jobs):
-            if isinstance(found, Died):
-                raise OSError(f"the process that tuned {search.law} for {search.key} ended with code {found.exit_code}")
-            kept.setdefault(search.law, {})[search.key] = found
+        for search, entry in each(partial(_tuned, cfg.episodes), due, jobs):
+            if isinstance(entry, Died):
+                raise OSError(f"the process that tuned {search.law} for {search.key} ended with code {entry.exit_code}")
+            kept.setdefault(search.law, {})[search.key] = entry
             _write(cfg.out, kept)
-            values = ", ".join(f"{name} = {value}" for name, value in found["parameters"].items())
-            console.print(f"{search.key} {search.law}: {values}; J {found['J']:.4f}")
+            values = ", ".join(f"{name} = {value}" for name, value in entry["parameters"].items())
+            console.print(f"{search.key} {search.law}: {values}; J {entry['J']:.4f}")
             progress.advance(bar)
     console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}")
 
@@ -117,11 +117,11 @@ def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
 def _tuned(episodes: int, search: Search) -> dict[str, Any]:
     from dcgrid_env.baselines.tuning.search import tune
 
-    found = tune(search.law, [spec.make(SPLIT) for spec in search.specs], episodes)
+    best = tune(search.law, [spec.make(SPLIT) for spec in search.specs], episodes)
     return {
-        "parameters": found.parameters,
-        "J": found.score,
-        "trials": found.trials,
+        "parameters": best.parameters,
+        "J": best.score,
+        "trials": best.trials,
         "command": _command(search, episodes),
         **_identity(search),
     }
@@ -133,8 +133,10 @@ def _identity(search: Search) -> dict[str, Any]:
 
     if all(spec.is_preset for spec in search.specs):
         return {}
-    found = [identity(spec.make(SPLIT)) for spec in search.specs]
-    return found[0] if len(found) == 1 else {"scenario_hashes": [each["scenario_hash"] for each in found]}
+    identities = [identity(spec.make(SPLIT)) for spec in search.specs]
+    return (
+        identities[0] if len(identities) == 1 else {"scenario_hashes": [each["scenario_hash"] for each in identities]}
+    )
 
 
 def _command(search: Search, episodes: int) -> str:
@@ -171,7 +173,7 @@ def _write(path: Path, laws: Laws) -> None:
     write_json(path, {"versions": meta()["versions"], "laws": ordered})
 
 
-def _first(known: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Names, those that are known first and in the order in which they are known."""
-    order = {name: place for place, name in enumerate(known)}
+def _first(leading: Iterable[str], names: Iterable[str]) -> list[str]:
+    """Names, those of ``leading`` first and in its order."""
+    order = {name: place for place, name in enumerate(leading)}
     return sorted(names, key=lambda name: order.get(name, len(order)))
