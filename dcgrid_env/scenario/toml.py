@@ -2,15 +2,18 @@
 
     base = "ieee33-weak"
     horizon = 60
-    feeder = "my_feeder"            # a shipped feeder's name, or a folder, found from where the file stands
+    feeder = "ieee33"               # a shipped feeder's name, or a folder, whose path begins where the file stands
 
     [sensing]
     noise_pu = 0.005
 
-    [[devices]]                     # all of them, where there are any
+    [[devices]]                     # where one group of devices is given, all of them are
     kind = "datacenter"
+    count = 2
     buses = ["18", "33"]
     p_rated_kw = 800.0
+    s_rated_share = 1.02
+    q_max_share = 0.33
 
 Fields and parts are those of ``Scenario``; fields of parts may also stand at the top by their flat names.
 """

@@ -15,6 +15,7 @@ from dcgrid_env import (
     make_scenario,
     scenario_hash,
 )
+from dcgrid_env.scenario import toml
 from dcgrid_env.traces import PowerTrace
 
 CHANGES = {
@@ -106,6 +107,14 @@ def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text
         make_scenario(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_the_example_of_the_module_is_a_scenario(tmp_path):
+    example = [line[4:] for line in (toml.__doc__ or "").splitlines() if line.startswith("    ")]
+    (tmp_path / "mine.toml").write_text("\n".join(example))
+    scenario = make_scenario(tmp_path / "mine.toml")
+    assert (scenario.name, scenario.horizon, scenario.sensing.noise_pu) == ("mine", 60, 0.005)
+    assert scenario.agents == ("dc_0", "dc_1")
 
 
 def test_what_stands_in_no_file_is_refused():
