@@ -83,6 +83,8 @@ ELSEWHERE = {
 
 WORD = re.compile(r"(?:\.venv/bin/)?(dcgrid|python3?|ruff|pyright|bash)(?= )")
 SAVED_AS = re.compile(r"\b(\w+\.py):(\w+)")
+TOML_NAME = re.compile(r"# ([\w-]+\.toml)$", re.MULTILINE)
+"""First line of a block of TOML: the name of the file that it stands for."""
 
 
 RECORDED = {"docs/pareto.md", "docs/ablations.md", "docs/generalise.md"}
@@ -90,14 +92,17 @@ RECORDED = {"docs/pareto.md", "docs/ablations.md", "docs/generalise.md"}
 
 
 class Document:
-    """A document's blocks: those of Python, and its commands."""
+    """A document's blocks: those of Python, files in TOML by their names, and its commands."""
 
     def __init__(self, name):
         self.name = name
         text = (ROOT / name).read_text(encoding="utf-8")
         fences = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-        assert {kind for kind, _ in fences} <= {"python", "bash"}, f"{name}: a block that is neither Python nor bash"
+        assert {kind for kind, _ in fences} <= {"python", "bash", "toml"}, (
+            f"{name}: a block of a kind that nothing runs"
+        )
         self.python = [block for kind, block in fences if kind == "python"]
+        self.toml = {TOML_NAME.match(block)[1]: block for kind, block in fences if kind == "toml"}
         prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
         indented = [line[4:] for line in prose.splitlines() if line.startswith("    ") and WORD.match(line[4:])]
         bash = "".join(block for kind, block in fences if kind == "bash").replace("\\\n", " ").splitlines()
@@ -201,8 +206,15 @@ def alike(command):
 READ = {name: Document(name) for name in DOCUMENTS}
 
 
+def write_toml(folder):
+    """The blocks of TOML as files."""
+    for name, block in itertools.chain.from_iterable(document.toml.items() for document in READ.values()):
+        (folder / name).write_text(block, encoding="utf-8")
+
+
 def write_files(folder):
     """The blocks that commands name as files, and those that examples make."""
+    write_toml(folder)
     named = {found for document in READ.values() for found in SAVED_AS.findall(" ".join(document.lines))}
     for file, member in named:
         blocks = [b for d in READ.values() for b in d.python if re.search(rf"^(class|def) {member}\b", b, re.MULTILINE)]
@@ -270,6 +282,7 @@ def test_python_runs(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     power_w = np.array([800.0, 950.0, 700.0, 820.0])
     np.savetxt("recording.csv", np.column_stack((np.arange(4.0), power_w)), delimiter=",")
+    write_toml(tmp_path)
     for i, block in enumerate(READ[name].python):
         exec(compile(block, f"{name}, block {i}", "exec"), {"__name__": "__main__"})
     if name == "docs/environments.md":
