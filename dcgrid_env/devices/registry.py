@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.device import Device
@@ -12,7 +12,10 @@ DEVICES: dict[str, type[Any]] = {kind.kind: kind for kind in (DataCenters, Inver
 """Classes of devices by their ``kind``."""
 
 
-def register_device(kind: type[Device]) -> type[Device]:
+_Kind = TypeVar("_Kind", bound=Device)
+
+
+def register_device(kind: type[_Kind]) -> type[_Kind]:
     """Make a class of devices known by its ``kind``, so that scenario files can name it; may decorate the class.
 
     ValueError where another class has that name.

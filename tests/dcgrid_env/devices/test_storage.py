@@ -61,7 +61,7 @@ def test_agents_actions_and_observations():
     assert dcgrid_env.field_names(s)["sto_0"][-1] == "stored"
     assert observations["sto_0"][-1] == pytest.approx(0.5)
     assert infos["sto_0"]["bus"] in (2, "2")
-    observations, rewards, *_, infos = env.step({a: np.zeros(env.action_space(a).shape) for a in env.agents})
+    observations, rewards, *_, infos = env.step({a: np.zeros(env.action_space(a).shape or ()) for a in env.agents})
     assert env.observation_space("sto_0").contains(observations["sto_0"])
     assert env.state_space.contains(env.state())
     assert infos["dc_0"]["stored_kwh"] == pytest.approx(2.5)
@@ -98,7 +98,7 @@ def test_energy_is_conserved_and_the_grid_feels_the_draw():
 def test_its_cost_is_charged_to_the_team_and_to_itself():
     one = dcgrid_env.parallel_env(scenario(reward="local"))
     one.reset(seed=0)
-    action = {a: np.zeros(one.action_space(a).shape) for a in one.agents} | {"sto_0": np.ones(1)}
+    action = {a: np.zeros(one.action_space(a).shape or ()) for a in one.agents} | {"sto_0": np.ones(1)}
     _, paid, *_, infos = one.step(action)
     shared = gymnasium.make("dcgrid/Toy6-v0", scenario=scenario())
     shared.reset(seed=0)
