@@ -102,7 +102,7 @@ class Document:
             f"{name}: a block of a kind that nothing runs"
         )
         self.python = [block for kind, block in fences if kind == "python"]
-        self.toml = {TOML_NAME.match(block)[1]: block for kind, block in fences if kind == "toml"}
+        self.toml = {TOML_NAME.findall(block)[0]: block for kind, block in fences if kind == "toml"}
         prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
         indented = [line[4:] for line in prose.splitlines() if line.startswith("    ") and WORD.match(line[4:])]
         bash = "".join(block for kind, block in fences if kind == "bash").replace("\\\n", " ").splitlines()
