@@ -19,10 +19,8 @@ ONE_IDEA = {
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
-    "checks": {"dcgrid_env/grid/checks.py", "traces/checks.py"},
 }
-"""Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name,
-checks refuse figures that cannot be used."""
+"""Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name."""
 
 
 def paths():
