@@ -100,6 +100,10 @@ def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
     for text in texts:
         field, sign, value = text.partition("=")
         field = field.strip()
+        part, _, own = field.partition(".")
+        if sign and part.isidentifier() and own.isidentifier():
+            overrides.setdefault(part, {})[own] = read_value(field, value.strip())
+            continue
         if not sign or not field.isidentifier():
             raise ValueError(f"set: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
         if field in overrides:

@@ -64,6 +64,8 @@ def main(args: list[str] | None = None) -> None:
     command: Command | None = None
     try:
         with terminated_in_order():
+            if words.count("--set") > 1:
+                raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")
             command.run()
     except (ValueError, OSError) as error:

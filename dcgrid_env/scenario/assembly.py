@@ -7,7 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
 from typing import Any
 
-from dcgrid_env.devices import DEVICES
+import numpy as np
+
+from dcgrid_env.devices import DEVICES, DataCenters, Device, Inverters
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, located
@@ -19,6 +21,8 @@ from dcgrid_env.scenario.workload import Workload
 PARTS: dict[str, type[Any]] = {"workload": Workload, "background": Background, "sensing": Sensing, "cost": Cost}
 _PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain}
 FLAT_OF = {where: name for name, where in FLAT.items()}
+NO_DATA_CENTERS = DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0)
+NO_INVERTERS = Inverters()
 _ORDER = ("datacenter", "inverter")
 """Kinds of devices that have flat names, in the order in which a scenario made of flat names has them."""
 
@@ -63,6 +67,9 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
         if field in given:
             raise ScenarioError(f"scenario {name!r}: {field} and {key} are one field; give one of them")
         fields[field] = value
+    for part in (*PARTS, "devices"):
+        if part in given and given[part] is None:
+            raise ScenarioError(f"scenario {name!r}: {part} is None; leave it out, or give what it is to be")
     for part, kind in PARTS.items():
         if part in given or part in flat or part not in fields:
             start = getattr(base, part, None)
@@ -79,6 +86,7 @@ def _part(
     changes = {field: value for field, (_, value) in flat.items()}
     names = {field: name for field, (name, _) in flat.items()}
     if isinstance(given, Mapping):
+        given = {key: value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
         from dcgrid_env.scenario.plain_parts import checked_mapping  # brings the library of types, so not on import
 
         by_path = checked_mapping(scenario, path, kind, given)
@@ -125,12 +133,19 @@ def _devices(
         start = groups[at[0]] if at else None
         group = _part(scenario, kind, DEVICES[kind], start, None, flat.get(kind, {}))
         groups[at[0] if at else min(place, len(groups)) : (at[0] + 1 if at else min(place, len(groups)))] = [group]
-    return tuple(groups)
+    return _with_both(groups)
+
+
+def _with_both(groups: list[Any]) -> tuple[Any, ...]:
+    """The groups with an empty one of data centres in front, or of inverters behind, where there is none."""
+    kinds = [group.kind for group in groups]
+    front = () if "datacenter" in kinds else (NO_DATA_CENTERS,)
+    return (*front, *groups, *(() if "inverter" in kinds else (NO_INVERTERS,)))
 
 
 def _device(scenario: Any, path: str, given: Any) -> Any:
     if not isinstance(given, Mapping):
-        if not hasattr(given, "kind") or not hasattr(given, "count"):
+        if isinstance(given, type) or not isinstance(given, Device):
             kinds = ", ".join(kind.__name__ for kind in DEVICES.values())
             raise ScenarioError(f"scenario {scenario!r}: {path} is {given!r}; give a device ({kinds}) or a mapping")
         return given

@@ -32,8 +32,12 @@ def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None
                 f"{count}={device.count} and as many {buses}, or {buses}=None to have them drawn among the load buses"
             )
         fixed += device.buses
+    taken: dict[int, Any] = {}
     for bus in fixed:
-        _check_bus(name, feeder, bus, fixed)
+        at = _position(name, feeder, bus)
+        if at in taken:
+            raise ScenarioError(f"scenario {name!r}: more than one device at bus {bus!r}; give each its own")
+        taken[at] = bus
     free = len(free_load_buses(feeder, devices))
     if drawn > free:
         count, buses = _words(next(device for device in devices if device.buses is None))
@@ -43,7 +47,8 @@ def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None
         )
     if not any(device.count for device in devices):
         raise ScenarioError(
-            f"scenario {name!r}: no data centre and no inverter, hence no agent; give n_datacenters or inverter_buses"
+            f"scenario {name!r}: no data centre and no inverter, hence no agent; give n_datacenters, inverter_buses or "
+            "other devices"
         )
 
 
@@ -52,7 +57,8 @@ def _words(device: Any) -> tuple[str, str]:
     return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
 
 
-def _check_bus(name: str, feeder: Feeder, bus: Any, fixed: list[Any]) -> None:
+def _position(name: str, feeder: Feeder, bus: Any) -> int:
+    """Position of a device's bus; ScenarioError for one that no device can have."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(f"scenario {name!r}: bus {bus!r} is no number or text; give one of the feeder's")
     try:
@@ -63,5 +69,4 @@ def _check_bus(name: str, feeder: Feeder, bus: Any, fixed: list[Any]) -> None:
         raise ScenarioError(
             f"scenario {name!r}: a device at the substation {bus!r}, whose voltage is held; choose another bus"
         )
-    if fixed.count(bus) > 1:
-        raise ScenarioError(f"scenario {name!r}: more than one device at bus {bus!r}; give each its own")
+    return at

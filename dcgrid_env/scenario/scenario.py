@@ -13,13 +13,14 @@ import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, refuse, settle
-from dcgrid_env.devices import DataCenterParams, DataCenters, Device, InverterParams, Inverters
+from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
+from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
@@ -28,11 +29,6 @@ from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import ALL_SPLITS
 
 PowerFlowName = Literal["distflow", "lindistflow"]
-_NONE = {
-    "datacenter": DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0),
-    "inverter": Inverters(),
-}
-"""What a scenario without a group of a kind has instead."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, init=False)
@@ -82,9 +78,7 @@ class Scenario(PickledByFields, FlatNames):
         if not isinstance(self.feeder, Feeder):
             raise refuse(self, "feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
         check_placement(self.name, self.feeder, self.devices)
-        for source in ("workload", "injection"):
-            if sum(device.input == source for device in self.devices) > 1:
-                raise refuse(self, "devices", f"give one group that is driven by {source}, with a rating for each slot")
+        check_groups(self.devices, self.horizon, self.dt_s)
         for device in self.devices:
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):
@@ -147,7 +141,7 @@ class Scenario(PickledByFields, FlatNames):
         groups = [device for device in self.devices if device.kind == name]
         if len(groups) > 1:
             raise ScenarioError(f"scenario {self.name!r} has {len(groups)} groups of kind {name!r}; read its devices")
-        return groups[0] if groups else _NONE[name]
+        return groups[0]
 
     def difference(self, other: Scenario) -> str | None:
         """Name of the first field in which two scenarios differ, None if there is none."""

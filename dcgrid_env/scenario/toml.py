@@ -93,7 +93,7 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
     tables: dict[str, Any] = {}
     for field in dataclasses.fields(scenario):
         value = getattr(scenario, field.name)
-        if base is not None and value == getattr(base, field.name):
+        if base is not None and field.name != "name" and value == getattr(base, field.name):
             continue
         plain = to_plain(value)
         if field.name in PARTS and base is not None:

@@ -13,6 +13,7 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, number, settle
 from dcgrid_env.devices import Channel, CostTerm, Field, GridChange
 from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_only
+from dcgrid_env.grid import buses_as_text
 
 
 class StorageParameters(NamedTuple):
@@ -49,7 +50,7 @@ class Storages(PickledByFields):
     cycling_weight: float = number(0.0, 1e6, default=0.0)
 
     def __post_init__(self) -> None:
-        settle(self)
+        settle(self, buses=buses_as_text)
         check_fields(self)
         check_rating(self, "p_rated_kw", self.count)
         check_rating(self, "energy_kwh", self.count)

@@ -169,3 +169,51 @@ def test_controllers_refuse_devices_that_they_do_not_know(name):
 def test_policies_refuse_devices_that_they_do_not_know():
     with pytest.raises(ValueError, match="scenario 'with-storage' has datacenter, storage, inverter: use a controller"):
         Policy.load("toy6-ppo").reset(scenario())
+
+
+def test_a_bus_is_taken_once_however_it_is_written():
+    base = make_scenario("toy6")
+    for buses in (("3",), (3,), (4,), ("2", 2)):
+        extra = STORAGES(buses=buses, p_rated_kw=1.0, energy_kwh=1.0)
+        with pytest.raises(ScenarioError, match="more than one device at bus"):
+            base.replace(devices=(*base.devices, extra))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "capacitor"}, "kind is 'capacitor', which"),
+        ({"kind": "late", "input": "wrokload"}, "input is 'wrokload'; choose one of"),
+        ({"kind": "odd", "step": None}, "has no step"),
+    ],
+)
+def test_a_class_that_is_no_device_is_refused_by_name(changes, message):
+    members = {
+        name: value for name, value in vars(STORAGES).items() if name not in ("__dict__", "__weakref__")
+    } | changes
+    if members["step"] is None:
+        del members["step"]
+    with pytest.raises(ValueError, match=message):
+        register_device(type("Other", (), members))
+
+
+@pytest.mark.parametrize("name", ["voltage", "loss"])
+def test_what_is_the_grids_no_device_may_call_its_own(name):
+    class Greedy(STORAGES):
+        kind = "greedy"
+
+        def cost_terms(self, horizon, dt_s):
+            return tuple(term._replace(name=name) for term in super().cost_terms(horizon, dt_s))
+
+    base = make_scenario("toy6")
+    with pytest.raises(ScenarioError, match=f"'greedy' calls something '{name}', which is the grid's; rename it"):
+        base.replace(devices=(*base.devices, Greedy(buses=(2,), p_rated_kw=1.0, energy_kwh=1.0)))
+
+
+def test_a_scenario_without_data_centres_runs_and_is_measured():
+    base = make_scenario("toy6", horizon=3)
+    alone = base.replace(devices=(base.devices[1],))
+    assert alone.agents == ("inv_0", "inv_1")
+    metrics = rollout(alone, make_controller("droop"), [0]).metrics()[0]
+    assert metrics["delay_mean_s"] == 0.0
+    assert metrics["clock_mean_pct"] == 100.0

@@ -130,7 +130,10 @@ def test_a_part_checks_itself(make, message):
         ({"v0_pu": 1.0, "source_voltage_pu": 1.0}, "source_voltage_pu and v0_pu are one field; give one of them"),
         ({"devices": ["datacenter"]}, r"devices\[0\] is 'datacenter'; give a device \(DataCenters, Inverters"),
         ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"devices\[0\].x is no field"),
-        ({"devices": [Inverters(buses=(bus,), s_rated_kva=1.0) for bus in "34"]}, "give one group that is driven"),
+        ({"sensing": None}, "sensing is None; leave it out"),
+        ({"devices": None}, "devices is None; leave it out"),
+        ({"devices": [Inverters]}, r"devices\[0\] is <class .*; give a device"),
+        ({"devices": [Inverters(buses=(bus,), s_rated_kva=1.0) for bus in "34"]}, "more than one group"),
     ],
     ids=lambda value: str(value)[:40],
 )  # fmt: skip
