@@ -14,7 +14,10 @@ class _Switched(NamedTuple):
     on_kvar: Any
 
 
-class _SwitchedShunts(Inverters):
+_INVERTERS: Any = Inverters  # whose state and channels a subclass of the tests has otherwise
+
+
+class _SwitchedShunts(_INVERTERS):
     """Capacitor banks in four steps, at the buses of inverters that inject nothing themselves."""
 
     kind: ClassVar[str] = "shunt"

@@ -4,6 +4,7 @@ import importlib.util
 import pickle
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -193,8 +194,9 @@ def test_a_class_that_is_no_device_is_refused_by_name(changes, message):
     } | changes
     if members["step"] is None:
         del members["step"]
+    other: Any = type("Other", (), members)
     with pytest.raises(ValueError, match=message):
-        register_device(type("Other", (), members))
+        register_device(other)
 
 
 @pytest.mark.parametrize("name", ["voltage", "loss"])
