@@ -30,7 +30,7 @@ class ActionLayout:
     def __init__(self, scenario: Scenario):
         self.names: tuple[tuple[str, str], ...]
         """(agent, channel) of each entry."""
-        names, self._cuts, self._columns, self._reactive = [], [0], [], []
+        names, self._cuts, self.columns, self._reactive = [], [0], [], []
         agents = iter(scenario.agents)
         for device in scenario.devices:
             first, width = len(names), len(device.channels)
@@ -40,9 +40,11 @@ class ActionLayout:
                 self._cuts.append(len(names))
             columns = [slice(first + i, len(names), width) for i in range(width)]
             called = [channel.name for channel in device.channels]
-            self._columns.append(tuple(c for c, name in zip(columns, called, strict=True) if name != Q))
+            self.columns.append(tuple(c for c, name in zip(columns, called, strict=True) if name != Q))
             self._reactive.append(columns[called.index(Q)] if Q in called else None)
         self.names = tuple(names)
+        self.n = len(names)
+        """Number of entries."""
         self.agents = scenario.agents
         self.widths = dict(zip(self.agents, np.diff(self._cuts).tolist(), strict=True))
         """Number of channels of each agent."""
@@ -56,10 +58,6 @@ class ActionLayout:
     def is_channel(self, name: str) -> np.ndarray:
         """Whether an entry is of the channel of this name, bool, (n_action,)."""
         return np.array([channel == name for _, channel in self.names], dtype=bool)
-
-    def channels(self, joint: Array, device: int) -> tuple[Array, ...]:
-        """Entries of a device's channels but the reactive one, (..., slot) each."""
-        return tuple(joint[..., columns] for columns in self._columns[device])
 
     def reactive(self, joint: Array) -> Array:
         """Reactive entries of all agents, 0 for one without, (..., n_agent)."""
@@ -95,7 +93,7 @@ def action_layout(scenario: Scenario) -> ActionLayout:
 def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -> np.ndarray:
     """The joint action as float64, (lane, n_action); one lane if ``num_envs`` is None, given without that dimension."""
     layout = action_layout(scenario)
-    n = len(layout)
+    n = layout.n
     want = (n,) if num_envs is None else (num_envs, n)
     try:
         array = np.asarray(action, dtype=np.float64)

@@ -9,11 +9,11 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, add_at, all_true, namespace, take_at
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices import Device, Work, converter
+from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine.actions import action_layout
-from dcgrid_env.engine.parameters import parameters
+from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Exogenous, State
-from dcgrid_env.powerflow import Control, Solution, solver_for
+from dcgrid_env.powerflow import Control, Solution, Solver, solver_for
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -32,7 +32,7 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
         for settings, cut in zip(known.settings, cuts, strict=True)
     )
     before = State(v, v, agents, agents, None, agents, agents, agents, devices)
-    state, solution = _step(scenario, before, setpoints, agents, exogenous)
+    state, solution = _step(scenario, known, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
 
 
@@ -60,21 +60,28 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     xp = namespace(action)
     known, layout = parameters(scenario, action), action_layout(scenario)
     action = xp.minimum(xp.maximum(action, known.minus_one), known.one)
-    setpoints = tuple(
-        tuple(s.middle + s.half_range * part for s, part in zip(settings, layout.channels(action, i), strict=True))
-        for i, settings in enumerate(known.settings)
-    )
-    return _step(scenario, state, setpoints, layout.reactive(action) * known.q_scale_kvar, exogenous)
+    setpoints = [
+        [s.middle + s.half_range * action[..., at] for s, at in zip(settings, columns, strict=True)] if columns else ()
+        for settings, columns in zip(known.settings, layout.columns, strict=True)
+    ]
+    return _step(scenario, known, state, setpoints, layout.reactive(action) * known.q_scale_kvar, exogenous)
 
 
 def _step(
-    scenario: Scenario, state: State, setpoints: tuple[Any, ...], q_setpoint_kvar: Array, exogenous: Exogenous
+    scenario: Scenario,
+    known: Parameters,
+    state: State,
+    setpoints: Sequence[Any],
+    q_setpoint_kvar: Array,
+    exogenous: Exogenous,
 ) -> tuple[State, Solution]:
     xp = namespace(q_setpoint_kvar)
-    known = parameters(scenario, q_setpoint_kvar)
+    solve, changing = _grid(scenario)
     devices, draws = [], []
+    work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for device, own, before, asked in zip(scenario.devices, known.devices, state.devices, setpoints, strict=True):
-        after, p_kw = device.step(own, before, asked, given(device, exogenous), scenario.dt_s)
+        given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
+        after, p_kw = device.step(own, before, asked, given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
@@ -85,8 +92,7 @@ def _step(
     nodes = exogenous.nodes
     p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))
     q_net = add_at(exogenous.q_load_kvar, nodes, _to_nodes(-q_agent, nodes))
-    solve = solver_for(scenario.feeder, scenario.power_flow)
-    control = _control(scenario, known.devices, devices, exogenous) if _changing(scenario) else None
+    control = _control(scenario, known.devices, devices, exogenous) if changing else None
     solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
     v, restart = solution.v_pu, solution.restart
     if not all_true(solution.converged):
@@ -106,16 +112,17 @@ def _step(
 
 
 @cached_on_owner
-def _changing(scenario: Scenario) -> tuple[int, ...]:
-    """Positions of the devices that change the grid itself."""
-    return tuple(i for i, device in enumerate(scenario.devices) if device.changes_grid)
+def _grid(scenario: Scenario) -> tuple[Solver, tuple[int, ...]]:
+    """The solver of the feeder, and the positions of the devices that change the grid itself."""
+    changing = tuple(i for i, device in enumerate(scenario.devices) if device.changes_grid)
+    return solver_for(scenario.feeder, scenario.power_flow), changing
 
 
 def _control(scenario: Scenario, known: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
     """What the devices change of the grid, gathered: shunts at their nodes, taps in the order of the devices."""
     xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
     shunt_kvar, ratios = None, []
-    for i in _changing(scenario):
+    for i in _grid(scenario)[1]:
         change = scenario.devices[i].grid_change(known[i], states[i])
         if change.shunt_kvar is not None:
             nodes = exogenous.nodes[:, cuts[i]]
@@ -124,13 +131,6 @@ def _control(scenario: Scenario, known: Any, states: Sequence[Any], exogenous: E
         if change.tap_ratio is not None:
             ratios.append(change.tap_ratio)
     return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
-
-
-def given(device: Device, exogenous: Exogenous) -> Any:
-    """What comes from outside for a device, see ``Device.input``."""
-    if device.input == "workload":
-        return Work(exogenous.p_ref_kw, exogenous.compute_share)
-    return exogenous.p_inverter_kw if device.input == "injection" else None
 
 
 @cached_on_owner

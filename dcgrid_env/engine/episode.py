@@ -201,7 +201,7 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
 def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
     """What devices may know at ``step`` (lane,) of the coming interval: work, and nothing of injections; by device."""
     work = Work(p_ref_next, compute_share(scenario, episode, step + 1))
-    return tuple(work if device.input == "workload" else None for device in scenario.devices)
+    return tuple([work if device.input == "workload" else None for device in scenario.devices])
 
 
 def exogenous(

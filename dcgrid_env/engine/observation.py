@@ -209,7 +209,8 @@ def observe(
     deviation = v_now - 1.0
     raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
     for device, own, its_state, coming in zip(scenario.devices, known.devices, state.devices, given_next, strict=True):
-        raw += device.observe(own, its_state, coming)
+        if its_state:
+            raw += device.observe(own, its_state, coming)
     if scenario.observe == "neighbours":
         per_band = 1.0 / (scenario.band_pu or 1.0)
         trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)

@@ -70,31 +70,28 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 
 def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
-    xp, w, known = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
-    judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
-    v = state.v_pu[..., judged]
+    xp, w, known, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
+    v = state.v_pu[..., t.judged]
     deviation = xp.abs(v - 1.0)
     excess = positive_part(deviation - scenario.band_pu)
-    effort = xp.abs(state.q_kvar) / known.converter_kva
     none = 0.0 * solution.loss_kw
-    costs = terms(scenario).kind(
-        voltage=sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / n_judged),
-        violation=sum_last(excess) * (w.violation / n_judged),
-        effort=sum_last(effort) * (w.effort / scenario.n_agents),
-        step=sum_last(xp.abs(v - state.v_last_pu[..., judged])) * (w.step / n_judged) if w.step else none,
-        loss=solution.loss_kw * (w.loss / known.p_all_kw) if w.loss else none,
-        **dict.fromkeys(terms(scenario).names, none),
-    )
-    charged_to: dict[str, Array] = {}
-    shares: dict[tuple[int, str, float], Array] = {}
-    for i, term, weight in terms(scenario).charged:
-        key = (i, term.amount, term.team_scale)
-        if key not in shares:
-            amount = scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i])
-            shares[key] = sum_last(amount) / term.team_scale
-        due = shares[key] * weight * last if term.at_end else shares[key] * weight
-        charged_to[term.name] = charged_to[term.name] + due if term.name in charged_to else due
-    return costs._replace(**charged_to)
+    costs = [none] * len(t.kind._fields)
+    costs[0] = sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / t.n_judged)
+    costs[1] = sum_last(excess) * (w.violation / t.n_judged)
+    costs[3] = sum_last(xp.abs(state.q_kvar) / known.converter_kva) * (w.effort / t.n_agents)
+    if w.step:
+        costs[5] = sum_last(xp.abs(v - state.v_last_pu[..., t.judged])) * (w.step / t.n_judged)
+    if w.loss:
+        costs[6] = solution.loss_kw * (w.loss / known.p_all_kw)
+    share, last_share = none, None
+    for i, term, weight, at in t.charged:
+        if last_share != (i, term.amount, term.team_scale):  # terms of one amount stand together
+            last_share = i, term.amount, term.team_scale
+            share = sum_last(scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i]))
+            share = share / term.team_scale
+        due = share * weight * last if term.at_end else share * weight
+        costs[at] = due if costs[at] is none else costs[at] + due
+    return t.kind._make(costs)
 
 
 def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
@@ -113,7 +110,7 @@ def local_costs(scenario: Scenario, state: State, solution: Solution, last: Arra
         loss=none + (solution.loss_kw * (w.loss / known.p_all_kw))[..., None],
         **dict.fromkeys(terms(scenario).names, none),
     )
-    for i, term, weight in terms(scenario).charged:
+    for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i])
         own = amount / as_like(term.own_scale, amount) * weight
@@ -130,8 +127,12 @@ class Terms(NamedTuple):
     """Costs, or a named tuple like it with the terms of its devices that Costs does not have behind its own."""
     names: tuple[str, ...]
     """Terms that devices bring, those of ``Costs`` whether a device of the scenario brings them or not."""
-    charged: tuple[tuple[int, CostTerm, float], ...]
-    """Position of the device, term and weight, of those that have a weight."""
+    charged: tuple[tuple[int, CostTerm, float, int], ...]
+    """Position of the device, term, weight and place among the terms, of those that have a weight; by amount."""
+    judged: slice
+    """Nodes whose voltages are charged, and their number."""
+    n_judged: int
+    n_agents: int
 
 
 @cached_on_owner
@@ -144,8 +145,11 @@ def terms(scenario: Scenario) -> Terms:
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
     more = tuple(dict.fromkeys(term.name for _, term, _ in found if term.name not in Costs._fields))
-    charged = tuple((i, term, weight) for i, term, weight in found if weight)
-    return Terms(_costs(more), ("backlog", "clock", "leftover", *more), charged)
+    kind = _costs(more)
+    found.sort(key=lambda entry: (entry[0], entry[1].amount))
+    charged = tuple((i, term, weight, kind._fields.index(term.name)) for i, term, weight in found if weight)
+    judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
+    return Terms(kind, ("backlog", "clock", "leftover", *more), charged, judged, n_judged, scenario.n_agents)
 
 
 @cache
@@ -172,7 +176,7 @@ def largest_costs(scenario: Scenario) -> Costs:
     w = scenario.weights
     farthest = np.ones(1)  # the deviation at which every voltage cost is largest
     of_devices = dict.fromkeys(terms(scenario).names, 0.0)
-    for _, term, weight in terms(scenario).charged:
+    for _, term, weight, _ in terms(scenario).charged:
         of_devices[term.name] += weight * term.largest
     return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
@@ -194,7 +198,7 @@ def charged(scenario: Scenario, costs: Costs, step: Array, converged: Array) -> 
     if all_true(converged):
         return costs
     remaining = xp.astype(scenario.horizon - step + 1, costs.voltage.dtype)
-    at_end = {term.name for _, term, _ in terms(scenario).charged if term.at_end} | {"leftover"}
+    at_end = {term.name for _, term, _, _ in terms(scenario).charged if term.at_end} | {"leftover"}
     largest = largest_costs(scenario)._asdict()
     due = [worst + 0 * remaining if name in at_end else worst * remaining for name, worst in largest.items()]
 

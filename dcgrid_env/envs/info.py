@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -17,6 +18,12 @@ InfoLevel = Literal["none", "costs", "full"]
 INFO_LEVELS: tuple[InfoLevel, ...] = get_args(InfoLevel)
 
 
+@cache
+def _keys(kind: Any) -> tuple[str, ...]:
+    """Keys of the cost terms."""
+    return tuple(f"cost_{name}" for name in kind._fields)
+
+
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
 
@@ -27,9 +34,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     if level == "none":
         return {}
     costs = transition.costs
-    figures = {"cost": costs.violation}
-    for name, term in zip(costs._fields, costs, strict=True):
-        figures[f"cost_{name}"] = term
+    figures = {"cost": costs.violation, **dict(zip(_keys(type(costs)), costs, strict=True))}
     figures["J"] = transition.j_so_far
     if level == "costs":
         return figures
@@ -39,6 +44,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     figures["voltage_min_pu"] = np.minimum.reduce(v, -1)
     figures["voltage_max_pu"] = np.maximum.reduce(v, -1)
     for device, its_state in zip(scenario.devices, state.devices, strict=True):
-        figures.update(device.totals(its_state))
+        if its_state:
+            figures.update(device.totals(its_state))
     figures["loss_kw"] = transition.loss_kw
     return figures

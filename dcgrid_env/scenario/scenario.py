@@ -166,7 +166,7 @@ class Scenario(PickledByFields, FlatNames):
             ids += (f"{device.prefix}_{first + i}" for i in range(device.count))
         return tuple(ids)
 
-    @property
+    @cached_property
     def n_agents(self) -> int:
         """Number of agents."""
         return len(self.agents)
