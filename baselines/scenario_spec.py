@@ -95,14 +95,14 @@ def options_of(scenario: Scenario, flag: str) -> str:
 
 
 def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Values by field of texts ``FIELD=VALUE``; ValueError for anything else, or a field that is there twice."""
+    """Values by field of texts ``FIELD=VALUE`` or ``PART.FIELD=VALUE``; ValueError for others, or one given twice."""
     overrides: dict[str, Any] = {}
     for text in texts:
         field, sign, value = text.partition("=")
         field = field.strip()
         part, _, own = field.partition(".")
         if sign and part.isidentifier() and own.isidentifier():
-            overrides.setdefault(part, {})[own] = read_value(field, value.strip())
+            _set_within(overrides, part, own, value.strip())
             continue
         if not sign or not field.isidentifier():
             raise ValueError(f"set: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
@@ -110,6 +110,14 @@ def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
             raise ValueError(f"set: {field} is there twice, as {overrides[field]!r} and as {value}; give it once")
         overrides[field] = value.strip() if field == "name" else read_value(field, value.strip())
     return overrides
+
+
+def _set_within(overrides: dict[str, Any], part: str, field: str, text: str) -> None:
+    """Put the field of a part among the overrides; ValueError where it, or the part as a whole, is there already."""
+    fields = overrides.setdefault(part, {})
+    if not isinstance(fields, dict) or field in fields:
+        raise ValueError(f"set: {part}.{field} is there twice, or beside {part} as a whole; give it once")
+    fields[field] = read_value(f"{part}.{field}", text)
 
 
 def read_value(field: str, text: str) -> Any:

@@ -30,7 +30,9 @@ class ActionLayout:
     def __init__(self, scenario: Scenario):
         self.names: tuple[tuple[str, str], ...]
         """(agent, channel) of each entry."""
-        names, self._cuts, self.columns, self._reactive = [], [0], [], []
+        names, self._cuts, self._reactive = [], [0], []
+        self.columns: list[tuple[slice, ...]] = []
+        """For each device the entries of its channels but the reactive one, a slice each."""
         agents = iter(scenario.agents)
         for device in scenario.devices:
             first, width = len(names), len(device.channels)
@@ -52,9 +54,6 @@ class ActionLayout:
         """Where each agent's action stands."""
         self._counts = [device.count for device in scenario.devices]
 
-    def __len__(self) -> int:
-        return len(self.names)
-
     def is_channel(self, name: str) -> np.ndarray:
         """Whether an entry is of the channel of this name, bool, (n_action,)."""
         return np.array([channel == name for _, channel in self.names], dtype=bool)
@@ -70,10 +69,10 @@ class ActionLayout:
     def joint(self, **channels: np.ndarray) -> np.ndarray:
         """The joint action of the entries of each channel, by its name, (..., n) over the agents that have it."""
         like = next(iter(channels.values()))
-        found = np.zeros((*like.shape[:-1], len(self)), like.dtype)
+        joint = np.zeros((*like.shape[:-1], self.n), like.dtype)
         for name, entries in channels.items():
-            found[..., self.is_channel(name)] = entries
-        return found
+            joint[..., self.is_channel(name)] = entries
+        return joint
 
     def split(self, joint: Any) -> dict[str, Any]:
         """Each agent's action, views of the joint one, (..., n) each."""
@@ -125,4 +124,4 @@ def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
     for (agent, width), part in zip(layout.widths.items(), parts, strict=True):
         if np.shape(part) != (width,):
             raise ActionError(f"action of {agent} has shape {np.shape(part)}; it must be {(width,)}")
-    return joint_action(scenario, np.concatenate(parts))
+    return joint_action(scenario, layout.join(actions))

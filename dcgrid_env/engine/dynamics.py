@@ -19,20 +19,20 @@ from dcgrid_env.scenario.scenario import Scenario
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solution]:
     """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power."""
-    known = parameters(scenario, exogenous.p_load_kw)
+    params = parameters(scenario, exogenous.p_load_kw)
     v = 0.0 * exogenous.p_load_kw + scenario.source_voltage_pu
-    agents = 0.0 * (exogenous.p_load_kw[..., :1] + known.p_scale_kw)
+    agents = 0.0 * (exogenous.p_load_kw[..., :1] + params.p_scale_kw)
     cuts = device_slices(scenario)
     devices = tuple(
         device.initial(own, agents[..., cut])
-        for device, own, cut in zip(scenario.devices, known.devices, cuts, strict=True)
+        for device, own, cut in zip(scenario.devices, params.devices, cuts, strict=True)
     )
     setpoints = tuple(
         tuple(agents[..., cut] + setting.rest for setting in settings)
-        for settings, cut in zip(known.settings, cuts, strict=True)
+        for settings, cut in zip(params.settings, cuts, strict=True)
     )
     before = State(v, v, agents, agents, None, agents, agents, agents, devices)
-    state, solution = _step(scenario, known, before, setpoints, agents, exogenous)
+    state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
 
 
@@ -58,18 +58,18 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
         State at the end and the power flow behind it. Where that has not converged the state keeps the last voltages.
     """
     xp = namespace(action)
-    known, layout = parameters(scenario, action), action_layout(scenario)
-    action = xp.minimum(xp.maximum(action, known.minus_one), known.one)
+    params, layout = parameters(scenario, action), action_layout(scenario)
+    action = xp.minimum(xp.maximum(action, params.minus_one), params.one)
     setpoints = [
         [s.middle + s.half_range * action[..., at] for s, at in zip(settings, columns, strict=True)] if columns else ()
-        for settings, columns in zip(known.settings, layout.columns, strict=True)
+        for settings, columns in zip(params.settings, layout.columns, strict=True)
     ]
-    return _step(scenario, known, state, setpoints, layout.reactive(action) * known.q_scale_kvar, exogenous)
+    return _step(scenario, params, state, setpoints, layout.reactive(action) * params.q_scale_kvar, exogenous)
 
 
 def _step(
     scenario: Scenario,
-    known: Parameters,
+    params: Parameters,
     state: State,
     setpoints: Sequence[Any],
     q_setpoint_kvar: Array,
@@ -79,20 +79,20 @@ def _step(
     solve, changing = _grid(scenario)
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
-    for device, own, before, asked in zip(scenario.devices, known.devices, state.devices, setpoints, strict=True):
+    for device, own, before, asked in zip(scenario.devices, params.devices, state.devices, setpoints, strict=True):
         given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
         after, p_kw = device.step(own, before, asked, given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
-    q_agent, q_limit = converter.dispatch(known.converter_kva, known.q_scale_kvar, p_agent, q_setpoint_kvar)
+    q_agent, q_limit = converter.dispatch(params.converter_kva, params.q_scale_kvar, p_agent, q_setpoint_kvar)
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
     nodes = exogenous.nodes
     p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))
     q_net = add_at(exogenous.q_load_kvar, nodes, _to_nodes(-q_agent, nodes))
-    control = _control(scenario, known.devices, devices, exogenous) if changing else None
+    control = _control(scenario, params.devices, devices, exogenous) if changing else None
     solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
     v, restart = solution.v_pu, solution.restart
     if not all_true(solution.converged):
@@ -118,12 +118,12 @@ def _grid(scenario: Scenario) -> tuple[Solver, tuple[int, ...]]:
     return solver_for(scenario.feeder, scenario.power_flow), changing
 
 
-def _control(scenario: Scenario, known: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
+def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
     """What the devices change of the grid, gathered: shunts at their nodes, taps in the order of the devices."""
     xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
     shunt_kvar, ratios = None, []
     for i in _grid(scenario)[1]:
-        change = scenario.devices[i].grid_change(known[i], states[i])
+        change = scenario.devices[i].grid_change(params[i], states[i])
         if change.shunt_kvar is not None:
             nodes = exogenous.nodes[:, cuts[i]]
             before = 0.0 * exogenous.q_load_kvar if shunt_kvar is None else shunt_kvar

@@ -157,17 +157,17 @@ def assemble(
 def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
     """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
     drawn = random.bits(key, random.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
-    found = np.empty(drawn.shape, np.int64)
+    struck = np.empty(drawn.shape, np.int64)
 
     def steps(times_s: tuple[float, float], between: np.ndarray) -> np.ndarray:
         low, high = (round(min(t_s / scenario.dt_s, FOR_GOOD)) for t_s in times_s)
         return low + (between % np.uint64(high - low + 1)).astype(np.int64)
 
     for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
-        found[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
-        found[:, i, 1] = 1 + steps(fault.begin_s, drawn[:, i, 1])  # nothing is lost at t = 0
-        found[:, i, 2] = found[:, i, 1] + steps(fault.duration_s, drawn[:, i, 2])
-    return found
+        struck[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
+        struck[:, i, 1] = 1 + steps(fault.begin_s, drawn[:, i, 1])  # nothing is lost at t = 0
+        struck[:, i, 2] = struck[:, i, 1] + steps(fault.duration_s, drawn[:, i, 2])
+    return struck
 
 
 def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
@@ -192,10 +192,10 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
     """Compute-bound share of that power above idle, (lane, n_site); None under a clock law of one work class."""
     if scenario.work_classes == 1:
         return None
-    known = trace_pool(scenario).compute_share
-    if known is None:
+    shares = trace_pool(scenario).compute_share
+    if shares is None:
         return np.full(episode.start.shape, float(scenario.compute_share))
-    return known.take(episode.start + step[:, None])
+    return shares.take(episode.start + step[:, None])
 
 
 def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:

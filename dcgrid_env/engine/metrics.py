@@ -62,8 +62,8 @@ class Series:
         """A field of a device's state over time, (T, slot), from the reset on where it is an amount at an instant."""
         if name.startswith("_") or name in ("devices", "scenario"):  # asked for before there are any, by copy say
             raise AttributeError(name)
-        found = field_of_devices(self.devices, name)
-        return found if any(name in device.levels for device in self.scenario.devices) else found[1:]
+        over_time = field_of_devices(self.devices, name)
+        return over_time if any(name in device.levels for device in self.scenario.devices) else over_time[1:]
 
     def metrics(self) -> dict[str, float]:
         """The figures of the module's table."""
@@ -72,7 +72,7 @@ class Series:
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
         ratings = np.concatenate([device.converter_kva for device in s.devices])
-        found = {
+        figures = {
             "J": self.cost_j.sum() / s.horizon,
             **{f"cost_{name}": values.sum() / s.horizon for name, values in self.costs.items()},
             "voltage_deviation_mean_pu": deviation.mean(),
@@ -90,8 +90,8 @@ class Series:
         }
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self._requests() if device.input == "workload" else None
-            found |= device.metrics(history, s.dt_s, requests)
-        return {name: float(value) for name, value in found.items()}
+            figures |= device.metrics(history, s.dt_s, requests)
+        return {name: float(value) for name, value in figures.items()}
 
     def _requests(self) -> list[tuple[Any, float]] | None:
         """The requests of each site's row of trace and when the episode begins among them, s; None without any."""

@@ -97,11 +97,11 @@ def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
         for _ in range(device.count)
     ]
-    found = {
+    ranges = {
         agent: np.array([find(name, fields) for name in names])
         for (agent, names), fields in zip(field_names(scenario).items(), of_device, strict=True)
     }
-    return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in found.items()}
+    return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in ranges.items()}
 
 
 @cached_on_owner
@@ -131,13 +131,13 @@ class _Layout(NamedTuple):
 @cached_on_owner
 def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
-    known = parameters(scenario, np.empty(0))
+    params = parameters(scenario, np.empty(0))
     n = scenario.n_agents
     per_band = 1.0 / (scenario.band_pu or 1.0)
-    per_q = inverse(known.q_scale_kvar)
+    per_q = inverse(params.q_scale_kvar)
     near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
     blocks = [
-        np.full(n, per_band), np.full(n, per_band), 1.0 / known.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
+        np.full(n, per_band), np.full(n, per_band), 1.0 / params.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
     ]  # fmt: skip
     common = len(blocks)
     for fields in device_fields(scenario):
@@ -196,24 +196,24 @@ def observe(
     placed
         The episode's placement.
     given_next
-        What comes from outside over the coming interval, for each device (``dynamics.given``).
+        What comes from outside over the coming interval, for each device (``episode.given_next``).
     v_measured_pu, v_before_pu
         Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
         (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
     """
     xp = namespace(state.v_pu)
-    layout, known = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
+    layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, v_before = v_measured_pu, v_before_pu
     if scenario.observe == "feeder":
         v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
     deviation = v_now - 1.0
     raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
-    for device, own, its_state, coming in zip(scenario.devices, known.devices, state.devices, given_next, strict=True):
+    for device, own, its_state, coming in zip(scenario.devices, params.devices, state.devices, given_next, strict=True):
         if its_state:
             raw += device.observe(own, its_state, coming)
     if scenario.observe == "neighbours":
         per_band = 1.0 / (scenario.band_pu or 1.0)
-        trio = (deviation * per_band, state.p_kw / known.p_scale_kw, state.q_kvar * known.per_q_scale)
+        trio = (deviation * per_band, state.p_kw / params.p_scale_kw, state.q_kvar * params.per_q_scale)
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":

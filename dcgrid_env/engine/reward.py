@@ -41,6 +41,10 @@ class Costs(NamedTuple):
     """Charged once, after an episode's last step."""
 
 
+VOLTAGE, VIOLATION, EFFORT, STEP, LOSS = map(Costs._fields.index, ("voltage", "violation", "effort", "step", "loss"))
+"""Places of the grid's own terms, so that a step builds its costs without looking names up."""
+
+
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     """Cost of a voltage ``deviation`` = |V - 1|, p.u., elementwise, unweighted.
 
@@ -70,24 +74,26 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 
 def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
-    xp, w, known, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
+    xp, w, params, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
     v = state.v_pu[..., t.judged]
     deviation = xp.abs(v - 1.0)
     excess = positive_part(deviation - scenario.band_pu)
     none = 0.0 * solution.loss_kw
     costs = [none] * len(t.kind._fields)
-    costs[0] = sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (w.voltage / t.n_judged)
-    costs[1] = sum_last(excess) * (w.violation / t.n_judged)
-    costs[3] = sum_last(xp.abs(state.q_kvar) / known.converter_kva) * (w.effort / t.n_agents)
+    costs[VOLTAGE] = sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (
+        w.voltage / t.n_judged
+    )
+    costs[VIOLATION] = sum_last(excess) * (w.violation / t.n_judged)
+    costs[EFFORT] = sum_last(xp.abs(state.q_kvar) / params.converter_kva) * (w.effort / t.n_agents)
     if w.step:
-        costs[5] = sum_last(xp.abs(v - state.v_last_pu[..., t.judged])) * (w.step / t.n_judged)
+        costs[STEP] = sum_last(xp.abs(v - state.v_last_pu[..., t.judged])) * (w.step / t.n_judged)
     if w.loss:
-        costs[6] = solution.loss_kw * (w.loss / known.p_all_kw)
+        costs[LOSS] = solution.loss_kw * (w.loss / params.p_all_kw)
     share, last_share = none, None
     for i, term, weight, at in t.charged:
         if last_share != (i, term.amount, term.team_scale):  # terms of one amount stand together
             last_share = i, term.amount, term.team_scale
-            share = sum_last(scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i]))
+            share = sum_last(scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i]))
             share = share / term.team_scale
         due = share * weight * last if term.at_end else share * weight
         costs[at] = due if costs[at] is none else costs[at] + due
@@ -99,20 +105,20 @@ def local_costs(scenario: Scenario, state: State, solution: Solution, last: Arra
 
     The feeder's loss is nobody's own and is charged to all alike.
     """
-    xp, w, known = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
+    xp, w, params = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
     deviation = xp.abs(state.v_agent_pu - 1.0)
     none = 0.0 * deviation
     costs = terms(scenario).kind(
         voltage=voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu) * w.voltage,
         violation=positive_part(deviation - scenario.band_pu) * w.violation,
-        effort=xp.abs(state.q_kvar) / known.converter_kva * w.effort,
+        effort=xp.abs(state.q_kvar) / params.converter_kva * w.effort,
         step=xp.abs(state.v_agent_pu - state.v_agent_last_pu) * w.step,
-        loss=none + (solution.loss_kw * (w.loss / known.p_all_kw))[..., None],
+        loss=none + (solution.loss_kw * (w.loss / params.p_all_kw))[..., None],
         **dict.fromkeys(terms(scenario).names, none),
     )
     for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
-        amount = scenario.devices[i].amount(term.amount, known.devices[i], state.devices[i])
+        amount = scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i])
         own = amount / as_like(term.own_scale, amount) * weight
         own = own * last[..., None] if term.at_end else own
         widened = xp.concat((none[..., : cut.start], own, none[..., cut.stop :]), axis=-1)
@@ -139,15 +145,15 @@ class Terms(NamedTuple):
 def terms(scenario: Scenario) -> Terms:
     """The cost terms of a scenario."""
     weights = scenario.weights._asdict()
-    found = [
+    own_terms = [
         (i, term, weights.get(term.name, term.weight or 0.0))
         for i, device in enumerate(scenario.devices)
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
-    more = tuple(dict.fromkeys(term.name for _, term, _ in found if term.name not in Costs._fields))
+    more = tuple(dict.fromkeys(term.name for _, term, _ in own_terms if term.name not in Costs._fields))
     kind = _costs(more)
-    found.sort(key=lambda entry: (entry[0], entry[1].amount))
-    charged = tuple((i, term, weight, kind._fields.index(term.name)) for i, term, weight in found if weight)
+    own_terms.sort(key=lambda entry: (entry[0], entry[1].amount))
+    charged = tuple((i, term, weight, kind._fields.index(term.name)) for i, term, weight in own_terms if weight)
     judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
     return Terms(kind, ("backlog", "clock", "leftover", *more), charged, judged, n_judged, scenario.n_agents)
 
@@ -160,10 +166,10 @@ def _costs(more: tuple[str, ...]) -> Any:
 def total(costs: Costs) -> Array:
     """Sum of the terms: of charged ones, the step's share of J times T."""
     c = costs
-    found = c.voltage + c.violation + c.backlog + c.effort + c.clock + c.step + c.loss + c.leftover
+    whole = c.voltage + c.violation + c.backlog + c.effort + c.clock + c.step + c.loss + c.leftover
     for more in c[len(Costs._fields) :]:
-        found = found + more
-    return found
+        whole = whole + more
+    return whole
 
 
 def largest_costs(scenario: Scenario) -> Costs:

@@ -1,4 +1,4 @@
-"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. Environments are its faces."""
+"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. Every environment runs one."""
 
 from __future__ import annotations
 

@@ -135,14 +135,16 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
 
         s, now = self.scenario, self._simulation.now
-        known = parameters(s, now.state.p_kw)
+        params = parameters(s, now.state.p_kw)
         coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
         parts = [
             (now.state.v_pu[0, s.feeder.load_slice] - 1.0) / (s.band_pu or 1.0),
-            now.state.p_kw[0] / known.p_scale_kw,
-            now.state.q_kvar[0] * known.per_q_scale,
+            now.state.p_kw[0] / params.p_scale_kw,
+            now.state.q_kvar[0] * params.per_q_scale,
         ]
-        of_devices = zip(s.devices, observation.device_fields(s), known.devices, now.state.devices, coming, strict=True)
+        of_devices = zip(
+            s.devices, observation.device_fields(s), params.devices, now.state.devices, coming, strict=True
+        )
         for device, fields, own, its_state, given in of_devices:
             raw = device.observe(own, its_state, given)
             parts += [figure[0] / field.share_of for field, figure in zip(fields, raw, strict=True)]

@@ -138,7 +138,7 @@ class TensorEnv:
 
     def _check_action(self, action: Array) -> None:
         like = self.like
-        want = (len(self._due), len(action_layout(self.scenario)))
+        want = (len(self._due), action_layout(self.scenario).n)
         if not _fits(action, like):
             given = _kind(action) if is_array_api_obj(action) else repr(action)
             raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
@@ -225,9 +225,9 @@ def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
             return None
         return np.stack(rows if last is None else [*rows, last])
 
-    found = _Outside(
+    course = _Outside(
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
         stacked("available"), np.stack(noise_pu) if noise_pu else None,
     )  # fmt: skip
-    return found, drawn.buses
+    return course, drawn.buses

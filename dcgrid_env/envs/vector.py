@@ -174,7 +174,7 @@ def as_autoreset_mode(mode: Any) -> AutoresetMode:
     """Gymnasium's mode, given itself or by name; ValueError for what is neither."""
     if isinstance(mode, AutoresetMode):
         return mode
-    found = AUTORESET_MODES.get(mode) if isinstance(mode, str) else None
-    if found is None:
+    chosen = AUTORESET_MODES.get(mode) if isinstance(mode, str) else None
+    if chosen is None:
         raise ValueError(f"autoreset_mode is {mode!r}; choose one of {', '.join(AUTORESET_MODES)}")
-    return found
+    return chosen

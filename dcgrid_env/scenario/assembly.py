@@ -21,8 +21,11 @@ from dcgrid_env.scenario.workload import Workload
 PARTS: dict[str, type[Any]] = {"workload": Workload, "background": Background, "sensing": Sensing, "cost": Cost}
 _PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain}
 FLAT_OF = {where: name for name, where in FLAT.items()}
+"""Flat name of a part's field, by part and field."""
 NO_DATA_CENTERS = DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0)
+"""The group that stands in a scenario without data centres."""
 NO_INVERTERS = Inverters()
+"""The group that stands in a scenario without inverters."""
 _ORDER = ("datacenter", "inverter")
 """Kinds of devices that have flat names, in the order in which a scenario made of flat names has them."""
 

@@ -242,8 +242,8 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
-    Overrides are objects or plain data (``plain_data``); ``feeder`` may be a name or a folder. While somebody holds the
-    frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
+    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. While somebody holds
+    the frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
 
     Raises
     ------

@@ -130,18 +130,12 @@ class Scenario(PickledByFields, FlatNames):
         return to_toml(self, path, base)
 
     def part(self, name: str) -> Any:
-        """A part by its name, the one group of devices of a kind by that kind, or the scenario itself for "".
-
-        ScenarioError where there are several groups of the kind.
-        """
+        """A part by its name, the group of devices of a kind by that kind, or the scenario itself for ""."""
         if not name:
             return self
         if name in PARTS:
             return getattr(self, name)
-        groups = [device for device in self.devices if device.kind == name]
-        if len(groups) > 1:
-            raise ScenarioError(f"scenario {self.name!r} has {len(groups)} groups of kind {name!r}; read its devices")
-        return groups[0]
+        return next(device for device in self.devices if device.kind == name)
 
     def difference(self, other: Scenario) -> str | None:
         """Name of the first field in which two scenarios differ, None if there is none."""
@@ -198,7 +192,7 @@ class Scenario(PickledByFields, FlatNames):
 
     @cached_property
     def site_rated_kw(self) -> np.ndarray:
-        """Rating of each of them, kW, (n_site,)."""
+        """Rating of each slot that is driven by the workload, kW, (n_site,)."""
         return self._of_input("workload", "p_scale_kw")
 
     @cached_property
@@ -208,7 +202,7 @@ class Scenario(PickledByFields, FlatNames):
 
     @cached_property
     def schedule(self) -> Any:
-        """The schedule of these injections, see ``Inverters.injection``; None without one."""
+        """What the scheduled injections follow, see ``Inverters.injection``; None without a schedule."""
         scheduled = [device for device in self.devices if device.input == "injection"]
         return getattr(scheduled[0], "injection", None) if scheduled else None
 

@@ -85,7 +85,7 @@ def _window(scenario: Scenario, device: str, num_envs: int, gradient: bool) -> t
 
     env = TensorEnv(scenario, like=torch.empty(0, device=device))
     steps = min(WINDOW, scenario.horizon)
-    n_action = len(action_layout(scenario))
+    n_action = action_layout(scenario).n
     generator = torch.Generator(device).manual_seed(0)
     drawn = 2.0 * torch.rand((steps, num_envs, n_action), generator=generator, device=device) - 1.0
     drawn.requires_grad_(gradient)

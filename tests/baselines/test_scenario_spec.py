@@ -82,6 +82,8 @@ def test_values(text, value):
         (("p_rated_kw=[1,",), r"set: p_rated_kw is '\[1,', which can be read neither as TOML nor as JSON; write"),
         (("horizon=",), "set: horizon is ''"),
         (("horizon=60", "horizon=50"), "set: horizon is there twice, as 60 and as 50; give it once"),
+        (("sensing.noise_pu=0.1", "sensing.noise_pu=0.2"), "set: sensing.noise_pu is there twice, or beside sensing"),
+        (("sensing=3", "sensing.noise_pu=0.2"), "set: sensing.noise_pu is there twice, or beside sensing as a whole"),
     ],
 )
 def test_what_is_no_override(texts, message):
@@ -171,3 +173,9 @@ def test_what_is_no_scenario_is_one_line(here, where, overrides, message):
     with pytest.raises(ValueError, match=message) as raised:
         ScenarioSpec(where, overrides).make("test", **({"observe": "local"} if "observe=feeder" in overrides else {}))
     assert len(str(raised.value).splitlines()) == 1
+
+
+def test_a_field_of_a_part_is_set_by_its_path():
+    changed = ScenarioSpec("ieee33", ("sensing.noise_pu=0.005", "sensing.delay_steps=1", "horizon=9")).make("test")
+    expected = make_scenario("ieee33", voltage_noise_pu=0.005, measurement_delay=1, horizon=9, split="test")
+    assert scenario_hash(changed) == scenario_hash(expected)

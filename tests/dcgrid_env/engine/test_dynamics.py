@@ -41,7 +41,7 @@ def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, s
 
 
 def random_actions(scenario: Scenario, lanes: int, steps: int, seed: int = 0) -> np.ndarray:
-    n = len(action_layout(scenario))
+    n = action_layout(scenario).n
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, lanes, n))
 
 

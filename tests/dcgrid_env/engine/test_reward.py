@@ -54,7 +54,7 @@ def figures(costs: Costs) -> dict[str, float]:
 
 
 def actions(scenario: Scenario, lanes: int, rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(-1, 1, (lanes, len(action_layout(scenario))))
+    return rng.uniform(-1, 1, (lanes, action_layout(scenario).n))
 
 
 def play(scenario: Scenario, lanes: int, action: Any, seed: int = 0) -> list[Transition]:
