@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Q
 from dcgrid_env.scenario.scenario import Scenario
@@ -30,7 +29,7 @@ class ActionLayout:
     def __init__(self, scenario: Scenario):
         self.names: tuple[tuple[str, str], ...]
         """(agent, channel) of each entry."""
-        names, self._cuts, self._reactive = [], [0], []
+        names, self._cuts, reactive = [], [0], []
         self.columns: list[tuple[slice, ...]] = []
         """For each device the entries of its channels but the reactive one, a slice each."""
         agents = iter(scenario.agents)
@@ -43,28 +42,21 @@ class ActionLayout:
             columns = [slice(first + i, len(names), width) for i in range(width)]
             called = [channel.name for channel in device.channels]
             self.columns.append(tuple(c for c, name in zip(columns, called, strict=True) if name != Q))
-            self._reactive.append(columns[called.index(Q)] if Q in called else None)
+            reactive += [first + called.index(Q) + i * width if Q in called else -1 for i in range(device.count)]
         self.names = tuple(names)
         self.n = len(names)
         """Number of entries."""
+        self.reactive = np.array(reactive, dtype=np.int64)
+        """Entry of each agent's reactive channel, -1 for an agent without one, (n_agent,)."""
         self.agents = scenario.agents
         self.widths = dict(zip(self.agents, np.diff(self._cuts).tolist(), strict=True))
         """Number of channels of each agent."""
         self.slices = {agent: slice(a, b) for agent, a, b in zip(self.agents, self._cuts, self._cuts[1:], strict=False)}
         """Where each agent's action stands."""
-        self._counts = [device.count for device in scenario.devices]
 
     def is_channel(self, name: str) -> np.ndarray:
         """Whether an entry is of the channel of this name, bool, (n_action,)."""
         return np.array([channel == name for _, channel in self.names], dtype=bool)
-
-    def reactive(self, joint: Array) -> Array:
-        """Reactive entries of all agents, 0 for one without, (..., n_agent)."""
-        parts = [
-            0.0 * joint[..., [0] * n] if at is None else joint[..., at]
-            for at, n in zip(self._reactive, self._counts, strict=True)
-        ]
-        return parts[0] if len(parts) == 1 else namespace(joint).concat(parts, axis=-1)
 
     def joint(self, **channels: np.ndarray) -> np.ndarray:
         """The joint action of the entries of each channel, by its name, (..., n) over the agents that have it."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, add_at, all_true, namespace, take_at
+from dcgrid_env.core.arrays import Array, add_at, all_true, is_rows, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine.actions import action_layout
@@ -28,8 +29,7 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
         for device, own, cut in zip(scenario.devices, params.devices, cuts, strict=True)
     )
     setpoints = tuple(
-        tuple(agents[..., cut] + setting.rest for setting in settings)
-        for settings, cut in zip(params.settings, cuts, strict=True)
+        tuple(agents[..., cut] + rest for rest in of_device) for of_device, cut in zip(params.rest, cuts, strict=True)
     )
     before = State(v, v, agents, agents, None, agents, agents, agents, devices)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
@@ -58,13 +58,13 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
         State at the end and the power flow behind it. Where that has not converged the state keeps the last voltages.
     """
     xp = namespace(action)
-    params, layout = parameters(scenario, action), action_layout(scenario)
-    action = xp.minimum(xp.maximum(action, params.minus_one), params.one)
-    setpoints = [
-        [s.middle + s.half_range * action[..., at] for s, at in zip(settings, columns, strict=True)] if columns else ()
-        for settings, columns in zip(params.settings, layout.columns, strict=True)
-    ]
-    return _step(scenario, params, state, setpoints, layout.reactive(action) * params.q_scale_kvar, exogenous)
+    params = parameters(scenario, action)
+    setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
+    q_kvar = take_last(setpoint, params.reactive)
+    if params.has_reactive is not None:
+        q_kvar = q_kvar * params.has_reactive
+    return _step(scenario, params, state, by_device, q_kvar, exogenous)
 
 
 def _step(
@@ -79,9 +79,9 @@ def _step(
     solve, changing = _grid(scenario)
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
-    for device, own, before, asked in zip(scenario.devices, params.devices, state.devices, setpoints, strict=True):
+    for i, device in enumerate(scenario.devices):
         given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
-        after, p_kw = device.step(own, before, asked, given, scenario.dt_s)
+        after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
@@ -90,8 +90,7 @@ def _step(
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
     nodes = exogenous.nodes
-    p_net = add_at(exogenous.p_load_kw, nodes, _to_nodes(p_agent, nodes))
-    q_net = add_at(exogenous.q_load_kvar, nodes, _to_nodes(-q_agent, nodes))
+    p_net, q_net = _net_loads(exogenous, p_agent, q_agent)
     control = _control(scenario, params.devices, devices, exogenous) if changing else None
     solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
     v, restart = solution.v_pu, solution.restart
@@ -138,6 +137,23 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
     """Where each device's agents stand among all."""
     ends = np.cumsum([0, *(device.count for device in scenario.devices)]).tolist()
     return tuple(map(slice, ends[:-1], ends[1:]))
+
+
+def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
+    """Net load of each node, kW and kvar, (lane, n_node), under the agents' draws and reactive injections."""
+    p_load, q_load, nodes = exogenous.p_load_kw, exogenous.q_load_kvar, exogenous.nodes
+    if is_rows(p_load) and is_rows(p_kw):
+        return step_kernels().net_loads(p_load, q_load, nodes, p_kw, q_kvar)
+    p_net = add_at(p_load, nodes, _to_nodes(p_kw, nodes))
+    return p_net, add_at(q_load, nodes, _to_nodes(-q_kvar, nodes))
+
+
+@cache
+def step_kernels() -> Any:
+    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.engine import step_kernels as kernels
+
+    return kernels
 
 
 def _to_nodes(values: Array, nodes: Array) -> Array:

@@ -200,8 +200,15 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
 
 def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
     """What devices may know at ``step`` (lane,) of the coming interval: work, and nothing of injections; by device."""
-    work = Work(p_ref_next, compute_share(scenario, episode, step + 1))
-    return tuple([work if device.input == "workload" else None for device in scenario.devices])
+    shares = None if scenario.work_classes == 1 else compute_share(scenario, episode, step + 1)
+    work = Work(p_ref_next, shares)
+    return tuple([work if works else None for works in _driven_by_workload(scenario)])
+
+
+@cached_on_owner
+def _driven_by_workload(scenario: Scenario) -> tuple[bool, ...]:
+    """Whether each device is."""
+    return tuple(device.input == "workload" for device in scenario.devices)
 
 
 def exogenous(

@@ -27,7 +27,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
-from dcgrid_env.engine.dynamics import from_nodes
+from dcgrid_env.engine.dynamics import from_nodes, step_kernels
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
@@ -208,9 +208,9 @@ def observe(
         v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
     deviation = v_now - 1.0
     raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
-    for device, own, its_state, coming in zip(scenario.devices, params.devices, state.devices, given_next, strict=True):
+    for i, its_state in enumerate(state.devices):
         if its_state:
-            raw += device.observe(own, its_state, coming)
+            raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])
     if scenario.observe == "neighbours":
         per_band = 1.0 / (scenario.band_pu or 1.0)
         trio = (deviation * per_band, state.p_kw / params.p_scale_kw, state.q_kvar * params.per_q_scale)
@@ -223,5 +223,4 @@ def observe(
 
 def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:
     """The joint observation as float32 and cut to its bounds."""
-    low, high = joint_bounds(scenario)
-    return np.minimum(np.maximum(joint.astype(np.float32), low), high)
+    return step_kernels().within_float32(joint, *joint_bounds(scenario))

@@ -9,16 +9,8 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Q
+from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.scenario.scenario import Scenario
-
-
-class Setting(NamedTuple):
-    """How an action in [-1, 1] becomes the setpoint of a channel: middle + half of the range times action."""
-
-    middle: Array
-    half_range: Array
-    rest: Array
-    """Setpoint at t = 0; each (slot,)."""
 
 
 class Parameters(NamedTuple):
@@ -26,8 +18,15 @@ class Parameters(NamedTuple):
 
     devices: tuple[Any, ...]
     """Each device's own parameters."""
-    settings: tuple[tuple[Setting, ...], ...]
-    """For each device those of its channels in their order, but for the reactive one."""
+    middle: Array
+    half_range: Array
+    """How an action in [-1, 1] becomes setpoints: middle + half of the range times action, (n_action,) each."""
+    rest: tuple[tuple[Array, ...], ...]
+    """For each device the setpoints at t = 0 of its channels but for the reactive one, (slot,) each."""
+    reactive: Array
+    """Entry of each agent's reactive setpoint, int, (n_agent,); any for an agent without one."""
+    has_reactive: Array | None
+    """1 for an agent with a reactive channel and 0 for one without, (n_agent,); None where all have one."""
     p_scale_kw: Array
     """Rating that a draw is a share of, kW or kVA, (n_agent,)."""
     q_scale_kvar: Array
@@ -67,15 +66,18 @@ def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Paramet
     def array(values: Any) -> Array:
         return xp.asarray(np.array(values, dtype=np.float64), dtype=dtype, device=device)
 
-    def setting(channel: Any) -> Setting:
-        middle, half = 0.5 * (channel.highest + channel.lowest), 0.5 * (channel.highest - channel.lowest)
-        return Setting(array(middle), array(half), array(channel.rest))
-
     groups = scenario.devices
+    middle, half_range = (np.concatenate([values(g).ravel() for g in groups]) for values in (_middle, _half_range))
+    reactive = action_layout(scenario).reactive
+    has_reactive = reactive >= 0
     drawing = sum(float(group.p_scale_kw.sum()) for group in groups if group.input == "workload")
     return Parameters(
         devices=tuple(type(group.parameters)(*map(array, group.parameters)) for group in groups),
-        settings=tuple(tuple(setting(c) for c in group.channels if c.name != Q) for group in groups),
+        middle=array(middle),
+        half_range=array(half_range),
+        rest=tuple(tuple(array(c.rest) for c in group.channels if c.name != Q) for group in groups),
+        reactive=xp.asarray(np.maximum(reactive, 0), device=device),
+        has_reactive=None if has_reactive.all() else array(has_reactive),
         p_scale_kw=array(np.concatenate([group.p_scale_kw for group in groups])),
         q_scale_kvar=array(scenario.q_scale_kvar),
         per_q_scale=array(inverse(scenario.q_scale_kvar)),
@@ -83,4 +85,22 @@ def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Paramet
         one=array(1.0),
         minus_one=array(-1.0),
         p_all_kw=float(drawing + np.abs(scenario.feeder.p_load_kw).sum()) or 1.0,
+    )
+
+
+def _middle(device: Any) -> np.ndarray:
+    """The middle of each channel's range, (slot, channel); 0 of a reactive one."""
+    return _by_slot(device, [0.0 if c.name == Q else 0.5 * (c.highest + c.lowest) for c in device.channels])
+
+
+def _half_range(device: Any) -> np.ndarray:
+    """Half of each channel's range, (slot, channel); of a reactive one the limit at zero active power."""
+    halves = [device.q_limit_kvar if c.name == Q else 0.5 * (c.highest - c.lowest) for c in device.channels]
+    return _by_slot(device, halves)
+
+
+def _by_slot(device: Any, values: list[Any]) -> np.ndarray:
+    """Values of each channel as (slot, channel)."""
+    return (
+        np.stack([np.broadcast_to(v, (device.count,)) for v in values], -1) if values else np.zeros((device.count, 0))
     )

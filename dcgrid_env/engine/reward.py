@@ -13,14 +13,15 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from functools import cache
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, all_true, as_like, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import CostTerm
-from dcgrid_env.engine.dynamics import device_slices
+from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import Solution
@@ -75,29 +76,34 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
 def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
     xp, w, params, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
-    v = state.v_pu[..., t.judged]
-    deviation = xp.abs(v - 1.0)
-    excess = positive_part(deviation - scenario.band_pu)
+    deviation, excess = _voltage_sums(scenario, state.v_pu, t.judged)
     none = 0.0 * solution.loss_kw
     costs = [none] * len(t.kind._fields)
-    costs[VOLTAGE] = sum_last(voltage_cost(scenario.voltage_cost, deviation, scenario.band_pu)) * (
-        w.voltage / t.n_judged
-    )
-    costs[VIOLATION] = sum_last(excess) * (w.violation / t.n_judged)
+    costs[VOLTAGE] = deviation * (w.voltage / t.n_judged)
+    costs[VIOLATION] = excess * (w.violation / t.n_judged)
     costs[EFFORT] = sum_last(xp.abs(state.q_kvar) / params.converter_kva) * (w.effort / t.n_agents)
     if w.step:
-        costs[STEP] = sum_last(xp.abs(v - state.v_last_pu[..., t.judged])) * (w.step / t.n_judged)
+        change = xp.abs(state.v_pu[..., t.judged] - state.v_last_pu[..., t.judged])
+        costs[STEP] = sum_last(change) * (w.step / t.n_judged)
     if w.loss:
         costs[LOSS] = solution.loss_kw * (w.loss / params.p_all_kw)
-    share, last_share = none, None
-    for i, term, weight, at in t.charged:
-        if last_share != (i, term.amount, term.team_scale):  # terms of one amount stand together
-            last_share = i, term.amount, term.team_scale
-            share = sum_last(scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i]))
-            share = share / term.team_scale
-        due = share * weight * last if term.at_end else share * weight
-        costs[at] = due if costs[at] is none else costs[at] + due
+    for i, amount, team_scale, of_amount in t.shares:
+        share = sum_last(scenario.devices[i].amount(amount, params.devices[i], state.devices[i])) / team_scale
+        for weight, at_end, at in of_amount:
+            due = share * weight * last if at_end else share * weight
+            costs[at] = due if costs[at] is none else costs[at] + due
     return t.kind._make(costs)
+
+
+def _voltage_sums(scenario: Scenario, v_pu: Array, judged: slice) -> tuple[Array, Array]:
+    """Sum over the judged nodes of the voltage cost and of what lies beyond the band, (lane,) each."""
+    kind, band_pu = scenario.voltage_cost, scenario.band_pu
+    if is_rows(v_pu):
+        both = step_kernels().deviations(v_pu, judged.start, band_pu)
+        of_l1, excess = np.add.reduce(both, -1)
+        return of_l1 if kind == "l1" else sum_last(voltage_cost(kind, both[0], band_pu)), excess
+    deviation = namespace(v_pu).abs(v_pu[..., judged] - 1.0)
+    return sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
 
 
 def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
@@ -135,6 +141,9 @@ class Terms(NamedTuple):
     """Terms that devices bring, those of ``Costs`` whether a device of the scenario brings them or not."""
     charged: tuple[tuple[int, CostTerm, float, int], ...]
     """Position of the device, term, weight and place among the terms, of those that have a weight; by amount."""
+    shares: tuple[tuple[int, str, float, tuple[tuple[float, bool, int], ...]], ...]
+    """These terms by amount: position of the device, amount, the scale of all its slots together, and of each term
+    the weight, whether it is charged at the end, and the place."""
     judged: slice
     """Nodes whose voltages are charged, and their number."""
     n_judged: int
@@ -154,8 +163,10 @@ def terms(scenario: Scenario) -> Terms:
     kind = _costs(more)
     own_terms.sort(key=lambda entry: (entry[0], entry[1].amount))
     charged = tuple((i, term, weight, kind._fields.index(term.name)) for i, term, weight in own_terms if weight)
+    by_amount = groupby(charged, lambda entry: (entry[0], entry[1].amount, entry[1].team_scale))
+    shares = tuple((*key, tuple((weight, term.at_end, at) for _, term, weight, at in own)) for key, own in by_amount)
     judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
-    return Terms(kind, ("backlog", "clock", "leftover", *more), charged, judged, n_judged, scenario.n_agents)
+    return Terms(kind, ("backlog", "clock", "leftover", *more), charged, shares, judged, n_judged, scenario.n_agents)
 
 
 @cache
@@ -167,9 +178,7 @@ def total(costs: Costs) -> Array:
     """Sum of the terms: of charged ones, the step's share of J times T."""
     c = costs
     whole = c.voltage + c.violation + c.backlog + c.effort + c.clock + c.step + c.loss + c.leftover
-    for more in c[len(Costs._fields) :]:
-        whole = whole + more
-    return whole
+    return whole if type(c) is Costs else sum(c[len(Costs._fields) :], whole)
 
 
 def largest_costs(scenario: Scenario) -> Costs:

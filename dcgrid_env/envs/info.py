@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ INFO_LEVELS: tuple[InfoLevel, ...] = get_args(InfoLevel)
 
 @cache
 def _keys(kind: Any) -> tuple[str, ...]:
-    """Keys of the cost terms."""
-    return tuple(f"cost_{name}" for name in kind._fields)
+    """Keys of the violation, of all cost terms, and of J."""
+    return ("cost", *(f"cost_{name}" for name in kind._fields), "J")
 
 
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
@@ -34,17 +35,15 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     if level == "none":
         return {}
     costs = transition.costs
-    figures = {"cost": costs.violation, **dict(zip(_keys(type(costs)), costs, strict=True))}
-    figures["J"] = transition.j_so_far
+    figures = dict(zip(_keys(type(costs)), (costs.violation, *costs, transition.j_so_far), strict=True))
     if level == "costs":
         return figures
     state = transition.state
-    v = state.v_pu[:, scenario.feeder.load_slice]
     figures["power_flow_converged"] = transition.converged.astype(np.float64)
-    figures["voltage_min_pu"] = np.minimum.reduce(v, -1)
-    figures["voltage_max_pu"] = np.maximum.reduce(v, -1)
-    for device, its_state in zip(scenario.devices, state.devices, strict=True):
+    extremes = step_kernels().extremes(state.v_pu, scenario.feeder.load_slice.start)
+    figures["voltage_min_pu"], figures["voltage_max_pu"] = extremes[0], extremes[1]
+    for i, its_state in enumerate(state.devices):
         if its_state:
-            figures.update(device.totals(its_state))
+            figures.update(scenario.devices[i].totals(its_state))
     figures["loss_kw"] = transition.loss_kw
     return figures

@@ -14,11 +14,13 @@ def test_figures_worked_by_hand():
         s_rated_share=1.2, q_max_share=0.4, inverter_s_kva=(10.0, 20.0, 30.0, 40.0),
     )  # fmt: skip
     known = parameters(scenario, np.empty(0))
-    (clock,), none = known.settings
+    np.testing.assert_allclose(known.middle, [600.0, 0.0] * 3 + [0.0] * 4)  # clock and reactive power, then inverters
+    np.testing.assert_allclose(known.half_range, [400.0, 400.0, 400.0, 200.0, 400.0, 80.0, 10.0, 20.0, 30.0, 40.0])
+    assert known.reactive.tolist() == [1, 3, 5, 6, 7, 8, 9]
+    assert known.has_reactive is None
+    (clock,), none = known.rest
     assert none == ()
-    np.testing.assert_allclose(clock.middle, [600.0] * 3)
-    np.testing.assert_allclose(clock.half_range, [400.0] * 3)
-    np.testing.assert_allclose(clock.rest, [1000.0] * 3)
+    np.testing.assert_allclose(clock, [1000.0] * 3)
     np.testing.assert_allclose(known.p_scale_kw, [1000.0, 500.0, 200.0, 10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(known.q_scale_kvar, [400.0, 200.0, 80.0, 10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(known.converter_kva, [1200.0, 600.0, 240.0, 10.0, 20.0, 30.0, 40.0])
@@ -44,7 +46,8 @@ def test_a_feeder_without_load_divides_nothing_by_zero():
 
 def test_no_datacenter_divides_nothing_by_zero():
     known = parameters(make_scenario("toy6", n_datacenters=0, datacenter_buses=()), np.empty(0))
-    assert known.settings[0][0].middle.shape == (0,)
+    assert known.middle.shape == (2,)
+    assert known.rest[0][0].shape == (0,)
     np.testing.assert_allclose(known.q_scale_kvar, [1000.0, 1000.0])
 
 
@@ -54,13 +57,15 @@ def test_kind_and_precision_are_those_asked_for(kind, precision):
     like = np.zeros(1, precision) if kind == "numpy" else torch.zeros(1, dtype=getattr(torch, precision))
     scenario = make_scenario("ieee33-weak")
     known = parameters(scenario, like)
-    for array in (*known.devices[0], *known.settings[0][0], *known[2:-1]):
+    figures = [known.middle, known.half_range, known.rest[0][0], *known[6:-1]]
+    for array in (*known.devices[0], *figures):
         assert type(array) is type(like)
         assert array.dtype == like.dtype
     assert known.p_all_kw == pytest.approx(3000.0 + 3715.0)
     assert parameters(scenario, like) is known  # made once
     reference = parameters(scenario, np.zeros(1))
-    for a, b in zip(known[2:-1], reference[2:-1], strict=True):
+    reference_figures = [reference.middle, reference.half_range, reference.rest[0][0], *reference[6:-1]]
+    for a, b in zip(figures, reference_figures, strict=True):
         np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=1e-6)
 
 

@@ -1,0 +1,68 @@
+"""Compiled passes over loads, voltages and the joint observation, with the bits of the array forms."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(error_model="numpy", cache=True)
+def net_loads(p_load_kw, q_load_kvar, nodes, p_kw, q_kvar):
+    """Net load of each node, kW and kvar, (lane, n_node): loads, and what agents draw less what they inject.
+
+    ``nodes`` (lane, n_agent, k) are flat positions lane * n_node + node, among which an agent's ``p_kw, q_kvar``
+    (lane, n_agent) are shared in equal parts.
+    """
+    p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
+    p_at, q_at = p_net.reshape(-1), q_net.reshape(-1)
+    lanes, agents, parts = nodes.shape
+    for lane in range(lanes):
+        for agent in range(agents):
+            for part in range(parts):
+                at = nodes[lane, agent, part]
+                p_at[at] += p_kw[lane, agent] / parts
+                q_at[at] += -q_kvar[lane, agent] / parts
+    return p_net, q_net
+
+
+@numba.njit(error_model="numpy", cache=True)
+def deviations(v_pu, first, band_pu):
+    """|V - 1| from the node ``first`` on, and what of it lies beyond the band, p.u., (2, lane, node).
+
+    ``v_pu`` is (lane, n_node).
+    """
+    lanes, n = v_pu.shape[0], v_pu.shape[1] - first
+    out = np.empty((2, lanes, n))
+    for lane in range(lanes):
+        for i in range(n):
+            deviation = abs(v_pu[lane, first + i] - 1.0)
+            excess = deviation - band_pu
+            out[0, lane, i] = deviation
+            out[1, lane, i] = 0.0 if excess < 0.0 else excess
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
+def extremes(v_pu, first):
+    """Lowest and highest voltage from the node ``first`` on, p.u., (2, lane), of ``v_pu`` (lane, n_node)."""
+    out = np.empty((2, v_pu.shape[0]))
+    for lane in range(v_pu.shape[0]):
+        low = high = v_pu[lane, first]
+        for i in range(first + 1, v_pu.shape[1]):
+            v = v_pu[lane, i]
+            low = v if v < low else low
+            high = v if v > high else high
+        out[0, lane], out[1, lane] = low, high
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
+def within_float32(figures, low, high):
+    """``figures`` (lane, n) as float32, cut to ``low`` and ``high`` (n,)."""
+    out = np.empty(figures.shape, np.float32)
+    for lane in range(figures.shape[0]):
+        for i in range(figures.shape[1]):
+            x = np.float32(figures[lane, i])
+            x = low[i] if x < low[i] else x
+            out[lane, i] = high[i] if x > high[i] else x
+    return out

@@ -1,0 +1,64 @@
+"""Compiled kernels of a step give the bits of the array forms that tensors go through."""
+
+import numpy as np
+import pytest
+import torch
+
+from dcgrid_env.core.arrays import is_rows
+from dcgrid_env.engine import reward, step_kernels
+from dcgrid_env.engine.dynamics import _net_loads
+from dcgrid_env.engine.state import Exogenous
+from dcgrid_env.scenario.presets import make_scenario
+
+RNG = np.random.default_rng(0)
+V_PU = RNG.normal(1.0, 0.06, (5, 33))
+
+
+@pytest.mark.parametrize("kind", ["l1", "l2", "bowl", "courant_beltrami", "bump"])
+def test_sums_over_voltages(kind):
+    scenario = make_scenario("ieee33", voltage_cost=kind)
+    judged = reward.terms(scenario).judged
+    sums = reward._voltage_sums(scenario, V_PU, judged)
+    deviation = np.abs(V_PU[:, judged] - 1.0)
+    np.testing.assert_array_equal(sums[0], reward.voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
+    np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.band_pu, 0.0).sum(-1))
+    tensors = reward._voltage_sums(scenario, torch.tensor(V_PU), judged)
+    for ours, theirs in zip(sums, tensors, strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-14)
+
+
+def test_extremes_leave_the_source_out():
+    v = V_PU.copy()
+    v[:, 0] = 9.0
+    lowest, highest = step_kernels.extremes(v, 1)
+    np.testing.assert_array_equal(lowest, v[:, 1:].min(-1))
+    np.testing.assert_array_equal(highest, v[:, 1:].max(-1))
+
+
+def test_cut_to_float32():
+    figures, high = RNG.normal(0.0, 2.0, (4, 7)), np.linspace(0.1, 1.0, 7, dtype=np.float32)
+    cut = step_kernels.within_float32(figures, -high, high)
+    assert cut.dtype == np.float32
+    np.testing.assert_array_equal(cut, np.minimum(np.maximum(figures.astype(np.float32), -high), high))
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_net_loads(parts):
+    lanes, n, agents = 3, 12, 4
+    at = np.stack([RNG.permutation(n)[: agents * parts].reshape(agents, parts) for _ in range(lanes)])
+    nodes = at + n * np.arange(lanes)[:, None, None]
+    p_load, q_load, p, q = (RNG.normal(0, 50, (lanes, k)) for k in (n, n, agents, agents))
+    outside = Exogenous(p_load, q_load, p[:, :1], p[:, :1], nodes)
+    ours = _net_loads(outside, p, q)
+    as_tensors = Exogenous(*(torch.tensor(x) for x in (p_load, q_load, p[:, :1], p[:, :1], nodes)))
+    theirs = _net_loads(as_tensors, torch.tensor(p), torch.tensor(q))
+    for mine, other in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(mine, other.numpy())
+    np.testing.assert_allclose(ours[0].sum(-1), p_load.sum(-1) + p.sum(-1))
+    np.testing.assert_allclose(ours[1].sum(-1), q_load.sum(-1) - q.sum(-1))
+
+
+def test_what_kernels_take():
+    assert is_rows(V_PU)
+    for other in (V_PU[0], V_PU.astype(np.float32), V_PU[:, ::2], V_PU.tolist(), torch.tensor(V_PU)):
+        assert not is_rows(other)
