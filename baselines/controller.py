@@ -44,7 +44,7 @@ class Local(NamedTuple):
     """Local observations in physical units; leading dimensions are those of the observations."""
 
     v_pu: np.ndarray
-    """(..., n_agent), data centres first."""
+    """(..., n_agent), data centres first, see :class:`LocalController`."""
     p_kw: np.ndarray
     """Draw, an inverter's injection negative, (..., n_agent)."""
     q_kvar: np.ndarray
@@ -61,44 +61,71 @@ class Local(NamedTuple):
 
 _OF_ALL = ("v_deviation", "p", "q", "r", "x")
 _OF_SITES = ("p_ref_next", "backlog")
+_CLOCK, _Q = "clock", "q"
 
 
 KNOWN_DEVICES = ("datacenter", "inverter")
-"""Kinds of devices that the controllers and policies of this package are made for, in the order of their agents."""
+"""Kinds of devices that controllers with a model, and policies, are made for, in the order of their agents."""
 
 
 def require_known_devices(who: str, scenario: Scenario) -> None:
-    """ValueError, naming the devices, where a scenario has others than data centres first and inverters then."""
+    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then."""
     kinds = [device.kind for device in scenario.devices if device.count]
+    foreign = [repr(kind) for kind in kinds if kind not in KNOWN_DEVICES]
+    if foreign:
+        raise ValueError(
+            f"{who} is made for data centres and inverters alone; scenario {scenario.name!r} has devices of kind "
+            f"{', '.join(foreign)}: use a controller that is made for these, or a law, which leaves them at rest"
+        )
     if kinds != [kind for kind in KNOWN_DEVICES if kind in kinds]:
         raise ValueError(
-            f"{who} knows data centres, and inverters behind them; scenario {scenario.name!r} has {', '.join(kinds)}: "
-            "use a controller that is made for these"
+            f"{who} takes data centres first and inverters behind them; scenario {scenario.name!r} has the order "
+            f"{', '.join(kinds)}: make it with its devices in the other order"
         )
 
 
 class LocalController:
-    """Base of controllers that work on physical units: subclasses write ``control``."""
+    """Base of controllers that work on physical units: subclasses write ``control``.
+
+    It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device.
+    Other channels, of devices that it does not know, stay at rest. In :class:`Local` and in what ``control`` returns,
+    data centres stand before all others, which follow in the scenario's order.
+    """
 
     scenario: Scenario
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin new episodes of a scenario; ValueError for one with devices that the controller does not know."""
-        require_known_devices(type(self).__name__, env_info)
+        """Begin new episodes of a scenario; ValueError for one that the controller cannot drive."""
         self.scenario = env_info
+        kinds = np.array([device.kind for device in env_info.devices for _ in range(device.count)])
+        order = np.argsort(kinds != "datacenter", kind="stable")
         names = field_names(env_info)
-        starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1]
-        first = names[env_info.agents[0]]
-        # The fields that all agents have stand at the same place in each; so do those of the data centres, which come
-        # first if there are any.
+        starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1][order]
+        first = names[env_info.agents[order[0]]]
+        # The fields that all agents have stand at the same place in each, and so do those of the data centres.
         self._at = {
             name: starts[: None if name in _OF_ALL else env_info.n_datacenters] + first.index(name)
             for name in (*_OF_ALL, *_OF_SITES)
             if name in first
         }
-        dc, inv = env_info.datacenter, env_info.inverter
-        self._p_scale = np.concatenate((dc.p_rated_kw, inv.s_rated_kva))
-        self._q_scale = env_info.q_scale_kvar
+        devices = env_info.devices
+        self._p_scale = np.concatenate([device.p_scale_kw for device in devices])[order]
+        self._rated_kva = np.concatenate([device.converter_kva for device in devices])[order]
+        self._q_scale = env_info.q_scale_kvar[order]
+        self._lay_out([env_info.agents[i] for i in order])
+
+    def _lay_out(self, agents: list[str]) -> None:
+        """Find where the joint action has the clocks and the reactive setpoints of agents, and what it is at rest."""
+        at = {entry: i for i, entry in enumerate(action_layout(self.scenario).names)}
+        self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.n_datacenters]]
+        self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
+        self._q_at = [at[agents[i], _Q] for i in self._reactive]
+        rest = [
+            np.stack([_at_rest(channel) for channel in device.channels], axis=-1).ravel()
+            for device in self.scenario.devices
+            if device.count and device.channels
+        ]
+        self._rest = np.concatenate([np.empty(0), *rest])
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
@@ -133,5 +160,13 @@ class LocalController:
         span = s.f_max_mhz - s.f_min_mhz
         clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
         q = q_kvar / np.where(self._q_scale > 0, self._q_scale, 1.0)
-        actions = action_layout(s).joint(clock=clock, q=q)
+        actions = np.zeros((*q.shape[:-1], 1)) + self._rest
+        actions[..., self._clock_at] = clock
+        actions[..., self._q_at] = q[..., self._reactive]
         return np.clip(actions, -1.0, 1.0).astype(np.float32)
+
+
+def _at_rest(channel: Any) -> np.ndarray:
+    """The entry of the action that leaves a channel where it is at t = 0, (slot,); 0 where it has no range."""
+    span = channel.highest - channel.lowest
+    return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

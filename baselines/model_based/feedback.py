@@ -76,7 +76,7 @@ class FeedbackOptimisation(ModelController):
         self._weights = w.voltage / n_node, w.violation / n_node
         self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_node / self.width_pu
         self._backlog_price = (w.backlog + w.leftover) * s.dt_s / (dc.p_rated_kw.sum() or 1.0)  # of each kW held back
-        self._effort_price = w.effort / s.n_agents / np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
+        self._effort_price = w.effort / s.n_agents / self._rated_kva
         self._size = np.concatenate((dc.p_dynamic_kw, self._q_scale))
         self._multipliers: tuple[np.ndarray, ...] | None = None
 

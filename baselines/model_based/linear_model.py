@@ -26,7 +26,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity
-from dcgrid_env.baselines.controller import Local, LocalController
+from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
 
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
 _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are
@@ -84,9 +84,10 @@ class ModelController(LocalController):
         Raises
         ------
         ValueError
-            For a scenario with another scope of observation, clock law or cost than these work with.
+            For a scenario with other devices, or another scope of observation, clock law or cost, than these work with.
         """
         s = env_info
+        require_known_devices(self.name, s)
         if s.observe != "feeder":
             raise ValueError(f"{self.name}: observe is {s.observe!r}; make the scenario with observe='feeder'")
         if not isinstance(s.dvfs, LinearDvfs):

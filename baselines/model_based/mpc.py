@@ -70,7 +70,6 @@ class Mpc(ModelController):
         s, w, dc = env_info, env_info.weights, env_info.datacenter
         # Powers are shares of these in the program.
         self._size = np.concatenate((dc.p_dynamic_kw, s.inverter.s_rated_kva))
-        self._rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
         price = np.full((self.horizon, 1), w.backlog)
         price[-1] += w.leftover
         self._price = price * dc.p_dynamic_kw * s.dt_s / (dc.p_rated_kw.sum() or 1.0)

@@ -65,7 +65,7 @@ def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]
         return [(-1.0, 1.0)]
     scenario = scenarios[0]
     drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    return [(-1.0, 1.0)] * (scenario.n_inverters + 1 if drawn else scenario.n_agents)
+    return [(-1.0, 1.0)] * (scenario.n_agents - scenario.n_datacenters + 1 if drawn else scenario.n_agents)
 
 
 def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
@@ -82,11 +82,10 @@ def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
 def _distances(scenario: Scenario) -> np.ndarray:
     """R_ii and X_ii wherever an agent may stand, (n, 2)."""
-    if scenario.datacenter_buses is None:
-        at = scenario.candidates.tolist()
-    else:
-        at = [scenario.feeder.index(bus) for bus in scenario.datacenter_buses]
-    at += [scenario.feeder.index(bus) for bus in scenario.inverter_buses]
+    at: list[int] = []
+    for device in scenario.devices:
+        buses = device.buses
+        at += scenario.candidates.tolist() if buses is None else [scenario.feeder.index(bus) for bus in buses]
     return np.stack([np.diag(m)[at] for m in sensitivity(scenario.model)], axis=-1)
 
 

@@ -23,9 +23,9 @@ from dcgrid_env import (
     register_device,
 )
 from dcgrid_env.agents import Policy
-from dcgrid_env.baselines import CONTROLLERS, make_controller, rollout
+from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
-from dcgrid_env.devices import DEVICES
+from dcgrid_env.devices import DEVICES, Channel
 
 SPEC = importlib.util.spec_from_file_location("storage_of_the_tests", Path(__file__).with_name("storage.py"))
 assert SPEC is not None
@@ -156,19 +156,69 @@ def test_a_picture_is_drawn():
     env.close()
 
 
-def test_hindsight_refuses_devices_that_it_does_not_know():
-    with pytest.raises(ValueError, match="hindsight knows data centres, and inverters behind them"):
-        hindsight(scenario(), 0)
+MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc")
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "none"])
-def test_controllers_refuse_devices_that_they_do_not_know(name):
-    with pytest.raises(ValueError, match="knows data centres, and inverters behind them; scenario 'with-storage' has"):
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in MADE_FOR_TWO_KINDS])
+def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
+    s = scenario()
+    run = rollout(s, make_controller(name), [0]).lane(0)
+    assert not run.charged_kw.any()
+    sites, _, inverters = s.devices
+    without = rollout(s.replace(devices=(sites, inverters)), make_controller(name), [0]).lane(0)
+    np.testing.assert_array_equal(run.f_mhz[0], without.f_mhz[0])
+    np.testing.assert_allclose(run.q_kvar[1, [0, 2, 3]], without.q_kvar[1], rtol=1e-6)
+    assert run.q_kvar[1, 1] == 0.0
+
+
+def test_a_law_gives_reactive_power_by_whatever_device_has_the_channel():
+    class Condensers(STORAGES):
+        kind = "condenser"
+
+        @property
+        def q_limit_kvar(self):
+            return self.parameters.p_rated_kw
+
+        @property
+        def channels(self):
+            rated = self.parameters.p_rated_kw
+            return (
+                Channel("q", "kvar", -rated, rated, rest=0.0 * rated),
+                Channel("power", "kW", 0.0 * rated, rated, rated),
+            )
+
+    base = make_scenario("toy6", horizon=5)
+    device = Condensers(buses=(2,), p_rated_kw=500.0, energy_kwh=5.0)
+    s = base.replace(name="with-condenser", devices=(*base.devices, device))
+    controller = ConstantQ(q_share=0.5)
+    controller.reset(s)
+    actions = controller.act(dcgrid_env.parallel_env(s).reset(seed=0)[0])
+    np.testing.assert_array_equal(actions["sto_0"], [0.5, 1.0])  # its power at rest, which is the rating
+    np.testing.assert_array_equal(actions["inv_1"], [0.5])
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in MADE_FOR_TWO_KINDS])
+def test_a_law_does_the_same_whatever_the_order_of_the_devices(name):
+    base = make_scenario("toy6", horizon=10)
+    turned = base.replace(devices=base.devices[::-1])
+    assert turned.agents == ("inv_0", "inv_1", "dc_0")
+    costs = [rollout(s, make_controller(name), [0, 1]).costs() for s in (base, turned)]
+    np.testing.assert_allclose(*costs, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", MADE_FOR_TWO_KINDS)
+def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(name):
+    with pytest.raises(ValueError, match=r"data centres and inverters alone; .* has devices of kind 'storage'"):
         rollout(scenario(), make_controller(name), [0])
+    base = make_scenario("toy6")
+    with pytest.raises(ValueError, match=r"data centres first .* has the order inverter, datacenter"):
+        rollout(base.replace(devices=base.devices[::-1]), make_controller(name), [0])
 
 
-def test_policies_refuse_devices_that_they_do_not_know():
-    with pytest.raises(ValueError, match="scenario 'with-storage' has datacenter, storage, inverter: use a controller"):
+def test_hindsight_and_policies_refuse_devices_that_they_do_not_know():
+    with pytest.raises(ValueError, match="hindsight is made for data centres and inverters alone"):
+        hindsight(scenario(), 0)
+    with pytest.raises(ValueError, match="scenario 'with-storage' has devices of kind 'storage': use a controller"):
         Policy.load("toy6-ppo").reset(scenario())
 
 
