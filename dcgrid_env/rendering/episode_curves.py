@@ -16,10 +16,10 @@ from matplotlib.ticker import MaxNLocator
 
 from dcgrid_env.rendering.feeder_map import INK, agent_colour
 from dcgrid_env.rendering.history import History
-from dcgrid_env.rendering.map_panel import MIDDLE, Panel, time_unit
+from dcgrid_env.rendering.map_panel import MIDDLE, Panel, other_kinds, time_unit
 from dcgrid_env.scenario.scenario import Scenario
 
-_INVERTER: dict[str, Any] = {"color": "#8C6BB1", "linewidth": 0.8, "zorder": 2.5}
+_OTHER: dict[str, Any] = {"color": "#8C6BB1", "linewidth": 0.8, "zorder": 2.5}
 _LIMIT: dict[str, Any] = {"color": "black", "linewidth": 1.1, "linestyle": (0, (5, 3))}
 _NAMED = 10
 """Data centres named in the legend at most."""
@@ -32,12 +32,12 @@ _NAME_PX = 33.5
 class Bundle:
     """Curves of several agents over time; with ``steps`` what acts over an interval is a step up to its end."""
 
-    def __init__(self, ax: Axes, n_dc: int, n_inv: int, *, steps: bool, **look: Any):
+    def __init__(self, ax: Axes, n_dc: int, n_other: int, *, steps: bool, **look: Any):
         self.n_dc, self.steps = n_dc, steps
         own = {"colors": [agent_colour(i) for i in range(n_dc)], "linewidths": 1.5, "zorder": 3} | look
-        inverters = {"colors": _INVERTER["color"], "linewidths": _INVERTER["linewidth"], "zorder": _INVERTER["zorder"]}
+        others = {"colors": _OTHER["color"], "linewidths": _OTHER["linewidth"], "zorder": _OTHER["zorder"]}
         ends: Any = {"capstyle": "projecting", "joinstyle": "round"}
-        self.lines = [LineCollection([], **style, **ends) for style, n in ((own, n_dc), (inverters, n_inv)) if n]
+        self.lines = [LineCollection([], **style, **ends) for style, n in ((own, n_dc), (others, n_other)) if n]
         for lines in self.lines:
             ax.add_collection(lines, autolim=False)
 
@@ -71,10 +71,10 @@ class Curves:
         self._draw_voltage()
         limit = float(s.q_scale_kvar.max()) or 1.0
         self._label(1, "q injected\n(kvar)", (-1.1 * limit, 1.1 * limit))
-        n_dc, n_inv = s.n_sites, s.n_agents - s.n_sites
+        n_dc, n_other = s.n_sites, s.n_agents - s.n_sites
         self.curves = {
-            "v_pu": Bundle(self.axes[0], n_dc, n_inv, steps=False),
-            "q_kvar": Bundle(self.axes[1], n_dc, n_inv, steps=True),
+            "v_pu": Bundle(self.axes[0], n_dc, n_other, steps=False),
+            "q_kvar": Bundle(self.axes[1], n_dc, n_other, steps=True),
         }
         if s.n_sites:
             self._draw_datacenters()
@@ -128,8 +128,9 @@ class Curves:
             (Line2D([], [], color="black", linewidth=1.4), "mean"),
             (Line2D([], [], **_LIMIT), "limits"),
         ]
-        if self.scenario.n_inverters:
-            entries.append((Line2D([], [], **_INVERTER), "inverters"))
+        if others := other_kinds(self.scenario):
+            called = "inverters" if others == ["inverter"] else ", ".join(others)
+            entries.append((Line2D([], [], **_OTHER), called))
         if n:
             entries.append((Line2D([], [], color=agent_colour(0), linewidth=3.0, alpha=0.35), "p asked for"))
         lower = self._legend(entries, 0.885)

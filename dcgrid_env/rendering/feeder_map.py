@@ -44,16 +44,18 @@ def agent_colour(i: int) -> str:
 class FeederMap:
     """A feeder drawn on an Axes; ``place`` moves the devices and ``update`` the voltages without redrawing the rest.
 
-    See :func:`draw_feeder`.
+    See :func:`draw_feeder`; ``names`` are those of the data centres and of the other devices.
     """
 
-    def __init__(self, ax: Axes, feeder: Feeder, xy: FloatArray, band_pu: float, n_dc: int, n_inv: int):
+    def __init__(
+        self, ax: Axes, feeder: Feeder, xy: FloatArray, band_pu: float, names: tuple[Sequence[str], Sequence[str]]
+    ):
         self.ax, self.feeder, self.xy, self.band_pu = ax, feeder, xy, band_pu
         few = feeder.n_bus <= _FEW_BUSES
         self._bus_area, self._dc_radius_pt = (42.0, 8.5) if few else (24.0, 7.5)
         self._frame_axes()
         self._draw_network(few)
-        self._draw_devices(n_dc, n_inv)
+        self._draw_devices(*names)
 
     @property
     def moving(self) -> list[Artist]:
@@ -87,19 +89,19 @@ class FeederMap:
         self.rings = ax.scatter([], [], facecolors="none", edgecolors="black", linewidths=1.6, zorder=6)
         self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
 
-    def _draw_devices(self, n_dc: int, n_inv: int) -> None:
-        ax = self.ax
+    def _draw_devices(self, sites: Sequence[str], others: Sequence[str]) -> None:
+        ax, colours = self.ax, [agent_colour(i) for i in range(len(sites))]
         self.halos = ax.scatter([], [], alpha=0.3, linewidths=0, zorder=2, clip_on=False)
-        self.halos.set_facecolor([agent_colour(i) for i in range(n_dc)])
+        self.halos.set_facecolor(colours)
         look = {"marker": "o", "linestyle": "none", "markersize": 2 * self._dc_radius_pt, "markeredgewidth": 3.0}
         (self.tracks,) = ax.plot([], [], **look, markerfacecolor="white", markeredgecolor="#C8C8C8", zorder=3)
         # Arcs of the unit circle, in points around the buses.
-        self.clocks = LineCollection([], linewidths=3.0, colors=[agent_colour(i) for i in range(n_dc)], zorder=3.5)
+        self.clocks = LineCollection([], linewidths=3.0, colors=colours, zorder=3.5)
         self.clocks.set_transform(Affine2D().scale(self._dc_radius_pt / 72.0) + ax.figure.dpi_scale_trans)
         self.clocks.set_offset_transform(ax.transData)
         ax.add_collection(self.clocks, autolim=False)
-        self._names = {f"dc_{i}": self._label("", 10, agent_colour(i), "bold") for i in range(n_dc)}
-        self._names |= {f"inv_{i}": self._label("", 8, "#555555", "normal") for i in range(n_inv)}
+        self._names = {name: self._label("", 10, colours[i], "bold") for i, name in enumerate(sites)}
+        self._names |= {name: self._label("", 8, "#555555", "normal") for name in others}
 
     def _label(self, text: str, size: float, colour: str, weight: str) -> Annotation:
         label = self.ax.annotate(text, (0.0, 0.0), (0.0, 0.0), textcoords="offset points", ha="center", va="center")
@@ -107,18 +109,18 @@ class FeederMap:
         label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
         return label
 
-    def place(self, dc_buses: ArrayLike, inv_buses: ArrayLike) -> None:
-        """Move the devices to these positions in ``bus_ids``, (n_dc,) and (n_inv,), and find room for their names."""
+    def place(self, dc_buses: ArrayLike, other_buses: ArrayLike) -> None:
+        """Move the devices to these positions in ``bus_ids``, (n_dc,) and (n_other,), and find room for their names."""
         self.dc = np.asarray(dc_buses, dtype=np.intp)
-        self.inv = np.asarray(inv_buses, dtype=np.intp)
+        self.others = np.asarray(other_buses, dtype=np.intp)
         at = self.xy[self.dc]
         self.halos.set_offsets(at)
         self.halos.set_sizes(np.zeros(len(at)))
         self.tracks.set_data(at[:, 0], at[:, 1])
         self.clocks.set_offsets(at)
-        self.triangles.set_offsets(self.xy[self.inv])
+        self.triangles.set_offsets(self.xy[self.others])
         areas = np.full(self.feeder.n_bus, self._bus_area)
-        areas[self.inv] = 0.0  # the triangle stands in its place
+        areas[self.others] = 0.0  # the triangle stands in its place
         self.dots.set_sizes(areas[1:])
         self._ring_areas = np.where(areas > 0.0, 2.2 * self._bus_area, 190.0)
         self._ring_areas[0] = 260.0
@@ -130,7 +132,7 @@ class FeederMap:
         radius = np.sqrt(self._ring_areas / np.pi) + 1.0
         radius[self.dc] = self._dc_radius_pt + 2.0
         room = _Room(bus, radius, self.feeder.parent, self.ax.get_window_extent().get_points() * to_points)
-        devices = [*self.dc, *self.inv]
+        devices = [*self.dc, *self.others]
         for (name, label), i in zip(self._names.items(), devices, strict=True):
             label.set_text(f"{name} ({self.feeder.bus_ids[i]})" if self._ids else name)
             self._write(label, i, room)
@@ -152,7 +154,7 @@ class FeederMap:
         v = np.asarray(v_pu, dtype=np.float64)
         self.dots.set_array(v[1:])
         self.substation.set_array(v[:1])
-        self.triangles.set_array(v[self.inv])
+        self.triangles.set_array(v[self.others])
         outside = self.outside(v)
         self.rings.set_offsets(self.xy[outside])
         self.rings.set_sizes(self._ring_areas[outside])
@@ -239,7 +241,8 @@ def draw_feeder(
     FeederMap
         Its ``update`` shows other voltages, ``place`` moves the devices; ``dots`` serves for a colour bar.
     """
-    drawn = FeederMap(ax, feeder, xy, band_pu, len(dc_buses), len(inv_buses))
+    names = [f"dc_{i}" for i in range(len(dc_buses))], [f"inv_{i}" for i in range(len(inv_buses))]
+    drawn = FeederMap(ax, feeder, xy, band_pu, names)
     drawn.place(dc_buses, inv_buses)
     drawn.update(v_pu, clock_share, backlog_s)
     return drawn

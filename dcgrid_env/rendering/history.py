@@ -19,9 +19,8 @@ class History:
     def __init__(self, scenario: Scenario, lane: int = 0):
         self.lane = lane
         rows, n_dc = scenario.horizon + 1, scenario.n_sites
-        is_site = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
-        self.order = np.argsort(np.logical_not(is_site), kind="stable")
-        """Agents as the picture has them, sites of work first."""
+        self.order = sites_first(scenario)
+        """Agents as the picture has them."""
         self.v_pu = np.empty((rows, scenario.feeder.n_bus), np.float32)
         self.f_mhz = np.empty((rows, n_dc), np.float32)
         self.backlog_kws = np.empty((rows, n_dc), np.float32)
@@ -56,3 +55,9 @@ class History:
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
         return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
+
+
+def sites_first(scenario: Scenario) -> np.ndarray:
+    """Positions of the agents as a picture has them, sites of work before other devices, (n_agent,)."""
+    is_site = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
+    return np.argsort(np.logical_not(is_site), kind="stable")

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, voltage_norm
-from dcgrid_env.rendering.history import History
+from dcgrid_env.rendering.history import History, sites_first
 from dcgrid_env.rendering.lettering import Lettering
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -37,8 +37,9 @@ class MapPart:
         self.scenario = scenario
         self.time_unit = time_unit(scenario)
         ax = figure.add_axes((0.01, 0.155, 0.52, 0.735))
-        n_dc, n_inv = scenario.n_sites, scenario.n_agents - scenario.n_sites
-        self.feeder = FeederMap(ax, scenario.feeder, positions(scenario.feeder), scenario.band_pu, n_dc, n_inv)
+        agents = [scenario.agents[i] for i in sites_first(scenario)]
+        names = agents[: scenario.n_sites], agents[scenario.n_sites :]
+        self.feeder = FeederMap(ax, scenario.feeder, positions(scenario.feeder), scenario.band_pu, names)
         self.buses: np.ndarray | None = None
         look: Any = {"family": "DejaVu Sans"}
         self.title = Lettering(figure, (0.015, 0.955), FontProperties(**look, size=13, weight="bold"), INK)
@@ -67,9 +68,10 @@ class MapPart:
             handle.set(markeredgecolor=edge, markeredgewidth=width)
             return handle
 
+        others = ", ".join(other_kinds(self.scenario))
         entries = [
             (mark("s", 8), "substation"),
-            (mark("^", 8), "inverter" if _inverters_alone(self.scenario) else "other device"),
+            *([(mark("^", 8), others)] if others else []),
             (mark("o", 9, width=1.8), "outside limits"),
         ]
         if self.scenario.n_sites:
@@ -107,9 +109,9 @@ class MapPart:
         return self.panels if moved else []
 
 
-def _inverters_alone(scenario: Scenario) -> bool:
-    """Whether all agents that are no sites of work are inverters."""
-    return scenario.n_sites + scenario.n_inverters == scenario.n_agents
+def other_kinds(scenario: Scenario) -> list[str]:
+    """Kinds of the devices that are no sites of work, in the scenario's order."""
+    return [device.kind for device in scenario.devices if device.count and device.input != "workload"]
 
 
 def _band(scenario: Scenario) -> str:

@@ -146,13 +146,16 @@ def test_scenario_files_pickles_and_hashes(tmp_path):
         s.replace(devices=[{"kind": "storage", "buses": ["2"], "p_rated_kw": 1.0, "energy_kwh": -1.0}])
 
 
-def test_a_picture_is_drawn():
-    env = gymnasium.make("dcgrid/Toy6-v0", scenario=scenario(), render_mode="rgb_array")
+def test_a_picture_calls_it_by_its_own_kind_and_name():
+    env = dcgrid_env.DcgridEnv(scenario(), render_mode="rgb_array")
     env.reset(seed=0)
     env.step(env.action_space.sample())
-    frame = env.render()
-    assert isinstance(frame, np.ndarray)
-    assert frame.ndim == 3
+    assert np.ndim(env.render()) == 3
+    figure: Any = env._viewer._figure
+    named = {text.get_text() for text in figure.axes[0].texts}
+    assert {"dc_0 (4)", "sto_0 (2)", "inv_0 (3)", "inv_1 (5)"} <= named
+    signs = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert signs.count("storage, inverter") == 2  # the triangle on the map, and the curves
     env.close()
 
 

@@ -438,3 +438,13 @@ def test_pettingzoo_render_test():
     from pettingzoo.test import render_test
 
     render_test(dcgrid_env.env)  # pyright: ignore[reportArgumentType]
+
+
+def test_names_stand_at_their_own_buses_whatever_the_order_of_the_devices():
+    base = dcgrid_env.make_scenario("toy6")
+    env = make(base.replace(devices=base.devices[::-1]))
+    env.render()
+    drawn = env._viewer._parts[0].feeder
+    written = {text.get_text() for text in drawn.ax.texts if text.get_visible()}
+    assert {f"inv_{i} ({bus})" for i, bus in enumerate(base.inverter_buses)} <= written
+    assert f"dc_0 ({base.datacenter_buses[0]})" in written
