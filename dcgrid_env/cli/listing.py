@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class List(Command):
-    """Show the scenarios, feeders, controllers and traces that can be named."""
+    """Show the scenarios, feeders, kinds of devices, controllers and traces that can be named."""
 
     def run(self) -> None:
         """Print the tables."""
@@ -26,6 +26,7 @@ class List(Command):
         from dcgrid_env.agents.controllers import ENTRIES as POLICIES
         from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
         from dcgrid_env.baselines import CONTROLLER_REGISTRY
+        from dcgrid_env.devices import DEVICE_REGISTRY
         from dcgrid_env.traces import TRACE_SOURCES
         from dcgrid_env.traces.recordings import RECORDINGS
 
@@ -36,6 +37,7 @@ class List(Command):
                 f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()
             },
             "feeder": described(FEEDER_REGISTRY),
+            "device": described(DEVICE_REGISTRY),
             "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
             "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
             "trace": {name: source.description for name, source in TRACE_SOURCES.items()},

@@ -1,7 +1,8 @@
 """Registries of what can be asked for by name, filled by this package and by others, which declare entry points.
 
-An entry point of a registry's group (``dcgrid.controllers``, ``dcgrid.scenarios``, ``dcgrid.feeders``) hands over a
-mapping: each name, with a pair of what it is, in a few words, and a function that makes it. In another package's
+An entry point of a registry's group (``dcgrid.controllers``, ``dcgrid.scenarios``, ``dcgrid.feeders``,
+``dcgrid.devices``) hands over a mapping: each name, with a pair of what it is, in a few words, and a function that
+makes it; for a kind of device, its class. In another package's
 pyproject.toml, and in its module ``laws``:
 
     [project.entry-points."dcgrid.controllers"]
@@ -100,7 +101,7 @@ class Registry(Mapping[str, Entry]):
         """Name and version of the other package that a name comes from; None for one of this package's own."""
         return self._origins.get(name)
 
-    def unknown(self, name: str) -> str:
+    def unknown(self, name: Any) -> str:
         """What to say of a name that nothing stands for: which names there are, and what could not be loaded."""
         listed = ", ".join(known for known in self if not known.startswith("."))
         said = [f"unknown {self.kind} {name!r}; there are {listed}", *self._refused]
@@ -124,8 +125,9 @@ class Registry(Mapping[str, Entry]):
             return True
         taken = []
         for name, entry in handed_over.items() if handed_over is not self._own else ():
-            if name in self._own or name in self._entries:
-                taken.append(name)
+            if (known := self._own.get(name) or self._entries.get(name)) is not None:
+                if known[1] is not entry[1]:
+                    taken.append(name)
                 continue
             self._entries[name] = entry
             if not _is_own(point):

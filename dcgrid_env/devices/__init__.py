@@ -7,10 +7,10 @@ from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
 from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, GridChange, Q, Work
 from dcgrid_env.devices.inverter import Inverters
 from dcgrid_env.devices.ratings import DataCenterParams, InverterParams
-from dcgrid_env.devices.registry import DEVICES, register_device
+from dcgrid_env.devices.registry import DEVICE_REGISTRY, device_kind, is_known, register_device
 
 __all__ = [
-    "DEVICES",
+    "DEVICE_REGISTRY",
     "Channel",
     "CostTerm",
     "DataCenterParams",
@@ -26,6 +26,8 @@ __all__ = [
     "Q",
     "Work",
     "converter",
+    "device_kind",
+    "is_known",
     "register_device",
     "speed_share",
     "work_classes_of",

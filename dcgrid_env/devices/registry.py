@@ -1,16 +1,21 @@
-"""Kinds of devices by name, as plain data name them."""
+"""Kinds of devices by name, as plain data name them: ours, those that were registered, and those of other packages."""
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
 
+from dcgrid_env.core.plugins import Entry, PluginError, Registry
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.device import Device
 from dcgrid_env.devices.inverter import Inverters
 
-DEVICES: dict[str, type[Any]] = {kind.kind: kind for kind in (DataCenters, Inverters)}
-"""Classes of devices by their ``kind``."""
-
+ENTRIES: dict[str, Entry] = {
+    DataCenters.kind: ("work that waits or is served as the clock allows, and reactive power", DataCenters),
+    Inverters.kind: ("reactive power by command, active power by schedule", Inverters),
+}
+"""What a kind is, in a few words, and its class: this package's own, and what ``register_device`` adds."""
+DEVICE_REGISTRY = Registry("dcgrid.devices", "kind of device", Device, ENTRIES)
+"""All kinds of devices that have a name, those of other packages too."""
 
 INPUTS = ("workload", "injection", None)
 """What may drive a device from outside."""
@@ -25,6 +30,39 @@ def register_device(kind: type[_Kind]) -> type[_Kind]:
 
     ValueError where another class has that name, or the class lacks something of ``device.Device``.
     """
+    _require_device(kind)
+    known = ENTRIES.setdefault(kind.kind, ((kind.__doc__ or kind.__name__).partition("\n")[0], kind))[1]
+    if known is not kind:
+        raise ValueError(f"device kind {kind.kind!r} is that of {known.__name__}; choose another name")
+    return kind
+
+
+def device_kind(name: str) -> type[Any]:
+    """The class of devices of a kind, which another package may have by its entry point ``dcgrid.devices``.
+
+    KeyError for an unknown kind; PluginError where what another package hands over is no class of such devices.
+    """
+    kind: Any = DEVICE_REGISTRY[name][1]
+    if (origin := DEVICE_REGISTRY.origin(name)) is not None:
+        try:
+            _require_device(kind)
+            if kind.kind != name:
+                raise ValueError(f"its kind is {kind.kind!r}")
+        except (ValueError, AttributeError) as error:
+            raise PluginError(f"kind of device {name!r} of {origin} cannot be used: {error}; mend it") from None
+    return kind
+
+
+def is_known(kind: type[Any]) -> bool:
+    """Whether plain data can name a class of devices."""
+    name = getattr(kind, "kind", None)
+    return isinstance(name, str) and name in DEVICE_REGISTRY and DEVICE_REGISTRY[name][1] is kind
+
+
+def _require_device(kind: type[Any]) -> None:
+    """ValueError for what is no class of devices, or has a name that means something else."""
+    if not isinstance(kind, type):
+        raise ValueError(f"{kind!r} is no class; give a class of devices")
     lacking = [name for name in _MEMBERS if not hasattr(kind, name) and name not in _fields_of(kind)]
     if lacking:
         raise ValueError(f"device {kind.__name__} has no {', '.join(lacking)}; see dcgrid_env/devices/device.py")
@@ -34,9 +72,6 @@ def register_device(kind: type[_Kind]) -> type[_Kind]:
         raise ValueError(
             f"device {kind.__name__}: kind is {kind.kind!r}, which means something else; choose another name"
         )
-    if DEVICES.setdefault(kind.kind, kind) is not kind:
-        raise ValueError(f"device kind {kind.kind!r} is that of {DEVICES[kind.kind].__name__}; choose another name")
-    return kind
 
 
 def _fields_of(kind: type[Any]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices import DEVICES, DataCenters, Device, Inverters
+from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, located
@@ -134,7 +134,7 @@ def _devices(
                 f"scenario {scenario!r} has {len(at)} groups of kind {kind!r}; give devices, not {name}"
             )
         start = groups[at[0]] if at else None
-        group = _part(scenario, kind, DEVICES[kind], start, None, flat.get(kind, {}))
+        group = _part(scenario, kind, device_kind(kind), start, None, flat.get(kind, {}))
         groups[at[0] if at else min(place, len(groups)) : (at[0] + 1 if at else min(place, len(groups)))] = [group]
     return _with_both(groups)
 
@@ -149,11 +149,11 @@ def _with_both(groups: list[Any]) -> tuple[Any, ...]:
 def _device(scenario: Any, path: str, given: Any) -> Any:
     if not isinstance(given, Mapping):
         if isinstance(given, type) or not isinstance(given, Device):
-            kinds = ", ".join(kind.__name__ for kind in DEVICES.values())
+            kinds = ", ".join(device_kind(kind).__name__ for kind in DEVICE_REGISTRY)
             raise ScenarioError(f"scenario {scenario!r}: {path} is {given!r}; give a device ({kinds}) or a mapping")
         return given
     fields = dict(given)
     kind = fields.pop("kind", None)
-    if not isinstance(kind, str) or kind not in DEVICES:
-        raise ScenarioError(f"scenario {scenario!r}: {path}.kind is {kind!r}; choose one of {', '.join(DEVICES)}")
-    return _part(scenario, path, DEVICES[kind], None, fields, {})
+    if not isinstance(kind, str) or kind not in DEVICE_REGISTRY:
+        raise ScenarioError(f"scenario {scenario!r}: {path}.kind: {DEVICE_REGISTRY.unknown(kind)}")
+    return _part(scenario, path, device_kind(kind), None, fields, {})

@@ -18,7 +18,7 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
-from dcgrid_env.devices import DEVICES, PrefillDecodeDvfs
+from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import Feeder, bus_numbers
 from dcgrid_env.scenario.assembly import PARTS
@@ -44,7 +44,7 @@ _SCENARIO = """
     power_flow split
     weights band_pu voltage_cost reward observe preview r_model_share x_model_share
 """
-_OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in DEVICES}
+_OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.kind, Inverters.kind)}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices import DEVICES
+from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, load_feeder
@@ -45,7 +45,7 @@ def to_plain(value: Any) -> Any:
         return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
     if isinstance(value, Workload | Background | Sensing | Cost):
         return _fields_to_plain(value)
-    if type(value) in DEVICES.values():
+    if isinstance(value, Device) and is_known(type(value)):
         return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
         return value.name.lower()

@@ -25,7 +25,7 @@ from dcgrid_env import (
 from dcgrid_env.agents import Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
-from dcgrid_env.devices import DEVICES, Channel
+from dcgrid_env.devices import Channel, device_kind
 
 SPEC = importlib.util.spec_from_file_location("storage_of_the_tests", Path(__file__).with_name("storage.py"))
 assert SPEC is not None
@@ -46,7 +46,7 @@ def scenario(**overrides) -> Scenario:
 
 def test_it_is_a_device_and_known_by_its_kind():
     assert isinstance(scenario().devices[1], Device)
-    assert DEVICES["storage"] is STORAGES
+    assert device_kind("storage") is STORAGES
     with pytest.raises(ValueError, match="device kind 'storage' is that of Storages; choose another name"):
         register_device(type("Other", (STORAGES,), {}))
 

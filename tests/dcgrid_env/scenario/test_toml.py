@@ -91,7 +91,7 @@ def test_paths_begin_where_the_file_stands(tmp_path):
         ('base = "ieee33"\n[cost.weights]\nvolts = 1', "there is no weight 'volts'; there are voltage"),
         ('base = "ieee33"\nsensing = 3', r"sensing is 3; give Sensing\(...\) or a mapping of its fields"),
         ('base = "ieee33"\nvoltage_noise_pu = 0.1\n[sensing]\nnoise_pu = 0.1', "are one field; give one"),
-        ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind is 'wind'; choose one of data"),
+        ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind: unknown kind of device 'wind'"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["99"]\ns_rated_kva = 1', "has no bus '?99'?; its"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["3"]', r"devices\[0\].s_rated_kva is 0.0; give"),
         ('base = "ieee33"\n[[devices]]\nkind = "datacenter"\ncount = 1', r"devices\[0\].p_rated_kw is missing"),
