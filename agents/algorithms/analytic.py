@@ -37,6 +37,7 @@ from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_r
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
+from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.file_names import file_name
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
@@ -239,8 +240,13 @@ def check_settings(cfg: Analytic) -> None:
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
-    """Scenarios of the training split: those named, then variants of each."""
+    """Scenarios of the training split: those named, then variants of each.
+
+    ValueError for one that cannot be, or with devices that no network is made for.
+    """
     given = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
+    for grid in given:
+        require_known_devices("training", grid)
     rng = np.random.default_rng([cfg.seed, 1])
     return given + [variant(grid, rng) for _ in range(cfg.vary) for grid in given]
 

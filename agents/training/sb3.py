@@ -26,6 +26,7 @@ from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -101,9 +102,10 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)
-    make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     scenario = spec.make("train", observe=cfg.observe)
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
+    require_known_devices("training", scenario)
+    make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
         return JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs)
     return AgentVecEnv(scenario, max(1, cfg.num_envs // scenario.n_agents), cfg.act, outputs, cfg.nameplate)

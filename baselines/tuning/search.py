@@ -125,7 +125,8 @@ def tune(
     Raises
     ------
     ValueError
-        For a law that cannot be tuned, listing those that can, no scenario or fewer than one episode.
+        For a law that cannot be tuned, listing those that can, no scenario or fewer than one episode; a
+        ``ControllerError`` where the law refuses a scenario or fails.
     """
     from scipy.optimize import differential_evolution, minimize
 
@@ -153,7 +154,12 @@ def tune(
     starts = [np.full(n, 0.5)]
     if n <= 3:
         seeded: dict[str, Any] = {"seed": 0}  # newer releases of scipy also call it rng
-        differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=law.generations, polish=False, **seeded)
+        try:
+            differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=law.generations, polish=False, **seeded)
+        except RuntimeError as error:
+            if isinstance(error.__cause__, ValueError):  # which scipy hides behind words about its own arguments
+                raise error.__cause__ from None
+            raise
         starts.append(min(tried, key=lambda pair: pair[0])[1])
     budget = {"maxfev": 30 * n, "initial_tr_radius": 0.25, "final_tr_radius": 5e-4}
     for start in starts:

@@ -156,6 +156,12 @@ def _arguments(entry: dict[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in entry["parameters"].items()}
 
 
+def _presets_of(law: str, scenario: Scenario) -> list[str]:
+    """Presets with a scenario's grid for which parameters of a law ship."""
+    names = [name for name in _shipped().get(law, {}) if name in PRESETS]
+    return [name for name in names if grid_difference(scenario, make_scenario(name)) is None]
+
+
 def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, differs: str | None) -> str:
     """Why there are no tuned parameters, and the command that finds them."""
     said = f"no tuned parameters of {law!r} for scenario {scenario.name!r}"
@@ -163,6 +169,8 @@ def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, 
         said += f": those that ship are of the preset of that name, from which this one differs in {differs}"
     elif path is None:
         said += f" ship with the package, nor stand in {OWN}"
+        if same := _presets_of(law, scenario):
+            said += f"; its grid is that of {' and '.join(same)}, whose it takes with --set name={same[0]}"
     else:
         said += f" stand in {path}"
     if another:

@@ -1,6 +1,7 @@
 """Tuning: it finds what a plain search finds, says the same twice, and what ships is what it found."""
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from dcgrid_env import PRESETS, make_scenario
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, Droop, NoControl, make_controller, rollout
+from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.tuning.search import TUNABLE, mean_cost, tune
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
@@ -107,3 +109,14 @@ def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
     with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
         make_controller("pid-tuned", own)
     assert isinstance(tuned_parameters("constant-q", make_scenario("ieee33")).parameters["q_share"], tuple)
+
+
+class Refusing(NoControl):
+    def reset(self, env_info):
+        raise ValueError("too weak a feeder")
+
+
+def test_what_a_law_refuses_is_said_and_not_what_the_search_makes_of_it(monkeypatch):
+    monkeypatch.setitem(TUNABLE, "droop-q", replace(TUNABLE["droop-q"], law=lambda **_: Refusing()))
+    with pytest.raises(ControllerError, match=r"cannot drive toy6, test_search.py line \d+: too weak"):
+        tune("droop-q", [make_scenario("toy6", split="validation")], 1)

@@ -55,6 +55,15 @@ def test_a_preset_whose_grid_differs_does_not_get_its_gains(field, overrides):
     assert grid_hash(own) != grid_hash(make_scenario("ieee33-weak"))
 
 
+def test_a_scenario_of_another_name_is_told_which_presets_gains_would_serve_it():
+    own = make_scenario("ieee33-weak", name="weak-rural", horizon=20)
+    said = "its grid is that of ieee33-weak and bursty, whose it takes with --set name=ieee33-weak; find its own with"
+    with pytest.raises(ValueError, match=said):
+        tuned_parameters("droop", own)
+    with pytest.raises(ValueError, match=r"results/tuned.json; find its own"):
+        tuned_parameters("droop", own.replace(v0_pu=1.0))
+
+
 @pytest.mark.parametrize(
     "overrides",
     [

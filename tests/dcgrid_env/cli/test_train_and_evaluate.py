@@ -304,3 +304,12 @@ def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
         assert (code, len(said.splitlines())) == (2, 1)
         assert "find its own with `dcgrid dev tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
     assert not (here / "results" / "train").exists()
+
+
+@pytest.mark.parametrize("algorithm", ["analytic", "ppo"])
+def test_training_refuses_devices_and_orders_that_no_network_is_made_for(algorithm, here, capsys):
+    turned = "from dcgrid_env import make_scenario\n\ntoy6 = make_scenario('toy6')\n"
+    (here / "turned.py").write_text(turned + "scenario = toy6.replace(devices=toy6.devices[::-1])\n")
+    code, said = stopped(capsys, "train", algorithm, "--scenario", "turned.py:scenario")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert "training takes data centres first and inverters behind them; scenario 'toy6' has the order" in said
