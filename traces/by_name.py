@@ -27,8 +27,15 @@ LOAD = 0.35
 def recorded_trace(name: str) -> PowerTrace:
     """A recording by name (`RECORDINGS`), or a file: a power trace, a log of nvidia-smi, or a request log.
 
-    Requests become power by being served (`LOAD`). TraceError for what is neither, or cannot be read.
+    Requests become power by being served (`LOAD`). The trace knows what it was asked for by (`PowerTrace.asked_by`).
+    TraceError for what is neither, or cannot be read.
     """
+    trace = _read(name)
+    trace.__dict__["_asked_by"] = name if name in RECORDINGS else str(Path(name).absolute())
+    return trace
+
+
+def _read(name: str) -> PowerTrace:
     if name in RECORDINGS:
         if RECORDINGS[name].kind == "power":
             return load_power(name)

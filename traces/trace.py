@@ -134,6 +134,11 @@ class PowerTrace:
         return cls(time_s, power_kw, name=name or stem(path), provenance=provenance)
 
     @property
+    def asked_by(self) -> str | None:
+        """Name or file that `recorded_trace` made it of; None for a trace made otherwise."""
+        return self.__dict__.get("_asked_by")
+
+    @property
     def duration_s(self) -> float:
         """Time from the first sample to the last, s."""
         return float(self.time_s[-1] - self.time_s[0])

@@ -172,7 +172,14 @@ class Feeder:
         FeederError
             Naming the file, the row and the field, or the buses and branches.
         """
-        return cls.from_network(read_csv(Path(folder)))
+        feeder = cls.from_network(read_csv(Path(folder)))
+        feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
+        return feeder
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder that it was read from; None for a feeder made otherwise, or taken out of a pickle."""
+        return self.__dict__.get("_folder")
 
     def to_csv(self, folder: str | Path) -> None:
         """Write the three files that :meth:`from_csv` reads; it then gives the same feeder, to the bit."""

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
@@ -33,11 +34,11 @@ from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
-from dcgrid_env.traces import SUN, TRACE_SOURCES
+from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
 
 
 def to_plain(value: Any) -> Any:
-    """The plain form of a field's value; an object that has none, a recording say, as it is."""
+    """The plain form of a field's value; an object that has none, a recording made in Python say, as it is."""
     if isinstance(value, CostWeights):
         return {key: to_plain(weight) for key, weight in value._asdict().items()}
     if isinstance(value, Fault):
@@ -50,7 +51,9 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, Feeder):
-        return value.name if value.name in FEEDER_REGISTRY and load_feeder(value.name) is value else value
+        return _feeder_to_plain(value)
+    if isinstance(value, PowerTrace):
+        return value.asked_by or value
     if type(value) in CLOCK_LAWS.values():
         return plain_law(value)
     if isinstance(value, list | tuple):
@@ -60,6 +63,39 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     return value.item() if isinstance(value, np.generic) else value
+
+
+def refuse_objects(scenario: str, path: str, value: Any) -> None:
+    """Raise ScenarioError, naming field and remedy, where something in a plain form has none."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            refuse_objects(scenario, f"{path}.{key}", item)
+    elif isinstance(value, list):
+        for i, item in enumerate(value):
+            refuse_objects(scenario, f"{path}[{i}]", item)
+    elif not isinstance(value, bool | int | float | str | None):
+        remedy = _REMEDIES.get(type(value), "give one of those that have a name")
+        raise ScenarioError(
+            f"scenario {scenario!r}: {path} is a {type(value).__name__} that stands in no file that is known; {remedy}"
+        )
+
+
+_REMEDIES: dict[type[Any], str] = {
+    Feeder: "write it, feeder.to_csv(folder), and give the folder instead",
+    PowerTrace: "write it into a file and give its path, or a recording's name, instead",
+}
+
+
+def _feeder_to_plain(feeder: Feeder) -> Any:
+    """Name or folder that gives a feeder of the same content; the feeder itself where there is none."""
+    content = digest([("", feeder)])
+    if feeder.name in FEEDER_REGISTRY and digest([("", load_feeder(feeder.name))]) == content:
+        return feeder.name
+    try:
+        is_there = feeder.folder is not None and digest([("", Feeder.from_csv(feeder.folder))]) == content
+    except (FeederError, OSError):
+        is_there = False
+    return str(feeder.folder) if is_there else feeder
 
 
 def _fields_to_plain(part: Any) -> dict[str, Any]:

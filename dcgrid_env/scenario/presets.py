@@ -237,8 +237,9 @@ _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
 """Scenarios with overrides that somebody still holds, by what they were made of."""
 
 
-def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario:
-    """Make a scenario by a name, from a file (``my.toml``), or from one of your own, with other values of its fields.
+def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrides: Any) -> Scenario:
+    """Make a scenario by a name, from a file (``my.toml``), from one of your own or from the plain data of all its
+    fields, with other values of some of them.
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
@@ -260,6 +261,8 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
         base = _preset(scenario)
     elif isinstance(scenario, Scenario):
         base = scenario
+    elif isinstance(scenario, Mapping):
+        base = Scenario(**scenario)
     else:
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
     if not overrides:
@@ -280,7 +283,9 @@ def make_scenario(scenario: str | Path | Scenario, **overrides: Any) -> Scenario
 def _preset(name: str) -> Scenario:
     if name not in SCENARIO_REGISTRY:
         raise ScenarioError(SCENARIO_REGISTRY.unknown(name))
-    return SCENARIO_REGISTRY.make(name)
+    made = SCENARIO_REGISTRY.make(name)
+    made.__dict__.setdefault("_preset", name)
+    return made
 
 
 def _key(value: Any) -> Any:

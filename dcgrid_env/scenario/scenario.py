@@ -122,12 +122,17 @@ class Scenario(PickledByFields, FlatNames):
     def to_toml(self, path: str | Path | None = None, base: Scenario | None = None) -> str:
         """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
 
-        With a ``base``, a preset, only what differs from it is written, with its name. ScenarioError for a recording, a
-        feeder or a clock law that exists in memory alone.
+        With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
+        name. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
         """
         from dcgrid_env.scenario.toml import to_toml  # for who writes alone
 
         return to_toml(self, path, base)
+
+    @property
+    def preset(self) -> str | None:
+        """Name by which ``make_scenario`` gives this very object; None for a variant, or one out of a pickle."""
+        return self.__dict__.get("_preset")
 
     def part(self, name: str) -> Any:
         """A part by its name, the group of devices of a kind by that kind, or the scenario itself for ""."""

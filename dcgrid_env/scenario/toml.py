@@ -30,7 +30,7 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.grid import FEEDER_REGISTRY
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.plain import to_plain
+from dcgrid_env.scenario.plain import refuse_objects, to_plain
 
 SUFFIX = ".toml"
 """Ending of a scenario file's name."""
@@ -85,21 +85,28 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
     Raises
     ------
     ScenarioError
-        For a recording, a feeder or a clock law that exists in memory alone: give files or names instead.
+        For a recording, a feeder or a clock law that exists in memory alone: give files or names instead; for a base
+        that is no preset as ``make_scenario`` gives it.
     """
     import tomli_w  # for who writes alone
 
-    table: dict[str, Any] = {} if base is None else {"base": base.name}
+    preset = getattr(base, "preset", None)
+    if base is not None and preset is None:
+        called = f"a variant of {base.name!r}" if hasattr(base, "name") else repr(base)
+        raise ScenarioError(
+            f"scenario {scenario.name!r}: base is {called}; give a preset as make_scenario(name) gives it"
+        )
+    table: dict[str, Any] = {} if base is None else {"base": preset}
     tables: dict[str, Any] = {}
     for field in dataclasses.fields(scenario):
-        value = getattr(scenario, field.name)
-        if base is not None and field.name != "name" and value == getattr(base, field.name):
-            continue
-        plain = to_plain(value)
-        if field.name in PARTS and base is not None:
+        plain = to_plain(getattr(scenario, field.name))
+        if base is not None:
             before = to_plain(getattr(base, field.name))
-            plain = {name: now for name, now in plain.items() if now != before[name]}
-        _refuse_objects(scenario, field.name, plain)
+            if field.name != "name" and plain == before:
+                continue
+            if field.name in PARTS:
+                plain = {name: now for name, now in plain.items() if now != before[name]}
+        refuse_objects(scenario.name, field.name, plain)
         if field.name == "devices":
             plain = [{name: item for name, item in device.items() if item is not None} for device in plain]
         (tables if field.name in (*PARTS, "devices", "faults") else table)[field.name] = _without_none(plain)
@@ -141,18 +148,3 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, list):
         return [_without_none(item) for item in value]
     return NONE if value is None else value
-
-
-def _refuse_objects(scenario: Any, path: str, value: Any) -> None:
-    """Raise ScenarioError where something has no plain form."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _refuse_objects(scenario, f"{path}.{key}", item)
-    elif isinstance(value, list):
-        for i, item in enumerate(value):
-            _refuse_objects(scenario, f"{path}[{i}]", item)
-    elif not isinstance(value, bool | int | float | str | None):
-        raise ScenarioError(
-            f"scenario {scenario.name!r}: {path} is a {type(value).__name__} that is in no file; name a shipped one, "
-            "or save it and give the file or folder"
-        )

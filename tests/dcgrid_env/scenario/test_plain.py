@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from dcgrid_env import (
     ScenarioError,
     load_feeder,
     make_scenario,
+    scenario_hash,
 )
 from dcgrid_env.grid import FeederError
 from dcgrid_env.scenario.assembly import PARTS
@@ -122,6 +124,26 @@ def test_objects_go_through_the_spec_of_an_environment_too():
     assert batch.spec.kwargs["weights"]["backlog"] == 1
     for made in (env, again, batch):
         made.close()
+
+
+@pytest.mark.parametrize("overrides", [{}, {"horizon": 7, "faults": (Fault(("dc_0",), (1.0, 2.0)),), "name": "own"}])
+def test_a_scenario_goes_through_the_spec_of_an_environment(overrides):
+    scenario = make_scenario("mixed", **overrides)
+    for given in (scenario, pickle.loads(pickle.dumps(scenario))):
+        env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", scenario=given)
+        again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+        assert again.unwrapped.scenario.difference(scenario) is None
+        assert scenario_hash(again.unwrapped.scenario) == scenario_hash(scenario)
+        env.close()
+        again.close()
+
+
+def test_what_has_no_plain_form_is_refused_by_name_where_a_spec_is_written():
+    trace = PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own")
+    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", scenario=make_scenario("ieee33", trace=(trace,)))
+    with pytest.raises(ScenarioError, match=r"scenario.workload.trace\[0\] is a PowerTrace that stands in no file"):
+        env.spec.to_json()
+    env.close()
 
 
 def test_weights_that_a_mapping_leaves_out_keep_their_value():

@@ -1,5 +1,6 @@
 """Scenario files: written, read again the same, and refused with file, field, value and remedy."""
 
+import pickle
 import subprocess
 import sys
 
@@ -53,8 +54,7 @@ def test_what_differs_from_a_preset_comes_back_the_same(name, tmp_path):
 
 
 def test_an_hour_taken_back_is_written_as_none(tmp_path):
-    base = make_scenario("ieee33", start_hour=3.0)
-    text = base.replace(name="still", start_hour=None).to_toml(base=base)
+    text = make_scenario("ieee33", start_hour=3.0).replace(start_hour=None).to_toml()
     assert 'start_hour = "none"' in text
 
 
@@ -75,6 +75,29 @@ def test_paths_begin_where_the_file_stands(tmp_path):
     assert (scenario.name, scenario.feeder.name, scenario.agents) == ("mine", "own", ("dc_0", "inv_0"))
     assert isinstance(scenario.trace[0], PowerTrace)
     np.testing.assert_allclose(scenario.datacenter.p_rated_kw, [50.0])
+    # Written elsewhere it names folder and file, as long as they hold what was read.
+    (tmp_path / "far").mkdir()
+    scenario.to_toml(tmp_path / "far" / "mine.toml")
+    again = make_scenario(tmp_path / "far" / "mine.toml")
+    assert scenario_hash(again) == scenario_hash(scenario)
+    with pytest.raises(ScenarioError, match=r"feeder is a Feeder that stands in no file.*feeder.to_csv\(folder\)"):
+        pickle.loads(pickle.dumps(scenario)).to_toml()
+    (feeder / "buses.csv").write_text("bus,p_kw,q_kvar\ns,0,0\na,11,3\nb,10,3\n")
+    with pytest.raises(ScenarioError, match="feeder is a Feeder that stands in no file"):
+        scenario.to_toml()
+
+
+def test_a_pickled_scenario_of_a_shipped_feeder_is_written_too():
+    scenario = make_scenario("ieee33", horizon=30)
+    again = pickle.loads(pickle.dumps(scenario))
+    assert again.to_toml() == scenario.to_toml()
+    assert "feeder" not in again.to_toml(base=make_scenario("ieee33"))
+
+
+@pytest.mark.parametrize("base", ["ieee33", make_scenario("ieee33", horizon=7)])
+def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
+    with pytest.raises(ScenarioError, match=r"base is .*'ieee33'; give a preset as make_scenario\(name\) gives it"):
+        make_scenario("ieee33", horizon=7).to_toml(base=base)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +142,9 @@ def test_the_example_of_the_module_is_a_scenario(tmp_path):
 
 def test_what_stands_in_no_file_is_refused():
     trace = PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own")
-    with pytest.raises(ScenarioError, match=r"workload.trace\[0\] is a PowerTrace that is in no file; name a shipped"):
+    with pytest.raises(
+        ScenarioError, match=r"workload.trace\[0\] is a PowerTrace that stands in no file.*give its path"
+    ):
         make_scenario("ieee33", trace=(trace,)).to_toml()
 
 
