@@ -1,8 +1,10 @@
 """A balanced feeder as a folder of three files, read and written: feeder.toml, buses.csv, branches.csv.
 
-``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu.
+``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu, and about, source, licence as texts for readers.
 ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y.
 ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm.
+
+Other keys and columns are refused: a misspelt one would be left out unnoticed.
 """
 
 from __future__ import annotations
@@ -21,6 +23,10 @@ from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_netw
 from dcgrid_env.grid.network_checks import check_balanced
 from dcgrid_env.grid.topology import FeederError
 
+_KEYS = ("name", "base_kv", "substation", "v0_pu")
+_TEXTS = ("about", "source", "licence")
+"""Keys of feeder.toml that are for readers."""
+
 
 def read_csv(folder: Path) -> Network:
     """Read the three files of a folder.
@@ -28,13 +34,18 @@ def read_csv(folder: Path) -> Network:
     Raises
     ------
     FeederError
-        For a missing file, key or column, or a cell that is no number, naming the file and the line.
+        For a missing file, key or column, one that is unknown, or a cell that is no number, naming the file and the
+        line.
     """
     try:
         head = tomllib.loads(_text(folder / "feeder.toml"))
     except tomllib.TOMLDecodeError as error:
         raise FeederError(f"{folder / 'feeder.toml'}: {error}") from None
-    for key in ("name", "base_kv", "substation", "v0_pu"):
+    for key in head:
+        if key not in (*_KEYS, *_TEXTS):
+            there = ", ".join((*_KEYS, *_TEXTS))
+            raise FeederError(f"{folder / 'feeder.toml'}: {key!r} is no key of a feeder; there are {there}")
+    for key in _KEYS:
         if key not in head:
             raise FeederError(f"{folder / 'feeder.toml'}: the key {key!r} is missing")
     for key in ("base_kv", "v0_pu"):
@@ -111,6 +122,8 @@ def _text(path: Path) -> str:
         raise FeederError(f"{path} is missing; a feeder is feeder.toml, buses.csv and branches.csv") from None
     except UnicodeDecodeError as error:
         raise FeederError(f"{path}: {error}; save it as UTF-8") from None
+    except OSError as error:
+        raise FeederError(f"{path} cannot be read ({error.strerror}); give a file") from None
 
 
 def _columns(path: Path, names: list[str], numbers: dict[str, float | None]) -> dict[str, list[Any]]:
@@ -120,8 +133,15 @@ def _columns(path: Path, names: list[str], numbers: dict[str, float | None]) -> 
     missing = [c for c in [*names, *(n for n, default in numbers.items() if default is None)] if c not in header]
     if missing:
         raise FeederError(f"{path}: the column {missing[0]!r} is missing; the file has {list(header)}")
+    for i, c in enumerate(header):
+        if c not in (*names, *numbers):
+            raise FeederError(f"{path}: {c!r} is no column of it; there are {', '.join((*names, *numbers))}")
+        if c in header[:i]:
+            raise FeederError(f"{path}: the column {c!r} is there twice; leave one out")
     columns: dict[str, list[Any]] = {c: [] for c in [*names, *numbers]}
     for row in reader:
+        if None in row:
+            raise FeederError(f"{path}, line {reader.line_num}: more cells than {len(header)} columns; take them out")
         for c in names:
             text = (row[c] or "").strip()
             if not text:

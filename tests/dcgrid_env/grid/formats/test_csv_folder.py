@@ -98,8 +98,8 @@ def test_optional_columns_may_be_absent(folder):
     assert np.isnan(feeder.x).all()
 
 
-def test_column_order_spaces_blank_lines_line_ends_and_further_columns_do_not_matter(folder):
-    buses = "note,q_kvar,p_kw,bus\r\nx,3, 30 , 3\r\n\r\ny,0,0,7\r\nz,5,5e1,5\r\n"
+def test_column_order_spaces_blank_lines_and_line_ends_do_not_matter(folder):
+    buses = "q_kvar,p_kw,bus\r\n3, 30 , 3\r\n\r\n0,0,7\r\n5,5e1,5\r\n"
     feeder = Feeder.from_csv(folder(buses=buses))
     assert feeder.bus_ids == ("7", "3", "5")
     assert feeder.p_load_kw.tolist() == [0.0, 30.0, 50.0]
@@ -151,6 +151,33 @@ def test_missing_column(folder, name, column):
     table = path / f"{name}.csv"
     table.write_text(re.sub(rf"\b{column}\b", "other", table.read_text(), count=1))
     with pytest.raises(FeederError, match=rf"{name}\.csv: the column '{column}' is missing; the file has .*other"):
+        Feeder.from_csv(path)
+
+
+@pytest.mark.parametrize(("name", "text", "said"), [
+    ("buses", "bus,p_kw,q_kvar,capacitors_kvar\n3,30,3,9\n7,0,0,0\n5,5,5,0\n",
+     r"buses\.csv: 'capacitors_kvar' is no column of it; there are bus, p_kw, q_kvar, capacitor_kvar, x, y"),
+    ("branches", "from_bus,to_bus,r_ohm,x_ohm,length\n3,5,1,1,2\n7,3,1,1,2\n",
+     r"branches\.csv: 'length' is no column of it; there are from_bus, to_bus, r_ohm, x_ohm$"),
+    ("buses", "bus,p_kw,q_kvar,p_kw\n3,30,3,9\n7,0,0,0\n5,5,5,0\n", r"the column 'p_kw' is there twice; leave one out"),
+    ("branches", "from_bus,to_bus,r_ohm,x_ohm\n3,5,1,1\n7,3,1,1,2\n", r"line 3: more cells than 4 columns; take"),
+    ("feeder", 'name = "t"\nbase_kv = 10\nsubstation = 7\nv0_pu = 1\nv_pu = 1.04\n',
+     r"feeder\.toml: 'v_pu' is no key of a feeder; there are name, base_kv, substation, v0_pu, about, source, licence"),
+])  # fmt: skip
+def test_what_would_be_left_out_unnoticed_is_refused(folder, name, text, said):
+    with pytest.raises(FeederError, match=said):
+        Feeder.from_csv(folder(**{name: text}))
+
+
+def test_texts_for_readers_are_allowed(folder):
+    head = 'name = "t"\nbase_kv = 10\nsubstation = 7\nv0_pu = 1\nsource = "a paper"\nabout = "x"\nlicence = "MIT"\n'
+    assert Feeder.from_csv(folder(feeder=head)).name == "t"
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused(folder):
+    path = folder(buses=None)
+    (path / "buses.csv").mkdir()
+    with pytest.raises(FeederError, match=r"buses\.csv cannot be read \(Is a directory\); give a file"):
         Feeder.from_csv(path)
 
 
