@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
+from dcgrid_env.devices.registry import DEVICE_REGISTRY
+
 CAPACITOR = "capacitor"
 """A kind of what a fault may strike, beside the kinds of devices."""
-KINDS = ("inverter", "datacenter", CAPACITOR)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Fault:
     """One device is lost for a while."""
 
     among: tuple[str, ...]
-    """Which: one drawn evenly among all of these kinds (inverter, datacenter, capacitor) or agent ids (dc_0, inv_2)."""
+    """Which: one drawn evenly among all of these kinds (of devices, or capacitor) or agent ids (dc_0, inv_2)."""
     begin_s: tuple[float, float]
     """Earliest and latest beginning, s from the episode's; one that would begin after its end does not happen."""
     duration_s: tuple[float, float] = (math.inf, math.inf)
@@ -30,7 +31,8 @@ class Fault:
 
     def __post_init__(self) -> None:
         if isinstance(self.among, str) or not self.among:
-            raise ValueError(f"fault: among is {self.among!r}; give a tuple of {', '.join(KINDS)} or agent ids")
+            kinds = ", ".join((*DEVICE_REGISTRY, CAPACITOR))
+            raise ValueError(f"fault: among is {self.among!r}; give a tuple of {kinds} or agent ids")
         object.__setattr__(self, "among", tuple(self.among))
         for name in ("begin_s", "duration_s"):
             given = getattr(self, name)

@@ -53,7 +53,8 @@ class Inverters(PickledByFields):
                 raise FieldError("Inverters", "injection", ..., f"{given}; {remedy}")
         elif not (self.injection is None or self.injection == SUN):
             if not isinstance(self.injection, PowerTrace):
-                remedy = f"give {SUN!r}, a PowerTrace as a share of the rating, shares for each step, or None"
+                share = "a PowerTrace or a file of one as a share of the rating"
+                remedy = f"give {SUN!r}, {share}, shares for each step, or None"
                 raise refuse(self, "injection", remedy)
             highest = float(np.max(self.injection.power_kw))
             if highest > 1.0:

@@ -77,6 +77,8 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
         if part in given or part in flat or part not in fields:
             start = getattr(base, part, None)
             fields[part] = _part(name, part, kind, start, given.get(part), flat.get(part, {}))
+    if base is None and "devices" not in given and not any(kind in flat for kind in _ORDER):
+        raise ScenarioError(f"scenario {name!r}: devices is missing; give it, a list of groups of devices")
     by_kind = {kind: flat[kind] for kind in _ORDER if kind in flat}
     fields["devices"] = _devices(name, base, given.get("devices"), by_kind)
     return fields

@@ -8,6 +8,7 @@ import numpy as np
 
 from dcgrid_env.grid import Feeder, FeederError
 from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.flat_names import FLAT
 
 
 def free_load_buses(feeder: Feeder, devices: tuple[Any, ...]) -> np.ndarray:
@@ -19,7 +20,7 @@ def free_load_buses(feeder: Feeder, devices: tuple[Any, ...]) -> np.ndarray:
 
 def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None:
     """Raise ScenarioError unless every device can have a bus of its own, not the substation."""
-    fixed: list[Any] = []
+    fixed: list[tuple[str, Any]] = []
     drawn = 0
     for device in reversed(devices):
         if device.buses is None:
@@ -31,10 +32,11 @@ def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None
                 f"scenario {name!r}: {count} is {device.count}, but {buses} is {device.buses!r}; give both, "
                 f"{count}={device.count} and as many {buses}, or {buses}=None to have them drawn among the load buses"
             )
-        fixed += device.buses
+        where = next((name for name, of in FLAT.items() if of == (device.kind, "buses")), f"{device.kind}.buses")
+        fixed += ((where, bus) for bus in device.buses)
     taken: dict[int, Any] = {}
-    for bus in fixed:
-        at = _position(name, feeder, bus)
+    for where, bus in fixed:
+        at = _position(name, feeder, where, bus)
         if at in taken:
             raise ScenarioError(f"scenario {name!r}: more than one device at bus {bus!r}; give each its own")
         taken[at] = bus
@@ -57,10 +59,10 @@ def _words(device: Any) -> tuple[str, str]:
     return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
 
 
-def _position(name: str, feeder: Feeder, bus: Any) -> int:
+def _position(name: str, feeder: Feeder, where: str, bus: Any) -> int:
     """Position of a device's bus; ScenarioError for one that no device can have."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
-        raise ScenarioError(f"scenario {name!r}: bus {bus!r} is no number or text; give one of the feeder's")
+        raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")
     try:
         at = feeder.index(bus)
     except FeederError as error:

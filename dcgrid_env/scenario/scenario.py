@@ -60,16 +60,16 @@ class Scenario(PickledByFields, FlatNames):
     """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
 
     def __init__(self, **given: Any):
-        self._fill(assembled(None, self.__dataclass_fields__, given))
+        self._fill(assembled(None, self.__dataclass_fields__, given), given)
 
-    def _fill(self, values: Mapping[str, Any]) -> None:
+    def _fill(self, values: Mapping[str, Any], given: Mapping[str, Any]) -> None:
         for field in dataclasses.fields(self):
             if field.name not in values and field.default is MISSING:
                 raise TypeError(f"Scenario() missing the keyword argument {field.name!r}")
             object.__setattr__(self, field.name, values.get(field.name, field.default))
         if not isinstance(self.name, str) or not self.name.strip():
             raise ScenarioError(f"scenario {self.name!r}: name is {self.name!r}; give a text that is not empty")
-        with located(self.name, "", {"source_voltage_pu": "v0_pu"}):
+        with located(self.name, "", {"source_voltage_pu": "v0_pu"} if "v0_pu" in given else {}):
             settle(self)
             check_fields(self)
             self._check()
@@ -85,12 +85,13 @@ class Scenario(PickledByFields, FlatNames):
                 device.check_episode(self.horizon)
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
             raise refuse(self, "faults", "give a tuple of Fault, () for none")
-        kinds = (*dict.fromkeys(device.kind for device in reversed(self.devices)), CAPACITOR)
+        kinds = (*(device.kind for device in self.devices), CAPACITOR)
         for fault in self.faults:
             for among in fault.among:
                 if among not in kinds and among not in self.agents:
+                    there = (*(device.kind for device in self.devices if device.count), CAPACITOR)
                     raise ScenarioError(
-                        f"scenario {self.name!r}: a fault among {among!r}; choose {', '.join(kinds)} or an agent, "
+                        f"scenario {self.name!r}: a fault among {among!r}; choose {', '.join(there)} or an agent, "
                         f"{', '.join(self.agents)}"
                     )
         for fault, targets in zip(self.faults, self.fault_targets, strict=True):
@@ -116,7 +117,7 @@ class Scenario(PickledByFields, FlatNames):
             For a value that cannot be.
         """
         other = object.__new__(type(self))
-        other._fill(assembled(self, self.__dataclass_fields__, overrides))
+        other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)
         return other
 
     def to_toml(self, path: str | Path | None = None, base: Scenario | None = None) -> str:

@@ -54,15 +54,22 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     path = Path(path)
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ScenarioError(f"{path} is no file; give a scenario file, see Scenario.to_toml") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (FileNotFoundError, IsADirectoryError):
+        what = "a folder" if path.is_dir() else "no file"
+        raise ScenarioError(f"{path} is {what}; give a scenario file, see Scenario.to_toml") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, OSError) as error:
         raise ScenarioError(f"{path}: {error}") from None
+    except ValueError as error:  # a null character
+        raise ScenarioError(f"{str(path)!r} is no path ({error}); give a scenario file") from None
     base = given.pop("base", None)
     if base is not None and not isinstance(base, str):
         raise ScenarioError(f"{path}: base is {base!r}; give the name of a preset")
     given = {name: _from_here(path.parent, name, value) for name, value in given.items()}
-    given = {name: _none_in(value) for name, value in given.items()}
+    if base is None and "feeder" not in given:
+        has = f"has {', '.join(given)}, but neither" if given else "is empty: it has neither"
+        raise ScenarioError(f"{path} {has} base nor feeder; give base, a preset's name, or all fields of a scenario")
+    tables = (*PARTS, "devices", "faults")  # a text where a table is to be is told as it stands
+    given = {name: value if value == NONE and name in tables else _none_in(value) for name, value in given.items()}
     try:
         if base is None:
             return new(**{"name": path.stem, **given})

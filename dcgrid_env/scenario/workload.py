@@ -37,7 +37,7 @@ class Workload:
         check_fields(self)
         if isinstance(self.trace, str):
             if self.trace not in TRACE_SOURCES:
-                raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings")
+                raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings or a file")
         elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
 

@@ -190,8 +190,8 @@ def test_an_unknown_scenario_lists_those_there_are(name):
 
 
 def test_what_is_no_scenario_is_refused():
-    wrong: object = {"name": "toy6"}
-    with pytest.raises(ScenarioError, match=r"scenario is \{'name': 'toy6'\}; give a name \(toy6.*or a Scenario"):
+    wrong: object = ["toy6"]
+    with pytest.raises(ScenarioError, match=r"scenario is \['toy6'\]; give a name \(toy6.*or a Scenario"):
         make_scenario(wrong)  # type: ignore[arg-type]
 
 

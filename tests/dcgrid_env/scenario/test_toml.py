@@ -120,7 +120,17 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('base = "ieee33"\n[[devices]]\nkind = "datacenter"\ncount = 1', r"devices\[0\].p_rated_kw is missing"),
         ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', "a fault among 'dc_9'; choose"),
         ('base = "ieee33"\nfeeder = "nowhere"', "unknown feeder 'nowhere'"),
-        ('feeder = "toy6"', "missing"),
+        ('feeder = "toy6"', "devices is missing; give it, a list of groups"),
+        ("", "is empty: it has neither base nor feeder; give base, a preset's name"),
+        ("horizon = 3", "has horizon, but neither base nor feeder; give base"),
+        ('base = "ieee33"\nsensing = "none"', r"sensing is 'none'; give Sensing\(...\) or a mapping"),
+        ('base = "ieee33"\nfeeder = "."', "feeder.toml is missing"),
+        ('base = "ieee33"\ntrace = "."', r"trace is '.*'; choose one of .* or give recordings or a file"),
+        ('base = "ieee33"\nfeeder = "a\\u0000b"', r"unknown feeder 'a\\x00b'; there are"),
+        ('base = "ieee33"\ninverter_buses = [["3"]]', r"inverter_buses has \['3'\], no number or text; give buses"),
+        ('base = "ieee33"\nsource_voltage_pu = 9.0', r"source_voltage_pu is 9.0; give a finite number in \[0.5"),
+        ('base = "ieee33"\nv0_pu = 9.0', r": v0_pu is 9.0; give a finite number in \[0.5"),
+        ('base = "toy6"\ninverter_buses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose datacenter, capac"),
     ],
 )  # fmt: skip
 def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text, message, tmp_path):
@@ -130,6 +140,15 @@ def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text
         make_scenario(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("own.toml", "own.toml is a folder"), ("a\0.toml", r"a\\x00.toml' is no path")]
+)
+def test_a_path_that_is_no_file_is_one_line(name, said, tmp_path):
+    (tmp_path / "own.toml").mkdir()
+    with pytest.raises(ScenarioError, match=said + ".*; give a scenario file"):
+        make_scenario(tmp_path / name)
 
 
 def test_the_example_of_the_module_is_a_scenario(tmp_path):
