@@ -23,8 +23,8 @@ class Training:
     """
 
     scenario: str = "ieee123"
-    """What to train on: a preset, or path/to/file.py:function or package.module:function that makes your own; for
-    analytic and safe also several, separated by commas."""
+    """What to train on: a preset, or one of your own, path/to/file.toml, or path/to/file.py:function or
+    package.module:function that makes it; for analytic and safe also several, separated by commas."""
     set: tuple[str, ...] = ()
     """Fields of the scenario that are to be otherwise, FIELD=VALUE, for instance --set horizon=60 load_sigma=0.1."""
     view: Literal["shared", "centralised"] = "shared"

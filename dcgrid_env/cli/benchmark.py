@@ -33,8 +33,8 @@ class Benchmark(Command):
     """
 
     scenarios: Scenarios = "all"
-    """Scenarios separated by commas: names (dcgrid list), path/to/file.py:function or package.module:function that
-    makes your own; or all of those that ship."""
+    """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function that makes your own; or all of those that ship."""
     set: Overrides = ()
     """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "local"

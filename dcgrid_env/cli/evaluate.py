@@ -35,8 +35,8 @@ class Evaluate(Command):
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
     own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)')."""
     scenario: str | None = None
-    """Name of a scenario, or path/to/file.py:function or package.module:function that makes your own; the one that the
-    policy was trained on unless given."""
+    """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
+    makes your own; the one that the policy was trained on unless given."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     split: str = "test"

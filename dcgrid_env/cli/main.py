@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import traceback
 
+from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.command import Command, Group
@@ -27,6 +28,7 @@ from dcgrid_env.core.processes import terminated_in_order
 
 TRACEBACK = "--traceback"
 """The one option of every command; it may stand anywhere on the line."""
+VERSION = "--version"
 DEV = Group(
     "Make what ships with the package or stands in its documents, or the like for scenarios of your own.",
     {
@@ -41,7 +43,8 @@ DEV = Group(
 )
 """What maintainers need, and who compares controllers on a scenario of their own."""
 COMMANDS = Group(
-    f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole.",
+    f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
+    "shows the version.",
     {
         "run": Run,
         "benchmark": Benchmark,
@@ -61,6 +64,9 @@ _INTERRUPTED = 130
 def main(args: list[str] | None = None) -> None:
     """Run a command; bad input ends with one line on standard error and status 2, Ctrl-C with status 130."""
     words = sys.argv[1:] if args is None else args
+    if words[:1] == [VERSION]:
+        print(f"dcgrid {__version__}")
+        return
     command: Command | None = None
     try:
         with terminated_in_order():

@@ -24,7 +24,8 @@ class Run(Command):
     """Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
 
     scenario: str = "ieee123"
-    """Name of a scenario (dcgrid list), or path/to/file.py:function or package.module:function that makes your own."""
+    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
+    makes your own."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "none,inverters,droop"

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+import dcgrid_env
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.main import COMMANDS, DEV, main
 
@@ -78,3 +79,17 @@ def test_what_goes_on_after_an_interruption():
         resumes = COMMANDS.parse(line.split(), "dcgrid").resumes
         assert resumes.startswith(start), line
         assert bool(resumes) == bool(start), line
+
+
+def test_the_version_is_shown_and_loads_nothing_heavy(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"dcgrid {dcgrid_env.__version__}\n"
+    assert "--version shows the version" in COMMANDS.about()
+
+
+@pytest.mark.parametrize(
+    "line", ["train ppo", "train analytic", "run", "evaluate", "benchmark", "dev tune", "dev hindsight"]
+)
+def test_help_names_scenario_files(line, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "500")
+    assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out
