@@ -70,7 +70,7 @@ def main(args: list[str] | None = None) -> None:
     command: Command | None = None
     try:
         with terminated_in_order():
-            if words.count("--set") > 1:
+            if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")
             command.run()

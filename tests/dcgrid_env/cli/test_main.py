@@ -93,3 +93,10 @@ def test_the_version_is_shown_and_loads_nothing_heavy(capsys):
 def test_help_names_scenario_files(line, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "500")
     assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out
+
+
+@pytest.mark.parametrize("second", [["--set", "load_sigma=0.1"], ["--set=load_sigma=0.1"]])
+def test_overrides_given_in_two_places_are_refused(second, capsys):
+    code, said = stopped(capsys, "run", "--set", "horizon=5", *second)
+    assert (code, len(said.err.splitlines())) == (2, 1)
+    assert "--set is there more than once; give it once" in said.err

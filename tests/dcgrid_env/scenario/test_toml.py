@@ -130,7 +130,7 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('base = "ieee33"\ninverter_buses = [["3"]]', r"inverter_buses has \['3'\], no number or text; give buses"),
         ('base = "ieee33"\nsource_voltage_pu = 9.0', r"source_voltage_pu is 9.0; give a finite number in \[0.5"),
         ('base = "ieee33"\nv0_pu = 9.0', r": v0_pu is 9.0; give a finite number in \[0.5"),
-        ('base = "toy6"\ninverter_buses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose datacenter, capac"),
+        ('base = "toy6"\ninverter_buses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose datacenter, cap"),
     ],
 )  # fmt: skip
 def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text, message, tmp_path):
