@@ -46,6 +46,8 @@ class ActionLayout:
         self.names = tuple(names)
         self.n = len(names)
         """Number of entries."""
+        self.bounds = np.full(self.n, -1.0, np.float32), np.full(self.n, 1.0, np.float32)
+        """Lowest and highest value of each entry."""
         self.reactive = np.array(reactive, dtype=np.int64)
         """Entry of each agent's reactive channel, -1 for an agent without one, (n_agent,)."""
         self.agents = scenario.agents

@@ -23,8 +23,8 @@ RENDER_MODES = ("human", "rgb_array")
 def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of the joint observation and action."""
     low, high = observation.joint_bounds(scenario)
-    n = actions.action_layout(scenario).n
-    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (n,), np.float32)
+    layout = actions.action_layout(scenario)
+    return spaces.Box(low, high, dtype=np.float32), spaces.Box(*layout.bounds, dtype=np.float32)
 
 
 def check_running(env: BaseEnvironment) -> None:

@@ -72,8 +72,9 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {
             a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents
         }
+        layout = action_layout(s)
         self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
-            a: spaces.Box(-1.0, 1.0, (width,), np.float32) for a, width in action_layout(s).widths.items()
+            a: spaces.Box(*(bound[at] for bound in layout.bounds), dtype=np.float32) for a, at in layout.slices.items()
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
