@@ -12,7 +12,7 @@ from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
 from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
-from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.powerflow import (
     PowerFlowError,
     Sensitivity,
@@ -68,6 +68,7 @@ __all__ = [
     "Solution",
     "TensorEnv",
     "TensorStep",
+    "ThreePhaseFeeder",
     "Workload",
     "__version__",
     "action_layout",
@@ -81,6 +82,7 @@ __all__ = [
     "make_scenario",
     "own_sensitivity",
     "parallel_env",
+    "read_feeder",
     "register_device",
     "scenario_hash",
     "sensitivity",

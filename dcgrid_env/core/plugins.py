@@ -48,13 +48,14 @@ class Registry(Mapping[str, Entry]):
     kind
         What the entries make, in words, as messages have it.
     made
-        The type of what the entries make.
+        The type of what the entries make, or several.
     own
         This package's own entries that no import stands in the way of. They need no installed metadata.
     """
 
-    def __init__(self, group: str, kind: str, made: type, own: Mapping[str, Entry]):
-        self.group, self.kind, self._made, self._own = group, kind, made, own
+    def __init__(self, group: str, kind: str, made: type | tuple[type, ...], own: Mapping[str, Entry]):
+        self.group, self.kind, self._own = group, kind, own
+        self._made = made if isinstance(made, tuple) else (made,)
         self._entries: dict[str, Entry] = {}
         self._origins: dict[str, str] = {}
         self._refused: list[str] = []
@@ -94,7 +95,8 @@ class Registry(Mapping[str, Entry]):
         except (Exception, SystemExit) as error:
             raise PluginError(f"{whose} cannot be made: {_described(error)}; mend or uninstall it") from error
         if not isinstance(made, self._made):
-            raise PluginError(f"{whose} is of type {type(made).__name__} and no {self._made.__name__}; mend it")
+            expected = " or ".join(kind.__name__ for kind in self._made)
+            raise PluginError(f"{whose} is of type {type(made).__name__} and no {expected}; mend it")
         return made
 
     def origin(self, name: str) -> str | None:

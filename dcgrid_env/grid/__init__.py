@@ -2,7 +2,9 @@
 
 from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, load_feeder
 from dcgrid_env.grid.feeder import Feeder, FeederError
+from dcgrid_env.grid.folder import read_feeder
 from dcgrid_env.grid.network import BusId, Network, bus_numbers, bus_text, buses_as_text
+from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
 __all__ = [
     "FEEDERS",
@@ -11,8 +13,10 @@ __all__ = [
     "Feeder",
     "FeederError",
     "Network",
+    "ThreePhaseFeeder",
     "bus_numbers",
     "bus_text",
     "buses_as_text",
     "load_feeder",
+    "read_feeder",
 ]

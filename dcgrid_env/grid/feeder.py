@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.core.units import impedance_base_ohm
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
+from dcgrid_env.grid.formats.folder_kind import is_three_phase
 from dcgrid_env.grid.network import (
     BusId,
     LineTable,
@@ -170,8 +171,10 @@ class Feeder:
         Raises
         ------
         FeederError
-            Naming the file, the row and the field, or the buses and branches.
+            Naming the file, the row and the field, or the buses and branches; for the folder of a three-phase feeder.
         """
+        if is_three_phase(Path(folder)):
+            raise FeederError(f"{folder} holds a three-phase feeder; read it by ThreePhaseFeeder.from_csv")
         feeder = cls.from_network(read_csv(Path(folder)))
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder

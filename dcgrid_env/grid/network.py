@@ -2,72 +2,54 @@
 
 Each table is a frozen set of columns of one length, one row a component, and every physical column has its unit in its
 name. Buses are known by text; whole numbers may be given and become text. A phase is 1, 2 or 3 for a, b or c, and 0 for
-the positive sequence, by which a balanced grid is described.
+the positive sequence, by which a balanced grid is described. A balanced grid uses source, node, line, load and shunt;
+a three-phase grid uses source, node and the tables of ``three_phase_tables``.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.grid.topology import FeederError
+from dcgrid_env.grid.table import BusId, Table, bus_numbers, bus_text, buses_as_text, optional_column
+from dcgrid_env.grid.three_phase_tables import (
+    CapacitorTable,
+    Matrix,
+    PhaseLineTable,
+    PhaseLoadTable,
+    RegulatorTable,
+    SwitchTable,
+    TransformerTable,
+)
 
-BusId = int | str
-"""What a bus may be given as; it is kept as text."""
-
-
-def bus_text(bus: Any) -> str:
-    """The text by which a bus is known; FeederError for what is neither text nor a whole number."""
-    if isinstance(bus, str):
-        return str(bus)
-    if isinstance(bus, Integral) and not isinstance(bus, bool):
-        return str(int(bus))
-    raise FeederError(f"bus {bus!r} is neither text nor a whole number; name it by text such as '18'")
-
-
-def buses_as_text(values: Any) -> Any:
-    """Buses as a tuple of texts; what is no sequence of texts and whole numbers as it is, to be refused by checks."""
-    if not isinstance(values, list | tuple | np.ndarray):
-        return values
-    try:
-        return tuple(map(bus_text, values))
-    except FeederError:
-        return values
-
-
-def bus_numbers(buses: Sequence[str]) -> tuple[int, ...] | None:
-    """The whole numbers that the texts of all these buses are, written as Python writes them; None unless all are."""
-    if all(re.fullmatch(r"0|-?[1-9][0-9]*", bus) for bus in buses):
-        return tuple(map(int, buses))
-    return None
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Columns of one length, kept as tuples; those named ``bus`` or ``.._bus`` hold text."""
-
-    def __post_init__(self) -> None:
-        for column in dataclasses.fields(self):
-            values = tuple(getattr(self, column.name))
-            if column.name == "bus" or column.name.endswith("_bus"):
-                values = tuple(map(bus_text, values))
-            object.__setattr__(self, column.name, values)
-            if len(values) != len(self):
-                raise FeederError(f"{type(self).__name__}: {len(values)} values of {column.name} for {len(self)} rows")
-
-    def __len__(self) -> int:
-        return len(getattr(self, dataclasses.fields(self)[0].name))
+__all__ = [
+    "BusId",
+    "CapacitorTable",
+    "LineTable",
+    "LoadTable",
+    "Network",
+    "NodeTable",
+    "PhaseLineTable",
+    "PhaseLoadTable",
+    "RegulatorTable",
+    "ShuntTable",
+    "SourceTable",
+    "SwitchTable",
+    "TransformerTable",
+    "balanced_network",
+    "bus_numbers",
+    "bus_text",
+    "buses_as_text",
+    "summed_at_nodes",
+]
 
 
 @dataclass(frozen=True)
-class NodeTable(_Table):
+class NodeTable(Table):
     """One row for each phase of each bus, the phases of a bus adjacent."""
 
     bus: Sequence[str] = ()
@@ -75,10 +57,12 @@ class NodeTable(_Table):
     x: Sequence[float] = ()
     """Coordinates of the bus in the one-line diagram, without unit; NaN where none are published."""
     y: Sequence[float] = ()
+    base_kv_ln: Sequence[float] = optional_column()
+    """Line-to-neutral base voltage of the bus, kV; of three-phase grids alone."""
 
 
 @dataclass(frozen=True)
-class LineTable(_Table):
+class LineTable(Table):
     """One row for each line, its series impedance in the positive sequence; zero is a closed switch."""
 
     from_bus: Sequence[str] = ()
@@ -88,32 +72,7 @@ class LineTable(_Table):
 
 
 @dataclass(frozen=True)
-class TransformerTable(_Table):
-    """One row for each transformer between two voltages, line to line, its impedance on its own rating."""
-
-    from_bus: Sequence[str] = ()
-    to_bus: Sequence[str] = ()
-    from_kv: Sequence[float] = ()
-    to_kv: Sequence[float] = ()
-    rated_kva: Sequence[float] = ()
-    r_pu: Sequence[float] = ()
-    x_pu: Sequence[float] = ()
-
-
-@dataclass(frozen=True)
-class RegulatorTable(_Table):
-    """One row for each phase of each voltage regulator; its ratio is 1 + ``step_pu`` times the tap."""
-
-    from_bus: Sequence[str] = ()
-    to_bus: Sequence[str] = ()
-    phase: Sequence[int] = ()
-    step_pu: Sequence[float] = ()
-    lowest_tap: Sequence[int] = ()
-    highest_tap: Sequence[int] = ()
-
-
-@dataclass(frozen=True)
-class ShuntTable(_Table):
+class ShuntTable(Table):
     """One row for each capacitor; injection is positive."""
 
     bus: Sequence[str] = ()
@@ -122,7 +81,7 @@ class ShuntTable(_Table):
 
 
 @dataclass(frozen=True)
-class LoadTable(_Table):
+class LoadTable(Table):
     """One row for each load; consumption is positive."""
 
     bus: Sequence[str] = ()
@@ -132,17 +91,25 @@ class LoadTable(_Table):
 
 
 @dataclass(frozen=True)
-class SourceTable(_Table):
-    """One row for each ideal source: line-to-line base voltage and the voltage that it keeps."""
+class SourceTable(Table):
+    """One row for each ideal source: line-to-line base voltage and the voltage that it keeps.
+
+    The last three columns are of three-phase grids alone, where the ideal source feeds the bus through an impedance.
+    """
 
     bus: Sequence[str] = ()
     base_kv: Sequence[float] = ()
     v_pu: Sequence[float] = ()
+    angle_deg: Sequence[float] = optional_column()
+    """Angle of phase a; b lags it by 120 degrees, c by 240."""
+    r_ohm: Sequence[Matrix] = optional_column()
+    x_ohm: Sequence[Matrix] = optional_column()
 
 
 @dataclass(frozen=True)
 class Network:
-    """A grid as tables. Nothing is checked here but the columns' lengths: see ``Feeder.from_network``."""
+    """A grid as tables. Nothing is checked here but the columns' lengths: see ``Feeder.from_network`` and
+    ``ThreePhaseFeeder.from_network``."""
 
     name: str
     source: SourceTable
@@ -150,8 +117,16 @@ class Network:
     line: LineTable = field(default_factory=LineTable)
     load: LoadTable = field(default_factory=LoadTable)
     shunt: ShuntTable = field(default_factory=ShuntTable)
+    phase_line: PhaseLineTable = field(default_factory=PhaseLineTable)
+    switch: SwitchTable = field(default_factory=SwitchTable)
     transformer: TransformerTable = field(default_factory=TransformerTable)
     regulator: RegulatorTable = field(default_factory=RegulatorTable)
+    phase_load: PhaseLoadTable = field(default_factory=PhaseLoadTable)
+    capacitor: CapacitorTable = field(default_factory=CapacitorTable)
+    frequency_hz: float = 60.0
+    """Frequency at which reactances and susceptances hold."""
+    source_of_facts: str = ""
+    """Where the figures come from; the power flow has no use for it."""
 
 
 def balanced_network(

@@ -47,11 +47,12 @@ def check_balanced(network: Network) -> None:
     Whether it is radial is not looked at here: see ``topology.orient``.
     """
     name, source, node, line = network.name, network.source, network.node, network.line
-    for kind, table in (("transformer", network.transformer), ("regulator", network.regulator)):
+    for kind in ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor"):
+        table = getattr(network, kind)
         if len(table):
             raise FeederError(
-                f"feeder {name!r}: {kind} {table.from_bus[0]}-{table.to_bus[0]} cannot be used; balanced feeders take "
-                "lines, shunts, loads, a source"
+                f"feeder {name!r}: {kind.replace('_', ' ')} {table.name[0]} cannot be used; balanced feeders take "
+                "lines, shunts, loads, a source: make a ThreePhaseFeeder of these tables"
             )
     if len(source) != 1:
         raise FeederError(f"feeder {name!r}: {len(source)} sources; give one, at the substation")

@@ -28,7 +28,7 @@ from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, load_feeder
+from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
@@ -50,7 +50,7 @@ def to_plain(value: Any) -> Any:
         return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
         return value.name.lower()
-    if isinstance(value, Feeder):
+    if isinstance(value, Feeder | ThreePhaseFeeder):
         return _feeder_to_plain(value)
     if isinstance(value, PowerTrace):
         return value.asked_by or value
@@ -82,17 +82,18 @@ def refuse_objects(scenario: str, path: str, value: Any) -> None:
 
 _REMEDIES: dict[type[Any], str] = {
     Feeder: "write it, feeder.to_csv(folder), and give the folder instead",
+    ThreePhaseFeeder: "write it, feeder.to_csv(folder), and give the folder instead",
     PowerTrace: "write it into a file and give its path, or a recording's name, instead",
 }
 
 
-def _feeder_to_plain(feeder: Feeder) -> Any:
+def _feeder_to_plain(feeder: Feeder | ThreePhaseFeeder) -> Any:
     """Name or folder that gives a feeder of the same content; the feeder itself where there is none."""
     content = digest([("", feeder)])
     if feeder.name in FEEDER_REGISTRY and digest([("", load_feeder(feeder.name))]) == content:
         return feeder.name
     try:
-        is_there = feeder.folder is not None and digest([("", Feeder.from_csv(feeder.folder))]) == content
+        is_there = feeder.folder is not None and digest([("", read_feeder(feeder.folder))]) == content
     except (FeederError, OSError):
         is_there = False
     return str(feeder.folder) if is_there else feeder
@@ -122,7 +123,7 @@ def feeder_from_plain(value: Any) -> Any:
     if isinstance(value, str) and value in FEEDER_REGISTRY:
         return load_feeder(value)
     if _is_there(value, Path.is_dir):
-        return Feeder.from_csv(value)
+        return read_feeder(value)
     raise FeederError(f"{FEEDER_REGISTRY.unknown(str(value))}; or give a folder of your own")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import FEEDERS, Feeder, FeederError, load_feeder
+from helpers.feeders import BALANCED, THREE_PHASE
 from helpers.places import SHARED_FEEDERS, require
 
 # buses, kW and kvar in all, base kV, substation. ieee33 and ieee123 as their sources print the sums; das69 and khodr141
@@ -22,7 +23,7 @@ PUBLISHED = {
 
 
 def test_every_named_feeder_is_checked_here_and_has_its_data():
-    assert set(FEEDERS) == set(PUBLISHED)
+    assert set(BALANCED) == set(PUBLISHED)
     assert {entry.name for entry in files("dcgrid_env.grid.data").iterdir() if (entry / "feeder.toml").is_file()} == (
         set(FEEDERS)
     )
@@ -46,10 +47,10 @@ def test_published_totals(name):
 @pytest.mark.parametrize("name", FEEDERS)
 def test_source_stands_with_the_data(name):
     head = tomllib.loads((files("dcgrid_env.grid.data") / name / "feeder.toml").read_text(encoding="utf-8"))
-    assert len(head["source"].strip()) > 40
+    assert len(head["source_of_facts" if name in THREE_PHASE else "source"].strip()) > 40
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_shipped_data_are_the_published_data(name):
     published, shipped = Feeder.from_csv(require(SHARED_FEEDERS) / name), load_feeder(name)
     assert published.bus_ids == shipped.bus_ids
@@ -74,7 +75,7 @@ def test_capacitors_of_ieee123_and_of_no_other():
     assert {bus: c for bus, c in zip(feeder.bus_ids, feeder.capacitor_kvar, strict=True) if c} == {
         "83": 600.0, "88": 50.0, "90": 50.0, "92": 50.0,
     }  # fmt: skip
-    assert not any(load_feeder(name).capacitor_kvar.any() for name in FEEDERS if name != "ieee123")
+    assert not any(load_feeder(name).capacitor_kvar.any() for name in BALANCED if name != "ieee123")
 
 
 def test_closed_switches_of_ieee123_are_exactly_zero():
@@ -114,5 +115,5 @@ def test_the_same_object_at_each_call():
 
 @pytest.mark.parametrize("name", ["ieee34", "", "../toy6", "data"])
 def test_unknown_name_lists_those_that_exist(name):
-    with pytest.raises(FeederError, match=r"unknown feeder .*toy6, ieee33, das69, ieee123, khodr141"):
+    with pytest.raises(FeederError, match=r"unknown feeder .*toy6, ieee33, das69, ieee123, khodr141, ieee13-3ph"):
         load_feeder(name)

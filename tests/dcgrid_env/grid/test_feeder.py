@@ -8,7 +8,8 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 
-from dcgrid_env import FEEDERS, Feeder, FeederError, distflow, load_feeder, sensitivity
+from dcgrid_env import Feeder, FeederError, distflow, load_feeder, sensitivity
+from helpers.feeders import BALANCED
 
 ARRAYS = ["p_load_kw", "q_load_kvar", "capacitor_kvar", "parent", "r_ohm", "x_ohm", "x", "y"]
 CACHED = ["r_pu", "x_pu", "path", "node_bus", "node_phase", "source_nodes", "load_nodes"]
@@ -104,7 +105,7 @@ def test_a_feeder_2000_buses_long():
     assert (np.diff(v_pu) < 0).all()
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_arrays_are_read_only(name):
     feeder = load_feeder(name)
     for field in ARRAYS:
@@ -152,7 +153,7 @@ def test_copies_are_read_only_too(build, clone):
 # --- nodes ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_a_balanced_feeder_has_one_node_at_each_bus(name):
     feeder = load_feeder(name)
     assert feeder.n_node == feeder.n_bus == feeder.n_branch + 1

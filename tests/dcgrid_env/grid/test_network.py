@@ -7,19 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env import FEEDERS, Feeder, FeederError, load_feeder
+from dcgrid_env import Feeder, FeederError, load_feeder
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
 from dcgrid_env.grid.network import (
+    CapacitorTable,
     LineTable,
     LoadTable,
     Network,
     NodeTable,
-    RegulatorTable,
     ShuntTable,
     SourceTable,
-    TransformerTable,
+    SwitchTable,
     bus_numbers,
 )
+from helpers.feeders import BALANCED
 
 FIGURE = st.floats(-1e9, 1e9).filter(lambda value: value != 0.0)
 TEXT = st.text(st.characters(exclude_categories=["Cc", "Cs", "Zs", "Zl", "Zp"]), min_size=1, max_size=6)
@@ -70,7 +71,7 @@ def test_a_feeder_comes_back_from_its_tables(network):
     assert_same(Feeder.from_network(feeder.to_network()), feeder)
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_a_named_feeder_comes_back_from_a_folder(tmp_path, name):
     load_feeder(name).to_csv(tmp_path / name)
     assert_same(Feeder.from_csv(tmp_path / name), load_feeder(name))
@@ -110,10 +111,10 @@ def test_numbers_of_buses(buses, numbers):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"transformer": TransformerTable(["b"], ["a"], [10.0], [0.4], [400.0], [0.01], [0.04])},
-     "transformer b-a cannot be used; balanced feeders take lines, shunts, loads, a source"),
-    ({"regulator": RegulatorTable(["b"], ["a"], [1], [0.00625], [-16], [16])},
-     "regulator b-a cannot be used; balanced feeders take lines, shunts, loads, a source"),
+    ({"switch": SwitchTable(["sw"], ["b"], ["a"], ["abc"], ["closed"], [0.0], [0.0])},
+     "switch sw cannot be used; balanced feeders take lines, shunts, loads, a source"),
+    ({"capacitor": CapacitorTable(["c"], ["b"], ["wye"], [2.4], [[1.0, 0.0, 0.0]], ["on"])},
+     "capacitor c cannot be used; balanced feeders take lines, shunts, loads, a source"),
     ({"source": SourceTable()}, "0 sources; give one"),
     ({"source": SourceTable(["a", "b"], [10.0, 10.0], [1.0, 1.0])}, "2 sources; give one"),
     ({"load": LoadTable(["b"], [1], [1.0], [1.0])}, "load at bus 'b' is of phase 1; balanced feeders have phase 0"),

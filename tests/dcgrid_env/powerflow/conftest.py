@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import FEEDERS, Feeder, Solution, load_feeder
+from dcgrid_env import Feeder, Solution, load_feeder
 from dcgrid_env.powerflow.balanced import implicit, prefix
+from helpers.feeders import BALANCED
 
 
-@pytest.fixture(params=FEEDERS)
+@pytest.fixture(params=BALANCED)
 def feeder(request: pytest.FixtureRequest) -> Feeder:
     """Each of the named feeders."""
     return load_feeder(request.param)

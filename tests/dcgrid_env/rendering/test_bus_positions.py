@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import FEEDERS, Feeder, load_feeder
+from dcgrid_env import Feeder, load_feeder
 from dcgrid_env.rendering.bus_positions import positions
+from helpers.feeders import BALANCED
 
 
 def feeder_of(parent, x=None, y=None):
@@ -47,7 +48,7 @@ def crossings(a, b):
     ]
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_every_named_feeder_has_distinct_finite_positions_the_same_each_time(name):
     feeder = load_feeder(name)
     xy = positions(feeder)

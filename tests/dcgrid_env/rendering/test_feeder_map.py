@@ -5,9 +5,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import FEEDERS, load_feeder
+from dcgrid_env import load_feeder
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.feeder_map import draw_feeder, voltage_norm
+from helpers.feeders import BALANCED
 
 
 def test_the_colour_scale_is_centred_at_one_and_reaches_beyond_the_band():
@@ -28,7 +29,7 @@ def boxes(drawn):
     return {t.get_text(): t.get_window_extent(renderer) for t in drawn.ax.texts if t.get_visible()}
 
 
-@pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.parametrize("name", BALANCED)
 def test_names_stay_in_the_frame_and_off_each_other(axes, name):
     feeder = load_feeder(name)
     buses = np.random.default_rng(1).permutation(np.arange(1, feeder.n_bus))[:10]

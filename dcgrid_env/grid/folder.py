@@ -1,0 +1,21 @@
+"""A feeder of either kind, read from a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.formats.folder_kind import is_three_phase
+from dcgrid_env.grid.three_phase import ThreePhaseFeeder
+
+
+def read_feeder(folder: str | Path) -> Feeder | ThreePhaseFeeder:
+    """Read the balanced or three-phase feeder that a folder holds, which its files tell.
+
+    Raises
+    ------
+    FeederError
+        Where ``Feeder.from_csv`` or ``ThreePhaseFeeder.from_csv`` has one, and for a folder with files of both kinds.
+    """
+    folder = Path(folder)
+    return ThreePhaseFeeder.from_csv(folder) if is_three_phase(folder) else Feeder.from_csv(folder)

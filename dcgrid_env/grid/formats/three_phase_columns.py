@@ -1,0 +1,111 @@
+"""Which columns the tables of a three-phase feeder have in their files, and what one cell or several of them make."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dcgrid_env.grid.network import (
+    CapacitorTable,
+    PhaseLineTable,
+    PhaseLoadTable,
+    RegulatorTable,
+    SwitchTable,
+    TransformerTable,
+)
+
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_TEXTS = ("name", "bank", "bus", "from_bus", "to_bus", "phases", "state", "connection", "connection_from")
+_TEXTS += ("connection_to", "model", "sensed_phase")
+_WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: the names that it has in its file, and how cells become its value."""
+
+    field: str
+    names: tuple[str, ...]
+    shape: str = "one"
+    """``one`` cell, the upper triangle of a ``matrix``, three ``legs``, or the shares of a ``zip``."""
+
+    @property
+    def is_text(self) -> bool:
+        """Whether a cell is a text and no number."""
+        return self.field in _TEXTS
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether a cell is a whole number."""
+        return self.field in _WHOLE
+
+    @property
+    def may_be_empty(self) -> bool:
+        """Whether a cell may be empty: a phase that does not exist, an unknown length, a model without shares."""
+        return self.shape in ("matrix", "zip") or self.field == "length_m"
+
+    @property
+    def may_be_missing(self) -> bool:
+        """Whether the file may lack the column."""
+        return self.shape == "zip" or self.field == "length_m"
+
+    def joined(self, cells: Sequence[Any]) -> Any:
+        """The value that cells make."""
+        if self.shape == "matrix":
+            at = dict(zip(_UPPER, cells, strict=True))
+            return tuple(tuple(at[min(i, j), max(i, j)] for j in range(3)) for i in range(3))
+        if self.shape == "zip":
+            return () if all(math.isnan(cell) for cell in cells) else tuple(cells)
+        return tuple(cells) if self.shape == "legs" else cells[0]
+
+    def cells(self, value: Any) -> Sequence[Any]:
+        """The cells that a value becomes."""
+        if self.shape == "matrix":
+            return [value[i][j] for i, j in _UPPER]
+        if self.shape == "zip":
+            return value or (math.nan,) * 6
+        return value if self.shape == "legs" else (value,)
+
+
+@dataclass(frozen=True)
+class File:
+    """A file, its columns and the table that it is."""
+
+    name: str
+    table: type[Any]
+    columns: tuple[Column, ...]
+
+
+def _matrix(quantity: str, unit: str) -> Column:
+    entries = (f"{quantity}_{'abc'[i]}{'abc'[j]}_{unit}" for i, j in _UPPER)
+    return Column(f"{quantity}_{unit}", tuple(entries), "matrix")
+
+
+_SPECIAL = {
+    ("phase_line", "r_ohm"): _matrix("r", "ohm"),
+    ("phase_line", "x_ohm"): _matrix("x", "ohm"),
+    ("phase_line", "b_us"): _matrix("b", "us"),
+    ("phase_load", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
+    ("phase_load", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
+    ("phase_load", "zip"): Column("zip", ("zip_pz", "zip_pi", "zip_pp", "zip_qz", "zip_qi", "zip_qp"), "zip"),
+    ("capacitor", "kvar"): Column("kvar", ("kvar_a", "kvar_b", "kvar_c"), "legs"),
+}
+
+
+def _file(name: str, kind: str, table: type[Any]) -> File:
+    fields = [field.name for field in dataclasses.fields(table)]
+    return File(name, table, tuple(_SPECIAL.get((kind, field), Column(field, (field,))) for field in fields))
+
+
+FILES = {
+    "phase_line": _file("lines.csv", "phase_line", PhaseLineTable),
+    "switch": _file("switches.csv", "switch", SwitchTable),
+    "transformer": _file("transformers.csv", "transformer", TransformerTable),
+    "regulator": _file("regulators.csv", "regulator", RegulatorTable),
+    "phase_load": _file("loads.csv", "phase_load", PhaseLoadTable),
+    "capacitor": _file("capacitors.csv", "capacitor", CapacitorTable),
+}
+"""The files of a folder beside feeder.toml and buses.csv, by the table of ``Network`` that they are."""

@@ -1,0 +1,213 @@
+"""A three-phase feeder as a folder of tables, read and written.
+
+``feeder.toml``: name, frequency_hz, source_of_facts, and the table ``source``: bus, base_kv_ll, v_pu, angle_deg and the
+3x3 matrices r_ohm and x_ohm. ``buses.csv``, ``lines.csv``, ``switches.csv``, ``transformers.csv``, ``regulators.csv``,
+``loads.csv`` and ``capacitors.csv``: a column for each of ``grid.three_phase_tables``, whose units they have; matrices
+as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as kw_1, kvar_1, .. or kvar_a, .. . All files but buses.csv and
+feeder.toml may be missing. What a feeder has no use for is refused by name, but for the results of a reference solution
+that stand beside the figures in published folders (``RESULTS``).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import tomllib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File
+from dcgrid_env.grid.network import Network, NodeTable, SourceTable
+from dcgrid_env.grid.three_phase_checks import NUMBER, PHASES, check_three_phase
+from dcgrid_env.grid.topology import FeederError
+
+_HEAD = ("name", "frequency_hz", "source_of_facts", "source")
+_SOURCE = ("bus", "base_kv_ll", "v_pu", "angle_deg", "r_ohm", "x_ohm")
+RESULTS = {"feeder.toml": ("engine", "engine_detail", "golden", "regulated"), "regulators.csv": ("tap_regulated",)}
+"""Keys and columns that say how a reference program came by the figures and what it found; they are not kept."""
+
+
+def read_folder(folder: Path) -> Network:
+    """Read the tables of a folder.
+
+    Raises
+    ------
+    FeederError
+        For a missing file, key or column, one that is not known, or a cell that is no number, naming file and line.
+    """
+    head, source = _read_head(folder / "feeder.toml")
+    tables = {kind: _read_table(folder, file) for kind, file in FILES.items()}
+    return Network(
+        name=head["name"],
+        source=SourceTable(*([source[key]] for key in _SOURCE)),
+        node=_read_buses(folder / "buses.csv"),
+        frequency_hz=head.get("frequency_hz", 60.0),
+        source_of_facts=head.get("source_of_facts", ""),
+        **tables,
+    )
+
+
+def write_folder(network: Network, folder: Path) -> None:
+    """Write a three-phase network as the tables of a folder, which is made; figures read back to the bit.
+
+    Raises
+    ------
+    FeederError
+        For a network that is not three-phase, or a text that a CSV file cannot give back; nothing is written.
+    """
+    check_three_phase(network)
+    texts = {"buses.csv": _csv(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
+    for kind, file in FILES.items():
+        table = getattr(network, kind)
+        columns = [(column, getattr(table, column.field)) for column in file.columns]
+        if not any(any(shares) for shares in getattr(table, "zip", ())):
+            columns = [(column, values) for column, values in columns if column.field != "zip"]
+        rows = ([cell for column, values in columns for cell in column.cells(values[k])] for k in range(len(table)))
+        texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    source = network.source
+    head = {"name": network.name, "source_of_facts": network.source_of_facts, "frequency_hz": network.frequency_hz}
+    values = (source.bus[0], source.base_kv[0], source.v_pu[0], source.angle_deg[0], source.r_ohm[0], source.x_ohm[0])
+    lines = [*_toml(head.items()), "\n[source]\n", *_toml(zip(_SOURCE, values, strict=True))]
+    write_text(folder / "feeder.toml", "".join(lines))  # last: without it the folder is no feeder
+
+
+def _toml(pairs: Iterable[tuple[str, Any]]) -> list[str]:
+    # TOML's basic strings are JSON's, but for the one character.
+    written = ((key, value if isinstance(value, str | tuple) else float(value)) for key, value in pairs)
+    return [f"{k} = {json.dumps(v, ensure_ascii=False)}\n".replace("\x7f", "\\u007f") for k, v in written]
+
+
+def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    try:
+        head = tomllib.loads(_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise FeederError(f"{path}: {error}") from None
+    source = head.get("source")
+    if not isinstance(source, dict):
+        raise FeederError(f"{path}: the table [source] is missing")
+    for keys, needed, known in ((head, ("name",), (*_HEAD, *RESULTS["feeder.toml"])), (source, _SOURCE, _SOURCE)):
+        for key in needed:
+            if key not in keys:
+                raise FeederError(f"{path}: the key {key!r} is missing")
+        for key in keys:
+            if key not in known:
+                raise FeederError(f"{path}: the key {key!r} is not known; choose {', '.join(known)}")
+    for keys, texts in ((head, ("name", "source_of_facts")), (source, ("bus",))):
+        for key in texts:
+            if not isinstance(keys.get(key, ""), str):
+                raise FeederError(f"{path}: {key} is {keys[key]!r}; give a text")
+    return head, source
+
+
+def _read_buses(path: Path) -> NodeTable:
+    rows: list[tuple] = []
+    for line, row in _rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"], ()):
+        figures = [_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
+        base_kv = _number(path, line, "base_kv_ln", row["base_kv_ln"], None)
+        if row["phases"] not in PHASES:
+            raise FeederError(f"{path}, line {line}: phases is {row['phases']!r}; choose {', '.join(PHASES)}")
+        if not row["bus"] or any(row["bus"] == bus for bus, *_ in rows):
+            raise FeederError(f"{path}, line {line}: bus is {row['bus']!r}; give each bus one row and its own text")
+        rows += [(row["bus"], NUMBER[phase], *figures, base_kv) for phase in row["phases"]]
+    return NodeTable(*zip(*rows, strict=True)) if rows else NodeTable()
+
+
+def _bus_rows(node: NodeTable) -> Iterable[Sequence[Any]]:
+    last = 0
+    for k, bus in enumerate(node.bus):
+        if k + 1 == len(node) or node.bus[k + 1] != bus:
+            phases = "".join("abc"[phase - 1] for phase in node.phase[last : k + 1])
+            yield bus, phases, node.base_kv_ln[k], node.x[k], node.y[k]
+            last = k + 1
+
+
+def _read_table(folder: Path, file: File) -> Any:
+    path = folder / file.name
+    if not path.exists():
+        return file.table()
+    needed = [name for column in file.columns if not column.may_be_missing for name in column.names]
+    more = [name for column in file.columns if column.may_be_missing for name in column.names]
+    found: dict[str, list[Any]] = {column.field: [] for column in file.columns}
+    for line, row in _rows(path, needed, more, RESULTS.get(file.name, ())):
+        for column in file.columns:
+            found[column.field].append(_read_cells(path, line, row, column))
+    return file.table(**found)
+
+
+def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> Any:
+    cells = []
+    for name in column.names:
+        text = row.get(name, "")
+        if column.is_text:
+            if not text:
+                raise FeederError(f"{path}, line {line}: {name} is empty")
+            cells.append(text)
+        elif not column.is_whole:
+            cells.append(_number(path, line, name, text, math.nan if column.may_be_empty else None))
+        else:
+            value = _number(path, line, name, text, None)
+            cells.append(int(value) if value == int(value) else value)
+    return column.joined(cells)
+
+
+def _rows(
+    path: Path, needed: Sequence[str], more: Sequence[str], results: Sequence[str]
+) -> Iterable[tuple[int, dict[str, str]]]:
+    reader = csv.DictReader(_text(path).splitlines(), restkey="", restval="")
+    header = list(reader.fieldnames or [])
+    known = [*needed, *more]
+    for column in needed:
+        if column not in header:
+            raise FeederError(f"{path}: the column {column!r} is missing; the file has {header}")
+    for k, column in enumerate(header):
+        if column not in (*known, *results) or column in header[:k]:
+            raise FeederError(f"{path}: the column {column!r} is not known, or comes twice; the columns are {known}")
+    for row in reader:
+        if "" in row:
+            raise FeederError(f"{path}, line {reader.line_num}: {row['']} stands beyond the last column")
+        yield reader.line_num, {column: text.strip() for column, text in row.items()}
+
+
+def _number(path: Path, line: int, column: str, text: str, if_empty: float | None) -> float:
+    if not text and if_empty is not None:
+        return if_empty
+    try:
+        value = float(text)
+    except ValueError:
+        raise FeederError(f"{path}, line {line}: {column} is {text!r}; give a number") from None
+    if not math.isfinite(value):
+        raise FeederError(f"{path}, line {line}: {column} is {text!r}; give a finite number")
+    return value
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    written = io.StringIO()
+    writer = csv.writer(written, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        for cell in row:
+            if isinstance(cell, str) and (cell != cell.strip() or len(cell.splitlines()) != 1):
+                raise FeederError(f"{cell!r} cannot be written; leave out spaces at its ends and line ends")
+        writer.writerow([cell if isinstance(cell, str) else _figure(cell) for cell in row])
+    return written.getvalue()
+
+
+def _figure(value: Any) -> str:
+    if isinstance(value, int):
+        return str(value)
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise FeederError(f"{path} is missing; a three-phase feeder has feeder.toml and buses.csv at least") from None
+    except UnicodeDecodeError as error:
+        raise FeederError(f"{path}: {error}; save it as UTF-8") from None

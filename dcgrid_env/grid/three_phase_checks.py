@@ -1,0 +1,248 @@
+"""Checks of a three-phase grid's tables: each refusal names the feeder, the component, the field and its value."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.network_checks import check_numbers
+from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LOAD_MODELS, WINDINGS, Matrix
+from dcgrid_env.grid.topology import FeederError
+
+PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
+NUMBER = {"a": 1, "b": 2, "c": 3}
+SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
+TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
+_SAME_BASE = 1e-9  # relative
+
+
+def check_three_phase(network: Network) -> None:
+    """Raise FeederError unless every cell can be used and every component stands at buses that have its phases.
+
+    Whether the grid is radial, and fed from the right side, is not looked at here: see ``three_phase_tree``.
+    """
+    for kind in ("line", "load", "shunt"):
+        if len(getattr(network, kind)):
+            raise FeederError(
+                f"feeder {network.name!r}: the table {kind} is of balanced feeders; a three-phase feeder has "
+                f"{', '.join(TABLES)}"
+            )
+    buses = _check_nodes(network)
+    _check_source(network, buses)
+    for kind in TABLES:
+        _check_names(network, kind)
+    for kind in TABLES[:4]:
+        _check_ends(network, kind, buses)
+    _check_branches(network)
+    _check_regulators(network)
+    _check_loads(network, buses)
+    _check_capacitors(network, buses)
+
+
+def _refuse(network: Network, component: str, field: str, value: Any, remedy: str) -> FeederError:
+    return FeederError(f"feeder {network.name!r}: {component}: {field} is {value!r}; {remedy}")
+
+
+def _words(kind: str) -> str:
+    return {"phase_line": "line", "phase_load": "load"}.get(kind, kind)
+
+
+def _numbers(network: Network, kind: str, fields: Sequence[str], **rules: bool) -> None:
+    table = getattr(network, kind)
+    check_numbers(network.name, _words(kind), table.name, {f: getattr(table, f) for f in fields}, **rules)
+
+
+def _check_nodes(network: Network) -> dict[str, tuple[str, float]]:
+    """Phases, as a text, and base voltage of each bus."""
+    node = network.node
+    if len(node.base_kv_ln) != len(node):
+        raise FeederError(f"feeder {network.name!r}: {len(node.base_kv_ln)} values of base_kv_ln for {len(node)} nodes")
+    ids = [f"{bus}.{phase}" for bus, phase in zip(node.bus, node.phase, strict=True)]
+    check_numbers(network.name, "node", ids, {"base_kv_ln": node.base_kv_ln}, positive=True)
+    check_numbers(network.name, "node", ids, {"x": node.x, "y": node.y}, may_be_nan=True)
+    buses: dict[str, tuple[str, float]] = {}
+    last = None
+    for k, (bus, phase, base_kv) in enumerate(zip(node.bus, node.phase, node.base_kv_ln, strict=True)):
+        if phase not in (1, 2, 3):
+            raise _refuse(network, f"node at bus {bus}", "phase", phase, "give 1, 2 or 3 for a, b or c")
+        had, of_bus = buses.get(bus, ("", base_kv))
+        if bus in buses and (bus != last or phase <= NUMBER[had[-1]]):
+            raise _refuse(network, f"bus {bus}", "phase", phase, "give each phase once, in order, in rows together")
+        if base_kv != of_bus or (had and repr((node.x[k], node.y[k])) != repr((node.x[k - 1], node.y[k - 1]))):
+            raise _refuse(network, f"bus {bus}", "base_kv_ln, x or y", base_kv, "give all phases of a bus the same")
+        buses[bus], last = (had + "abc"[phase - 1], base_kv), bus
+    return buses
+
+
+def _check_source(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    name, source = network.name, network.source
+    if len(source) != 1:
+        raise FeederError(f"feeder {name!r}: {len(source)} sources; give one")
+    bus = source.bus[0]
+    if bus not in buses:
+        raise _refuse(network, "source", "bus", bus, "add it to the nodes")
+    if buses[bus][0] != "abc":
+        raise _refuse(network, f"source bus {bus}", "phases", buses[bus][0], "it must be abc")
+    values = {"base_kv": source.base_kv, "v_pu": source.v_pu}
+    check_numbers(name, "source", [bus], values, positive=True)
+    for field in ("angle_deg", "r_ohm", "x_ohm"):
+        if len(getattr(source, field)) != 1:
+            raise _refuse(network, "source", field, getattr(source, field), "give one")
+    check_numbers(name, "source", [bus], {"angle_deg": source.angle_deg})
+    check_numbers(name, "feeder", ["frequency"], {"frequency_hz": [network.frequency_hz]}, positive=True)
+    _check_matrix(network, "source", "r_ohm", source.r_ohm[0], "abc", non_negative=True)
+    _check_matrix(network, "source", "x_ohm", source.x_ohm[0], "abc")
+
+
+def _check_matrix(
+    network: Network, component: str, field: str, matrix: Matrix, phases: str, non_negative: bool = False
+) -> None:
+    """FeederError unless 3x3, symmetric, finite where both phases exist and NaN where one does not."""
+    if not isinstance(matrix, tuple) or [len(r) if isinstance(r, tuple) else 0 for r in matrix] != [3, 3, 3]:
+        raise _refuse(network, component, field, matrix, "give three rows of three figures")
+    for i, a in enumerate("abc"):
+        for j, b in enumerate("abc"):
+            value, there = matrix[i][j], a in phases and b in phases
+            entry = f"{field} {a}{b}"
+            if not there:
+                if not (isinstance(value, float) and math.isnan(value)):
+                    raise _refuse(network, component, entry, value, f"its phases are {phases}: leave it empty (NaN)")
+                continue
+            check_numbers(network.name, component, [entry], {"value": [value]}, non_negative=non_negative and i == j)
+            if value != matrix[j][i]:
+                raise _refuse(network, component, entry, value, f"not symmetric: {b}{a} is {matrix[j][i]!r}")
+
+
+def _check_names(network: Network, kind: str) -> None:
+    table: Any = getattr(network, kind)
+    seen: set[str] = set()
+    for one in table.name:
+        if not isinstance(one, str) or not one or one in seen:
+            raise _refuse(network, _words(kind), "name", one, "give each its own text")
+        seen.add(one)
+    for field in dataclasses.fields(table):
+        choices = _CHOICES.get(field.name, ())
+        if kind == "switch" and field.name == "state":
+            choices = ("closed", "open")
+        for one, value in zip(table.name, getattr(table, field.name), strict=True) if choices else ():
+            if value not in choices:
+                raise _refuse(network, f"{_words(kind)} {one}", field.name, value, f"choose {', '.join(choices)}")
+
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "phases": PHASES,
+    "connection": CONNECTIONS,
+    "model": LOAD_MODELS,
+    "state": ("on", "off"),
+    "sensed_phase": ("a", "b", "c"),
+}
+
+
+def _check_ends(network: Network, kind: str, buses: dict[str, tuple[str, float]]) -> None:
+    table: Any = getattr(network, kind)
+    for one, i, j, phases in zip(table.name, table.from_bus, table.to_bus, table.phases, strict=True):
+        what = f"{_words(kind)} {one}"
+        for field, bus in (("from_bus", i), ("to_bus", j)):
+            if bus not in buses:
+                raise _refuse(network, what, field, bus, "no such bus; add it to the nodes")
+            if not set(phases) <= set(buses[bus][0]):
+                raise _refuse(network, what, "phases", phases, f"bus {bus} has phases {buses[bus][0]} alone")
+        if kind != "transformer" and abs(buses[i][1] - buses[j][1]) > _SAME_BASE * buses[i][1]:
+            raise _refuse(network, what, "base_kv_ln of its ends", (buses[i][1], buses[j][1]), "they must agree")
+
+
+def _check_branches(network: Network) -> None:
+    line = network.phase_line
+    for k, one in enumerate(line.name):
+        for field in ("r_ohm", "x_ohm", "b_us"):
+            matrix = getattr(line, field)[k]
+            _check_matrix(network, f"line {one}", field, matrix, line.phases[k], non_negative=field == "r_ohm")
+    _numbers(network, "phase_line", ["length_m"], may_be_nan=True)
+    _numbers(network, "switch", ["r_ohm", "x_ohm"], non_negative=True)
+    _numbers(network, "transformer", ["kva", "kv_ll_from", "kv_ll_to"], positive=True)
+    _numbers(network, "transformer", ["r_percent", "x_percent", "antifloat_ppm"], non_negative=True)
+    _numbers(network, "transformer", ["shift_deg"])
+    table = network.transformer
+    rows = zip(table.name, table.connection_from, table.connection_to, table.shift_deg, table.phases, strict=True)
+    for one, i, j, shift_deg, phases in rows:
+        if (i, j) not in WINDINGS:
+            known = ", ".join(" / ".join(pair) for pair in WINDINGS)
+            raise _refuse(network, f"transformer {one}", "connection_from, connection_to", (i, j), f"choose {known}")
+        if shift_deg not in SHIFTS[i, j]:
+            wanted = " or ".join(f"{s:g}" for s in SHIFTS[i, j])
+            raise _refuse(network, f"transformer {one}", "shift_deg", shift_deg, f"{i} / {j} takes {wanted}")
+        if phases != "abc" and i == "delta":
+            raise _refuse(network, f"transformer {one}", "phases", phases, "a delta winding needs abc")
+
+
+def _check_regulators(network: Network) -> None:
+    _numbers(network, "regulator", ["kv_ln", "kva_per_phase", "tap_step", "pt_ratio", "ct_primary_a"], positive=True)
+    positive = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
+    _numbers(network, "regulator", positive, non_negative=True)
+    _numbers(network, "regulator", ["r_ldc_v", "x_ldc_v", "tap", "tap_neutral", "tap_min", "tap_max"])
+    _numbers(network, "regulator", ["max_taps_per_move"], positive=True)
+    table = network.regulator
+    for k, one in enumerate(table.name):
+        what, lowest, highest = f"regulator {one}", table.tap_min[k], table.tap_max[k]
+        for field in ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move"):
+            if getattr(table, field)[k] != int(getattr(table, field)[k]):
+                raise _refuse(network, what, field, getattr(table, field)[k], "give a whole number")
+        for field in ("tap", "tap_neutral"):
+            if not lowest <= getattr(table, field)[k] <= highest:
+                raise _refuse(network, what, field, getattr(table, field)[k], f"it must be from {lowest} to {highest}")
+        if table.tap_step[k] * max(abs(lowest), abs(highest)) >= 1.0:
+            raise _refuse(network, what, "tap_step", table.tap_step[k], "a tap would turn the voltage round")
+        if not isinstance(table.bank[k], str):
+            raise _refuse(network, what, "bank", table.bank[k], "give a text")
+        if table.sensed_phase[k] not in table.phases[k]:
+            raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {table.phases[k]}")
+
+
+def legs_of(connection: str) -> tuple[str, str, str]:
+    """The phases that the three legs of a connection join: one, to ground, or two."""
+    return ("a", "b", "c") if connection == "wye" else ("ab", "bc", "ca")
+
+
+def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[str, tuple[str, float]]) -> None:
+    table: Any = getattr(network, kind)
+    for k, one in enumerate(table.name):
+        what = f"{_words(kind)} {one}"
+        if table.bus[k] not in buses:
+            raise _refuse(network, what, "bus", table.bus[k], "no such bus; add it to the nodes")
+        for field in fields:
+            values = getattr(table, field)[k]
+            if not isinstance(values, tuple) or len(values) != 3:
+                raise _refuse(network, what, field, values, "give one figure for each of three legs")
+            check_numbers(network.name, _words(kind), [one] * 3, {field: values}, non_negative=kind == "capacitor")
+            for leg, value in zip(legs_of(table.connection[k]), values, strict=True):
+                phases = buses[table.bus[k]][0]
+                if value != 0 and not set(leg) <= set(phases):
+                    raise _refuse(network, what, f"{field} of leg {leg}", value, f"its bus has phases {phases}")
+
+
+def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    _numbers(network, "phase_load", ["leg_kv", "vmin_pu", "vmax_pu", "vlow_pu"], positive=True)
+    _check_legs(network, "phase_load", ["p_kw", "q_kvar"], buses)
+    table = network.phase_load
+    for k, one in enumerate(table.name):
+        limits = (table.vlow_pu[k], table.vmin_pu[k], table.vmax_pu[k])
+        if not limits[0] < limits[1] < limits[2]:
+            raise _refuse(network, f"load {one}", "vlow_pu, vmin_pu, vmax_pu", limits, "they must rise")
+        shares = table.zip[k]
+        if table.model[k] != "ZIP":
+            if shares:
+                raise _refuse(network, f"load {one}", "zip", shares, f"leave it empty for the model {table.model[k]}")
+            continue
+        if len(shares) != 6:
+            raise _refuse(network, f"load {one}", "zip", shares, "give shares of Z, I, P in p, then in q")
+        check_numbers(network.name, "load", [one] * 6, {"zip": shares})
+        if max(abs(sum(shares[:3]) - 1.0), abs(sum(shares[3:]) - 1.0)) > 1e-9:
+            raise _refuse(network, f"load {one}", "zip", shares, "the shares of p and those of q must add up to 1")
+
+
+def _check_capacitors(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    _numbers(network, "capacitor", ["leg_kv"], positive=True)
+    _check_legs(network, "capacitor", ["kvar"], buses)

@@ -1,0 +1,93 @@
+"""The branches of a three-phase grid as a tree from its source: which table's row feeds each bus, and from where."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.topology import FeederError, depth_first, orient
+
+
+class Branch(NamedTuple):
+    """What joins two buses: one row of a table, or several regulators side by side."""
+
+    kind: str
+    """The table: phase_line, switch, transformer or regulator."""
+    rows: tuple[int, ...]
+    name: str
+    from_bus: str
+    to_bus: str
+    phases: str
+
+
+class Tree(NamedTuple):
+    """Buses in depth-first order, the source bus first, and the branch that feeds each but the first."""
+
+    bus_ids: tuple[str, ...]
+    phases: tuple[str, ...]
+    """The phases of each bus, a text."""
+    parent: NDArray[np.intp]
+    """Position of the bus that feeds bus k + 1, shape (n_bus - 1,)."""
+    branches: tuple[Branch, ...]
+    """Branch k feeds bus k + 1."""
+
+
+def three_phase_tree(network: Network) -> Tree:
+    """Order the buses of checked tables.
+
+    Raises
+    ------
+    FeederError
+        For a loop, an island, a phase of a bus that its branch does not bring, or a transformer or regulator that is
+        fed at its to-side.
+    """
+    branches = _branches(network)
+    phases: dict[str, str] = {}
+    for bus, phase in zip(network.node.bus, network.node.phase, strict=True):
+        phases[bus] = phases.get(bus, "") + "abc"[phase - 1]
+    buses, source = list(phases), network.source.bus[0]
+    ends = [[getattr(b, end) for b in branches] for end in ("from_bus", "to_bus")]
+    order, parent, branch = orient(network.name, source, buses, *ends)
+    index = depth_first(parent)
+    bus_ids = tuple(buses[i] for i in order[index.order])
+    fed_by = tuple(branches[branch[i - 1]] for i in index.order[1:])
+    for k, one in enumerate(fed_by):
+        bus = bus_ids[k + 1]
+        if one.kind in ("transformer", "regulator") and one.to_bus != bus:
+            raise FeederError(
+                f"feeder {network.name!r}: {one.kind} {one.name} is fed at its to_bus {one.to_bus!r}; its from_bus "
+                f"must be on the side of the source {source!r}"
+            )
+        if one.phases != phases[bus]:
+            raise FeederError(
+                f"feeder {network.name!r}: bus {bus}: phases is {phases[bus]!r}, and {one.kind.removeprefix('phase_')} "
+                f"{one.name}, which feeds it, brings {one.phases!r}; a phase without a feed is an island"
+            )
+    return Tree(bus_ids, tuple(phases[bus] for bus in bus_ids), index.parent[1:], fed_by)
+
+
+def _branches(network: Network) -> list[Branch]:
+    found = []
+    for kind in ("phase_line", "switch", "transformer"):
+        table = getattr(network, kind)
+        rows = zip(table.name, table.from_bus, table.to_bus, table.phases, strict=True)
+        for row, ends in enumerate(rows):
+            if kind != "switch" or table.state[row] == "closed":
+                found.append(Branch(kind, (row,), *ends))
+    regulator = network.regulator
+    banks: dict[tuple[str, str], list[int]] = {}
+    for row, pair in enumerate(zip(regulator.from_bus, regulator.to_bus, strict=True)):
+        banks.setdefault(pair, []).append(row)
+    for (i, j), rows in banks.items():
+        names = ", ".join(regulator.name[row] for row in rows)
+        phases = "".join(regulator.phases[row] for row in rows)
+        if len(set(phases)) < len(phases):
+            raise FeederError(
+                f"feeder {network.name!r}: regulators {names}: phases is {phases!r} from {i} to {j}; give each phase "
+                "one regulator"
+            )
+        found.append(Branch("regulator", tuple(rows), names, i, j, "".join(sorted(phases))))
+    return found
