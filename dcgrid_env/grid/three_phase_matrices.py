@@ -41,6 +41,8 @@ class Branches(NamedTuple):
     """Row of the regulators' table of each phase, -1 for none, shape (n_bus, 3)."""
     shunt: NDArray[np.float64]
     """Susceptance to ground of lines and terminals at each bus, shape (n_bus, 3, 3)."""
+    sending_shunt: NDArray[np.float64]
+    """The share of it that stands at the sending end of the branch to each bus, by its phases, (n_bus, 3, 3)."""
 
 
 def branches_of(network: Network, tree: Tree, base_kv: NDArray[np.float64]) -> Branches:
@@ -48,6 +50,7 @@ def branches_of(network: Network, tree: Tree, base_kv: NDArray[np.float64]) -> B
     n = len(tree.bus_ids)
     a, b = np.zeros((n, 3, 3)), np.zeros((n, 3, 3), np.complex128)
     regulator, shunt = np.full((n, 3), -1, np.intp), np.zeros((n, 3, 3))
+    sending_shunt = np.zeros((n, 3, 3))
     source = network.source
     a[0] = _ALL
     b[0] = (np.array(source.r_ohm[0]) + 1j * np.array(source.x_ohm[0])) / _base_ohm(base_kv[0])
@@ -61,7 +64,8 @@ def branches_of(network: Network, tree: Tree, base_kv: NDArray[np.float64]) -> B
         for bus, siemens in zip((sender, i), shunts, strict=True):
             at = [tree.phases[bus].index(phase) for phase in branch.phases]
             shunt[bus][np.ix_(at, at)] += siemens * base_kv[bus] ** 2 * _PER_SIEMENS
-    return Branches(a, b, regulator, shunt)
+        sending_shunt[i, :size, :size] = shunts[0] * base_kv[sender] ** 2 * _PER_SIEMENS
+    return Branches(a, b, regulator, shunt, sending_shunt)
 
 
 def _base_ohm(base_kv: float) -> float:

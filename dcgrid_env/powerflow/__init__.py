@@ -6,16 +6,22 @@ from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import Solver, solver_for
+from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import BranchFlows, ThreePhaseSolution, branch_flows
 
 __all__ = [
+    "BranchFlows",
     "Control",
     "PowerFlowError",
     "Sensitivity",
     "Solution",
     "Solver",
+    "ThreePhaseSolution",
+    "branch_flows",
     "distflow",
     "lindistflow",
     "own_sensitivity",
     "sensitivity",
+    "solve_unbalanced",
     "solver_for",
 ]

@@ -14,6 +14,10 @@ class Control(NamedTuple):
     """
 
     tap_ratio: Array | None = None
-    """Voltage ratio of each regulator, shape (..., n_regulator), 1 in the neutral position."""
+    """Voltage ratio of each regulator, shape (..., n_regulator), 1 in the neutral position: see
+    ``ThreePhaseFeeder.tap_ratio``. None leaves the base taps of a three-phase feeder."""
     shunt_kvar: Array | None = None
-    """Reactive injection of switched shunts by node, kvar, shape (..., n_node)."""
+    """Reactive injection of switched shunts by node, kvar, shape (..., n_node), whatever the voltage."""
+    capacitor_on: Array | None = None
+    """Share of each of a three-phase feeder's capacitor banks that is on, from 0 to 1, shape (..., n_capacitor). None
+    leaves their base states."""

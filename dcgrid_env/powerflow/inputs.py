@@ -24,6 +24,8 @@ _WANTED = {
     "v0_pu": "give a positive substation voltage in p.u.",
     "warm": "give a Solution or its restart",
     "shunt_kvar": "give reactive injections alone, real numbers in kvar",
+    "tap_ratio": "give ratios, real numbers: feeder.tap_ratio(tap) makes them of taps",
+    "capacitor_on": "give numbers from 0 (off) to 1 (on)",
 }
 
 
@@ -36,7 +38,7 @@ def check_feeder(feeder: Any) -> None:
 def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
     """Both loads as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_node)."""
     if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype and p_kw.dtype in _FLOATS):
-        p_kw, q_kvar = _of_one_kind(_figures(feeder, "p_kw", p_kw), _figures(feeder, "q_kvar", q_kvar))
+        p_kw, q_kvar = of_one_kind(figures(feeder, "p_kw", p_kw), figures(feeder, "q_kvar", q_kvar))
     if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_node:
         raise PowerFlowError(
             f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
@@ -50,7 +52,7 @@ def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
     v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
     if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray) and 0.0 < v0_pu < np.inf:
         return _filled(p_kw.shape[:-1], v0_pu, p_kw.dtype)
-    xp, v0 = namespace(p_kw), _like("v0_pu", _figures(feeder, "v0_pu", v0_pu), p_kw)
+    xp, v0 = namespace(p_kw), like_loads("v0_pu", figures(feeder, "v0_pu", v0_pu), p_kw)
     if not bool(xp.all((v0 > 0) & (v0 < xp.inf))):
         raise PowerFlowError(f"feeder {feeder.name!r}: v0_pu is {reprlib.repr(v0_pu)}; {_WANTED['v0_pu']}")
     try:
@@ -69,7 +71,7 @@ def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
         return None
     start = warm.restart if isinstance(warm, Solution) else warm
     if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
-        start = _like("warm", _figures(feeder, "warm", start), p_kw)
+        start = like_loads("warm", figures(feeder, "warm", start), p_kw)
     if tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_branch):
         wanted = (*p_kw.shape[:-1], feeder.n_branch)
         raise PowerFlowError(f"warm start has shape {tuple(start.shape)}; for these loads it must be {wanted}")
@@ -81,15 +83,17 @@ def less_switched_shunts(feeder: Feeder, p_kw: Any, q_kvar: Any, control: Contro
 
     A switched shunt injects what it is rated for whatever the voltage, as the feeder's fixed capacitors do.
     """
-    if control.tap_ratio is not None:
-        raise PowerFlowError(
-            f"feeder {feeder.name!r}: tap_ratio is {reprlib.repr(control.tap_ratio)}, and a balanced feeder has no "
-            "regulator; leave tap_ratio at None"
-        )
+    for field, component in (("tap_ratio", "regulator"), ("capacitor_on", "bank of capacitors")):
+        value = getattr(control, field)
+        if value is not None:
+            raise PowerFlowError(
+                f"feeder {feeder.name!r}: {field} is {reprlib.repr(value)}, and a balanced feeder has no {component}; "
+                f"leave {field} at None"
+            )
     _, q_kvar = check_loads(feeder, p_kw, q_kvar)
     if control.shunt_kvar is None:
         return q_kvar
-    shunt = _like("shunt_kvar", _figures(feeder, "shunt_kvar", control.shunt_kvar), q_kvar)
+    shunt = like_loads("shunt_kvar", figures(feeder, "shunt_kvar", control.shunt_kvar), q_kvar)
     if tuple(shunt.shape) not in (tuple(q_kvar.shape), (feeder.n_node,)):
         raise PowerFlowError(
             f"feeder {feeder.name!r}: shunt_kvar has shape {tuple(shunt.shape)}; give one figure for each node, "
@@ -112,8 +116,8 @@ def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:
         )
 
 
-def _figures(feeder: Feeder, name: str, values: Any) -> Array:
-    """An argument as an array of real numbers, NumPy's unless it is another library's; PowerFlowError if it is none."""
+def figures(feeder: Feeder, name: str, values: Any) -> Array:
+    """Take an argument as an array of real numbers, NumPy's unless it is of another library; PowerFlowError else."""
     if isinstance(values, np.ma.MaskedArray):
         raise PowerFlowError(
             f"feeder {feeder.name!r}: {name} is a masked array, and a power flow needs every figure; fill it, for "
@@ -148,8 +152,8 @@ def _is_dense(values: Array) -> bool:
     return str(getattr(values, "layout", "torch.strided")) == "torch.strided"
 
 
-def _of_one_kind(p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
-    """Loads in float32 if both are, else in float64; PowerFlowError where one is NumPy's and the other is not."""
+def of_one_kind(p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
+    """Take loads in float32 if both are, else in float64; PowerFlowError where one is NumPy's and the other is not."""
     xp = namespace(p_kw)
     if namespace(q_kvar) is not xp:
         kinds = f"p_kw is a {type(p_kw).__name__} and q_kvar a {type(q_kvar).__name__}"
@@ -162,7 +166,8 @@ def _of_one_kind(p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
     return xp.astype(p_kw, dtype, copy=False), xp.astype(q_kvar, dtype, copy=False)
 
 
-def _like(name: str, values: Array, like: Array) -> Array:
+def like_loads(name: str, values: Array, like: Array) -> Array:
+    """Take an argument in the kind, precision and device of the loads; PowerFlowError where NumPy cannot read it."""
     try:
         return as_like(values, like)
     except (TypeError, RuntimeError):  # a tensor that NumPy cannot read: of another device, or recording a derivative

@@ -7,10 +7,12 @@ from functools import cache
 from typing import Any, Protocol
 
 from dcgrid_env.core.arrays import Array
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.powerflow.balanced.solvers import solve_distflow, solve_lindistflow
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
+from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 
 class Solver(Protocol):
@@ -24,7 +26,7 @@ class Solver(Protocol):
         source_voltage_pu: Any,
         control: Control | None = None,
         start: Array | None = None,
-    ) -> Solution:
+    ) -> Solution | ThreePhaseSolution:
         """Solve the power flow.
 
         Parameters
@@ -32,7 +34,8 @@ class Solver(Protocol):
         feeder
             A feeder of the kind that the solver is for.
         p_kw, q_kvar
-            Net load at each node (consumption positive), shape (..., n_node), NumPy arrays or torch tensors.
+            Net load at each node of a balanced feeder, or leg of a three-phase one (consumption positive), shape
+            (..., n_node) or (..., n_leg), NumPy arrays or torch tensors.
         source_voltage_pu
             Voltage of the source, p.u., a number or an array that broadcasts to shape (...).
         control
@@ -52,6 +55,7 @@ class Solver(Protocol):
 
 _SOLVERS: dict[type[Any], dict[str, Solver]] = {
     Feeder: {"distflow": solve_distflow, "lindistflow": solve_lindistflow},
+    ThreePhaseFeeder: {"sweep": solve_unbalanced},
 }
 
 

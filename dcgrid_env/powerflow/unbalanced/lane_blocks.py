@@ -1,0 +1,182 @@
+"""A block of lanes: what is loaded into it, its sweep, and what is handed over from it."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
+from dcgrid_env.powerflow.unbalanced.plan import REGULATOR
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
+    U1,
+    U2,
+    U3,
+    U4,
+    add_up,
+    capacitor_currents,
+    device_currents,
+    go_down,
+    load_currents,
+    shunt_currents,
+)
+
+PER_KVA = 1.0 / PHASE_BASE_KVA
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def workspace(plan, wide):
+    """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each."""
+    n, W = plan.up.shape[0] + 4, len(wide)
+    n_leg = plan.leg_is_z.shape[0]
+    V = np.zeros(2 * n * W)
+    J = np.zeros(2 * n * W)
+    P, Q = np.zeros(n_leg * W), np.zeros(n_leg * W)
+    DP, DQ = np.zeros(n * W), np.zeros(n * W)
+    return V, J, P, Q, DP, DQ, np.zeros(2 * W), np.ones(n * W), np.ones(n * W), np.zeros(6 * W), np.zeros(W)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
+    """List the nodes at which any of these lanes has a device that draws; their number. ``drawn`` is scratch."""
+    n_node, skip = np.uint64(nodes.shape[0]), np.uint64(n_leg)
+    for n in range(n_node):
+        drawn[n] = 0.0
+    for lane in range(first, first + count):
+        for n in range(n_node):
+            drawn[n] += abs(p_kw[lane, skip + n]) + abs(q_kvar[lane, skip + n])
+    found = 0
+    for n in range(n_node):
+        if drawn[n] != 0.0:
+            nodes[found] = n
+            found += 1
+    return found
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def load_lane(b, lane, plan, wide, given, nodes, n_device, work):
+    """Put a lane's inputs into column b, and the ideal source's voltage; whether all of them are finite."""
+    p_kw, q_kvar, source_pu, ratios, states = given
+    V, _, P, Q, DP, DQ, _, ratio, on, _, _ = work
+    W = np.uint64(len(wide))
+    b = np.uint64(b)
+    n_leg, n_node = plan.leg_order.shape[0], np.uint64(plan.up.shape[0])
+    check = 0.0
+    for k in range(n_leg):
+        leg = plan.leg_order[k]
+        at = np.uint64(k) * W + b
+        P[at] = p_kw[lane, leg] * plan.leg_law[k, 0]
+        Q[at] = q_kvar[lane, leg] * plan.leg_law[k, 0]
+        check += 0.0 * P[at] + 0.0 * Q[at]
+    for k in range(n_device):
+        at = np.uint64(k) * W + b
+        DP[at] = p_kw[lane, n_leg + nodes[k]] * PER_KVA
+        DQ[at] = q_kvar[lane, n_leg + nodes[k]] * PER_KVA
+        check += 0.0 * DP[at] + 0.0 * DQ[at]
+    for k in range(ratios.shape[1]):
+        ratio[np.uint64(k) * W + b] = ratios[lane, k]
+    for k in range(states.shape[1]):
+        on[np.uint64(k) * W + b] = states[lane, k]
+    for k in range(3):
+        at = (n_node + U1 + np.uint64(k)) * U2 * W + b
+        V[at] = source_pu[lane] * plan.source[k, 0]
+        V[at + W] = source_pu[lane] * plan.source[k, 1]
+    return check == 0.0
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def start_lane(b, lane, plan, wide, start, work):
+    """Put the voltages to start from into column b, where there are any: a lane of zeros is none."""
+    V = work[0]
+    W = np.uint64(len(wide))
+    n_node = plan.up.shape[0]
+    if start.shape[0] == 0 or start[lane, 0] == 0.0:
+        return
+    for n in range(n_node):
+        at = np.uint64(n) * U2 * W + np.uint64(b)
+        V[at] = start[lane, n]
+        V[at + W] = start[lane, n_node + n]
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def begin(plan, wide, work):
+    """Voltages without any load: the cold start of a block."""
+    V, J, _, _, _, _, _, ratio, _, T, off = work
+    for k in range(J.shape[0]):
+        J[k] = 0.0
+    go_down(plan, wide, 1.0, ratio, J, V, T, off)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def sweep_block(plan, wide, nodes, n_device, work):
+    """One backward and forward sweep; the squared change of the voltages stands in the last row."""
+    V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
+    shunt_currents(plan, wide, V, J)
+    load_currents(plan, wide, V, P, Q, H, J)
+    device_currents(nodes, n_device, wide, V, DP, DQ, J)
+    capacitor_currents(plan, wide, V, on, J)
+    add_up(plan, wide, ratio, J)
+    go_down(plan, wide, 1.0, ratio, J, V, T, off)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _loss(plan, wide, J, ratio, loss):
+    """Set ``loss`` to what the branches lose, p.u.: Re(I^H B I) of each, which is what goes in less what comes out."""
+    W = np.uint64(len(wide))
+    for b in range(W):
+        loss[b] = 0.0
+    for k in range(1, plan.kind.shape[0]):
+        n, size = plan.first[k], plan.first[k + 1] - plan.first[k]
+        for i in range(size):
+            o, t = (n + i) * U2 * W, plan.regulator[n + i] * W
+            if plan.kind[k] == REGULATOR:
+                r = plan.z_re[k, i * U4]
+                for b in range(W):
+                    loss[b] += r * ratio[t + b] * ratio[t + b] * (J[o + b] * J[o + b] + J[o + W + b] * J[o + W + b])
+                continue
+            for j in range(size):
+                u, r = (n + j) * U2 * W, plan.z_re[k, i * U3 + j]
+                for b in range(W):
+                    loss[b] += r * (J[o + b] * J[u + b] + J[o + W + b] * J[u + W + b])
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def store_lanes(columns, count, first, plan, wide, work, sweeps, is_good, out):
+    """Hand over the first ``count`` of these columns of a block whose first lane is ``first``.
+
+    A lane whose voltages cannot be is said not to have converged.
+    """
+    V, J, _, _, _, _, H, ratio, _, T, off = work
+    v_pu, volts, amperes, per_lane, converged, iterations = out
+    W = np.uint64(len(wide))
+    n_node = plan.up.shape[0]
+    _loss(plan, wide, J, ratio, T)
+    for b in range(W):
+        H[b], H[W + b] = V_SQ_CEILING, V_SQ_FLOOR
+    for n in range(n_node):
+        o = np.uint64(n) * U2 * W
+        ampere = plan.ampere[n]
+        for b in range(W):
+            v_sq = V[o + b] * V[o + b] + V[o + W + b] * V[o + W + b]
+            H[b] = H[b] if H[b] < v_sq else v_sq
+            H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
+            T[W + b] = np.sqrt(v_sq)
+        for c in range(count):
+            b, lane = columns[c], first + columns[c]
+            v_pu[lane, n] = T[W + b]
+            volts[lane, n], volts[lane, n_node + n] = V[o + b], V[o + W + b]
+            amperes[lane, n], amperes[lane, n_node + n] = J[o + b] * ampere, J[o + W + b] * ampere
+    failed = 0
+    for c in range(count):
+        b, lane = columns[c], first + columns[c]
+        p = q = 0.0
+        for i in range(U3):
+            at = i * U2 * W + b
+            p += V[at] * J[at] + V[at + W] * J[at + W]
+            q += V[at + W] * J[at] - V[at] * J[at + W]
+        per_lane[0, lane], per_lane[1, lane] = T[b] * PHASE_BASE_KVA, p * PHASE_BASE_KVA
+        per_lane[2, lane], per_lane[3, lane] = q * PHASE_BASE_KVA, np.sqrt(off[b]) * PHASE_BASE_KVA
+        converged[lane] = is_good and H[b] > V_SQ_FLOOR and H[W + b] < V_SQ_CEILING
+        iterations[lane] = sweeps if converged[lane] or not is_good else 0
+        failed += not converged[lane]
+    return failed

@@ -1,0 +1,141 @@
+"""What the compiled sweeps know of a three-phase feeder, laid out for them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.three_phase_legs import Legs
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+
+LINE, REGULATOR, TRANSFORMER = 0, 1, 2
+
+
+class Plan(NamedTuple):
+    """Arrays of a feeder. Indices are unsigned, so that the compiler need not ask whether they count from the end.
+
+    Beside the feeder's nodes there are four more: node ``n_node`` is ground, whose voltage is 0, and the three after it
+    are those of the ideal source.
+    """
+
+    first: Any
+    """First node of each bus, and n_node at the end, (n_bus + 1,)."""
+    up: Any
+    """Node that feeds each node, (n_node,)."""
+    kind: Any
+    """Kind of the branch that feeds each bus, (n_bus,): a line, a regulator or a transformer."""
+    a: Any
+    """Voltage ratios of the branches, (n_bus, 9), a matrix row by row; of a regulator at neutral."""
+    z_re: Any
+    """Series resistance, p.u., (n_bus, 9)."""
+    z_im: Any
+    """Series reactance, p.u., (n_bus, 9)."""
+    regulator: Any
+    """Row of each node's regulator, (n_node,); 0 where there is none, which nothing reads."""
+    shunt: Any
+    """Susceptance to ground, p.u., (n_bus, 9)."""
+    leg_order: Any
+    """The loads' legs in the order of their buses, (n_load_leg,)."""
+    leg_start: Any
+    """First leg of each bus in that order, and their number at the end, (n_bus + 1,)."""
+    leg_ends: Any
+    """Node and other node of each leg, in that order, (n_load_leg, 2)."""
+    leg_is_z: Any
+    """Whether the leg is a constant impedance, bool, (n_load_leg,)."""
+    leg_law: Any
+    """Rows of ``LAW`` for each leg, (n_load_leg, len(LAW))."""
+    capacitor_ends: Any
+    """Node and other node of each capacitor's leg, (n_capacitor_leg, 2)."""
+    capacitor_row: Any
+    """Bank of each capacitor's leg, (n_capacitor_leg,)."""
+    capacitor_b: Any
+    """Susceptance of each capacitor's leg, p.u., (n_capacitor_leg,)."""
+    source: Any
+    """Voltages of the ideal source at 1 p.u., real and imaginary, (3, 2)."""
+    ampere: Any
+    """Base current of each node, A, (n_node,)."""
+
+
+LAW = (
+    "scale",
+    "rated_sq",
+    "z_p",
+    "i_p",
+    "c_p",
+    "z_q",
+    "i_q",
+    "c_q",
+    "inverse_vmax",
+    "inverse_vmin",
+    "inverse_vlow",
+    "slope_p",
+    "offset_p",
+    "slope_q",
+    "offset_q",
+)
+"""Columns of ``Plan.leg_law``: p.u. a kW and squared p.u. voltage; squared rated voltage over base; the shares of the
+law; the limits; and the line below vmin, h = slope + offset / u."""
+
+
+@cached_on_owner
+def plan_of(feeder: ThreePhaseFeeder) -> Plan:
+    """Lay a feeder out for the compiled sweeps, once."""
+    branches, n_node, n_bus = feeder.branches, feeder.n_node, feeder.n_bus
+    up = feeder.node_parent.copy()
+    up[:3] = n_node + 1 + np.arange(3)
+    kind = np.full(n_bus, LINE)
+    size = np.diff(feeder.first_node)
+    for i in range(1, n_bus):
+        same = np.array_equal(branches.a[i, : size[i], : size[i]], np.eye(size[i]))
+        kind[i] = REGULATOR if (branches.regulator[i] >= 0).any() else LINE if same else TRANSFORMER
+    of_node = [branches.regulator[i, k] for i in range(n_bus) for k in range(size[i])]
+    legs = feeder.load_legs
+    order = np.argsort(legs.bus, kind="stable")
+    start = np.searchsorted(legs.bus[order], np.arange(n_bus + 1))
+    capacitors = feeder.capacitor_legs
+    rated_sq = capacitors.rated_pu**2
+    angle = np.deg2rad(feeder.source_angle_deg)
+    ratio = feeder.network.source.base_kv[0] / np.sqrt(3.0) / feeder.base_kv_ln[0]
+    return Plan(
+        first=_index(feeder.first_node),
+        up=_index(up),
+        kind=_index(kind),
+        a=branches.a.reshape(n_bus, 9).copy(),
+        z_re=branches.b.real.reshape(n_bus, 9).copy(),
+        z_im=branches.b.imag.reshape(n_bus, 9).copy(),
+        regulator=_index(np.maximum(of_node, 0)),
+        shunt=branches.shunt.reshape(n_bus, 9).copy(),
+        leg_order=_index(order),
+        leg_start=_index(start),
+        leg_ends=_ends(legs, order, n_node),
+        leg_is_z=(legs.share[0, order] == 1.0) & (legs.share[3, order] == 1.0),
+        leg_law=_law(legs, order),
+        capacitor_ends=_ends(capacitors, np.arange(len(capacitors.row)), n_node),
+        capacitor_row=_index(capacitors.row),
+        capacitor_b=-capacitors.q_kvar / PHASE_BASE_KVA / rated_sq,
+        source=ratio * np.stack((np.cos(angle), np.sin(angle)), axis=1),
+        ampere=PHASE_BASE_KVA / feeder.base_kv_ln[feeder.node_bus],
+    )
+
+
+def _index(values: Any) -> Any:
+    return np.array(values, np.uint64)
+
+
+def _ends(legs: Legs, order: Any, ground: int) -> Any:
+    other = np.where(legs.other < 0, ground, legs.other)
+    return _index(np.stack((legs.node, other), axis=1)[order])
+
+
+def _law(legs: Legs, order: Any) -> Any:
+    share, (vlow, vmin, vmax) = legs.share, legs.limit_pu
+    rated_sq = legs.rated_pu**2
+    rows = [1.0 / (PHASE_BASE_KVA * rated_sq), rated_sq, *share, 1.0 / vmax, 1.0 / vmin, 1.0 / vlow]
+    for z, i, c in (share[:3], share[3:]):
+        h_vmin = z + i / vmin + c / vmin**2
+        slope = (h_vmin * vmin - vlow) / (vmin - vlow)
+        rows += [slope, (1.0 - slope) * vlow]
+    return np.ascontiguousarray(np.array(rows).reshape(len(LAW), -1).T[order])

@@ -1,0 +1,85 @@
+"""From NumPy arrays of any leading shape to the compiled sweeps and back."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import sweep_lanes
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
+
+_NO_ROWS = np.empty((0, 0))
+
+
+def solve_batch(
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+) -> ThreePhaseSolution:
+    """Run the sweeps over all lanes, on several threads where there are many.
+
+    ``given`` holds p_kw, q_kvar (..., n_leg), source_pu (...), ratios (..., n_regulator), states (..., n_capacitor).
+    """
+    shape, dtype, n = given[0].shape[:-1], given[0].dtype, feeder.n_node
+    n_lanes = given[2].size
+    rows = tuple(_rows(a, (n_lanes,) if k == 2 else (n_lanes, a.shape[-1])) for k, a in enumerate(given))
+    start = _NO_ROWS if start is None else _rows(start, (n_lanes, 2 * n))
+    out = (
+        np.empty((n_lanes, n)),
+        np.empty((n_lanes, 2 * n)),
+        np.empty((n_lanes, 2 * n)),
+        np.empty((4, n_lanes)),
+        np.empty(n_lanes, np.bool_),
+        np.empty(n_lanes, np.int64),
+    )
+    plan = plan_of(feeder)
+    if n_lanes == 1:
+        sweep_lanes(plan, rows, start, tolerance_pu, max_sweeps, out)
+    elif n_lanes:
+        over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
+    return _solution(out, shape, dtype, n)
+
+
+def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, out: Any, first: int, last: int) -> int:
+    cut = slice(first, last)
+    per_lane = out[3][:, cut].copy()
+    part = (*(a[cut] for a in out[:3]), per_lane, *(a[cut] for a in out[4:]))
+    failed = sweep_lanes(plan, tuple(a[cut] for a in rows), start[cut], tolerance, max_sweeps, part)
+    out[3][:, cut] = per_lane
+    return failed
+
+
+def _solution(out: Any, shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhaseSolution:
+    v_pu, volts, amperes, per_lane, converged, iterations = out
+    if dtype != np.float64:
+        v_pu, volts, amperes, per_lane = (a.astype(dtype) for a in (v_pu, volts, amperes, per_lane))
+    if len(shape) != 1:
+        v_pu, volts, amperes = (a.reshape(*shape, a.shape[-1]) for a in (v_pu, volts, amperes))
+        per_lane = per_lane.reshape(4, *shape)
+        converged, iterations = converged.reshape(shape)[()], iterations.reshape(shape)[()]
+    loss, p, q, residual = per_lane
+    return ThreePhaseSolution(
+        v_pu,
+        volts[..., :n],
+        volts[..., n:],
+        amperes[..., :n],
+        amperes[..., n:],
+        loss,
+        p,
+        q,
+        converged,
+        iterations,
+        residual,
+        restart=volts,
+    )
+
+
+def _rows(values: Any, shape: tuple[int, ...]) -> Any:
+    """Contiguous, writable and float64: the one memory layout that the kernels are compiled for."""
+    rows = values if values.shape == shape else values.reshape(shape)
+    flags = rows.flags
+    good = rows.dtype == np.float64 and flags.c_contiguous and flags.writeable
+    return rows if good else np.array(rows, np.float64, order="C")

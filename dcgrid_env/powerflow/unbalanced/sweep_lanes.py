@@ -1,0 +1,163 @@
+"""Compiled solution of lanes: blocks of lanes side by side, and one at a time what does not settle there."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from dcgrid_env.powerflow.solution import V_SQ_FLOOR
+from dcgrid_env.powerflow.unbalanced.lane_blocks import (
+    active_devices,
+    begin,
+    load_lane,
+    start_lane,
+    store_lanes,
+    sweep_block,
+    workspace,
+)
+
+ONE = (0,)
+WIDE = (0,) * 32
+"""Lanes innermost, the tuple's length."""
+FEW = 6  # up to this many lanes one at a time beats a mostly empty block
+BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
+ROUNDING = 1e-28  # a squared change of voltage that is rounding alone
+DIVERGED = 1e8  # a squared change of voltage that no sweep on its way to a solution has
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def error_sq(change, before):
+    """Estimate the squared error left after a sweep by its squared change of voltage and that of the sweep before it.
+
+    The sweeps converge by a ratio each, so that what is left is change * ratio / (1 - ratio); a ratio below a tenth is
+    taken for luck.
+    """
+    if change <= ROUNDING:
+        return change
+    ratio = max(np.sqrt(change / before), 0.1)
+    return change * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else np.inf
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _clear(plan, work):
+    """No solution at all: no current, and the lowest voltage."""
+    V, J = work[0], work[1]
+    for k in range(2 * plan.up.shape[0]):
+        V[k] = 0.0 if k % 2 else np.sqrt(V_SQ_FLOOR)
+        J[k] = 0.0
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
+    """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
+    p_kw, q_kvar = given[0], given[1]
+    width, n_lanes, n_leg = len(WIDE), p_kw.shape[0], plan.leg_order.shape[0]
+    work = workspace(plan, WIDE)
+    off = work[10]
+    nodes = np.empty(plan.up.shape[0], np.uint64)
+    drawn = np.empty(plan.up.shape[0])
+    done = np.empty(width, np.bool_)
+    finite = np.empty(width, np.bool_)
+    before = np.empty(width)
+    columns = np.empty(width, np.uint64)
+    most = min(BLOCK_SWEEPS, max_sweeps)
+    for first in range(0, n_lanes, width):
+        count = min(width, n_lanes - first)
+        n_device = active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes)
+        for b in range(width):
+            finite[b] = load_lane(b, first + min(b, count - 1), plan, WIDE, given, nodes, n_device, work)
+            done[b] = b >= count
+            before[b] = 1.0
+        begin(plan, WIDE, work)
+        for b in range(width):
+            start_lane(b, first + min(b, count - 1), plan, WIDE, start, work)
+        left = count
+        for sweep in range(1, most + 1):
+            sweep_block(plan, WIDE, nodes, n_device, work)
+            settled = 0
+            for b in range(count):
+                change = off[b]
+                off[b] = error_sq(change, before[b])
+                before[b] = change
+                if done[b]:
+                    continue
+                if finite[b] and off[b] <= tolerance_sq:
+                    columns[settled] = b
+                    settled += 1
+                elif finite[b] and change <= DIVERGED and sweep < most:
+                    continue
+                else:
+                    out[5][first + b] = 0
+                done[b] = True
+                left -= 1
+            if settled > 0:
+                store_lanes(columns, settled, np.uint64(first), plan, WIDE, work, sweep, True, out)
+            if left == 0:
+                break
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _one(lane, plan, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
+    """Sweep one lane to the tolerance; the sweeps done, and whether it settled."""
+    off = work[10]
+    finite = load_lane(0, lane, plan, ONE, given, nodes, n_device, work)
+    off[0] = np.inf
+    if not finite:
+        return 0, False
+    begin(plan, ONE, work)
+    start_lane(0, lane, plan, ONE, start, work)
+    before = 1.0
+    for sweep in range(1, max_sweeps + 1):
+        sweep_block(plan, ONE, nodes, n_device, work)
+        change = off[0]
+        off[0] = error_sq(change, before)
+        before = change
+        if off[0] <= tolerance_sq:
+            return sweep, True
+        if not change <= DIVERGED:
+            off[0] = np.inf
+            return sweep, False
+    return max_sweeps, False
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def sweep_lanes(plan, given, start, tolerance_pu, max_sweeps, out):
+    """Solve each lane of ``given`` into the arrays of ``out``; the number of lanes without a solution.
+
+    ``given`` holds p_kw, q_kvar (lane, leg), source_pu (lane,), the regulators' ratios (lane, regulator) and the
+    capacitors' states (lane, bank); ``start`` voltages (lane, 2 node), real parts first, or no rows. ``out`` holds
+    v_pu (lane, node), voltages in p.u. and currents in A (lane, 2 node), loss, source power and residual (4, lane),
+    whether it converged, and sweeps (lane,). A lane that does not settle from its start in a block starts again
+    from no load, with ``max_sweeps``.
+    """
+    p_kw, q_kvar = given[0], given[1]
+    n_lanes, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
+    tolerance_sq = tolerance_pu * tolerance_pu
+    few = n_lanes <= FEW
+    if not few:
+        _blocks(plan, given, start, tolerance_sq, max_sweeps, out)
+    work = workspace(plan, ONE)
+    nodes = np.empty(n_node, np.uint64)
+    drawn = np.empty(n_node)
+    column = np.zeros(1, np.uint64)
+    cold = start[:0]
+    failed = 0
+    for lane in range(n_lanes):
+        if not few and out[5][lane] > 0:
+            continue
+        place = np.uint64(lane)
+        n_device = active_devices(p_kw, q_kvar, lane, 1, n_leg, drawn, nodes)
+        if few and start.shape[0] > 0:
+            most = min(BLOCK_SWEEPS, max_sweeps)
+            sweeps, settled = _one(lane, plan, given, start, tolerance_sq, most, nodes, n_device, work)
+            if settled and store_lanes(column, 1, place, plan, ONE, work, sweeps, True, out) == 0:
+                continue
+        sweeps, settled = _one(lane, plan, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        if work[10][0] == np.inf:
+            _clear(plan, work)
+        if settled:
+            settled = store_lanes(column, 1, place, plan, ONE, work, sweeps, True, out) == 0
+        if not settled:
+            store_lanes(column, 1, place, plan, ONE, work, sweeps, False, out)
+            failed += 1
+    return failed

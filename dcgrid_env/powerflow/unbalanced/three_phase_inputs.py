@@ -1,0 +1,154 @@
+"""What the power flow of a three-phase feeder is given: checked, and made arrays of one kind."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.inputs import figures, like_loads, of_one_kind, substation_voltage
+from dcgrid_env.powerflow.solution import PowerFlowError
+
+_ROUNDING = 1e-9  # of a tap, beyond the last one
+
+
+def check_three_phase_feeder(feeder: Any) -> None:
+    """PowerFlowError unless it is a ThreePhaseFeeder."""
+    if not isinstance(feeder, ThreePhaseFeeder):
+        raise PowerFlowError(
+            f"feeder is {reprlib.repr(feeder)}; give a ThreePhaseFeeder, for instance load_feeder('ieee13-3ph')"
+        )
+
+
+def check_legs(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
+    """Both powers as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_leg)."""
+    if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype == np.float64):
+        p_kw, q_kvar = of_one_kind(figures(feeder, "p_kw", p_kw), figures(feeder, "q_kvar", q_kvar))
+    if p_kw.shape != q_kvar.shape or p_kw.ndim == 0 or p_kw.shape[-1] != feeder.n_leg:
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: p_kw has shape {tuple(p_kw.shape)} and q_kvar {tuple(q_kvar.shape)}; both must "
+            f"be (..., {feeder.n_leg}): {feeder.first_device_leg} legs of loads, then one for each of {feeder.n_node} "
+            "nodes"
+        )
+    return p_kw, q_kvar
+
+
+def control_inputs(feeder: ThreePhaseFeeder, q_kvar: Array, control: Control | None) -> tuple[Array, Array, Array]:
+    """Reactive power less what switched shunts inject, ratios and capacitors' states, of the loads' leading shape.
+
+    Raises
+    ------
+    PowerFlowError
+        For a wrong shape, a ratio beyond the regulator's taps or a state outside 0 to 1, naming it.
+    """
+    ratio, state = _base(feeder)
+    if control is None or all(change is None for change in control):
+        lead = tuple(q_kvar.shape[:-1])
+        return q_kvar, _spread(ratio, q_kvar, lead), _spread(state, q_kvar, lead)
+    if control.shunt_kvar is not None:
+        q_kvar = _less_shunts(feeder, q_kvar, control.shunt_kvar)
+    lead = tuple(q_kvar.shape[:-1])
+    ratios, states = _spread(ratio, q_kvar, lead), _spread(state, q_kvar, lead)
+    if control.tap_ratio is not None:
+        ratios = _by_lane(feeder, "tap_ratio", control.tap_ratio, q_kvar, feeder.n_regulator)
+        _check_ratios(feeder, ratios)
+    if control.capacitor_on is not None:
+        states = _by_lane(feeder, "capacitor_on", control.capacitor_on, q_kvar, feeder.n_capacitor)
+        _check_range(feeder, "capacitor", "capacitor_on", states, 0.0, 1.0)
+    return q_kvar, ratios, states
+
+
+@cached_on_owner
+def _base(feeder: ThreePhaseFeeder) -> tuple[Any, Any]:
+    return feeder.tap_ratio(feeder.base_tap), feeder.base_capacitor_on
+
+
+def _spread(values: Any, like: Array, lead: tuple[int, ...]) -> Array:
+    values = values if isinstance(like, np.ndarray) else as_like(values, like)
+    return namespace(like).broadcast_to(values, (*lead, values.shape[-1]))
+
+
+def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Any) -> Array:
+    xp, n_load = namespace(q_kvar), feeder.first_device_leg
+    shunt = _by_lane(feeder, "shunt_kvar", shunt_kvar, q_kvar, feeder.n_node)
+    return xp.concat((q_kvar[..., :n_load], q_kvar[..., n_load:] - shunt), axis=-1)
+
+
+def _by_lane(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, width: int) -> Array:
+    array = like_loads(name, figures(feeder, name, values), like)
+    lead = tuple(like.shape[:-1])
+    if tuple(array.shape) not in ((width,), (*lead, width)):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: {name} has shape {tuple(array.shape)}; give ({width},) or {(*lead, width)}"
+        )
+    return namespace(like).broadcast_to(array, (*lead, width))
+
+
+def _check_ratios(feeder: ThreePhaseFeeder, ratio: Array) -> None:
+    table = feeder.network.regulator
+    step = np.array(table.tap_step)
+    low, high = (
+        1.0 + step * (np.array(end) + side * _ROUNDING) for end, side in ((table.tap_min, -1), (table.tap_max, 1))
+    )
+    if str(ratio.dtype).endswith("float32"):
+        low, high = low - 1e-6, high + 1e-6
+    _check_range(feeder, "regulator", "tap_ratio", ratio, low, high)
+
+
+def _check_range(feeder: ThreePhaseFeeder, kind: str, field: str, values: Array, low: Any, high: Any) -> None:
+    figures_ = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+    good = (figures_ >= low) & (figures_ <= high)
+    if good.all():
+        return
+    at = tuple(int(i[0]) for i in np.nonzero(~good))
+    value, table = figures_[at], getattr(feeder.network, kind)
+    limits = "it must be from 0 to 1"
+    if kind == "regulator":
+        tap = (value - 1.0) / table.tap_step[at[-1]]
+        limits = f"tap {tap:g} is not from {table.tap_min[at[-1]]} to {table.tap_max[at[-1]]}"
+    raise PowerFlowError(
+        f"feeder {feeder.name!r}: {kind} {table.name[at[-1]]}: {field} is {value} in scenario {at[:-1]} of the batch; "
+        f"{limits}"
+    )
+
+
+def source_voltage(feeder: ThreePhaseFeeder, p_kw: Array, source_voltage_pu: Any) -> Array:
+    """Voltage of the ideal source with the loads' kind and leading shape; PowerFlowError unless positive."""
+    return substation_voltage(feeder, p_kw, source_voltage_pu)
+
+
+def voltages_to_start_from(feeder: ThreePhaseFeeder, p_kw: Array, start: Any) -> Array | None:
+    """Voltages to start from, of the loads' kind; PowerFlowError unless shaped (..., 2 n_node) as they are."""
+    if start is None:
+        return None
+    start = getattr(start, "restart", start)
+    if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
+        start = like_loads("warm", figures(feeder, "warm", start), p_kw)
+    wanted = (*p_kw.shape[:-1], 2 * feeder.n_node)
+    if tuple(start.shape) != wanted:
+        raise PowerFlowError(f"start has shape {tuple(start.shape)}; for these loads it must be {wanted}")
+    return start
+
+
+def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> None:
+    """Find the power that is not finite and raise PowerFlowError naming bus and field; return if there is none."""
+    for field, values in (("p_kw", p_kw), ("q_kvar", q_kvar)):
+        values = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+        where = np.nonzero(~np.isfinite(values))
+        if len(where[0]):
+            at = tuple(int(i[0]) for i in where)
+            leg, n_load = at[-1], feeder.first_device_leg
+            what = (
+                f"the device leg of phase {'abc'[feeder.node_phase[leg - n_load] - 1]}"
+                if leg >= n_load
+                else (f"load {feeder.network.phase_load.name[feeder.load_legs.row[leg]]}")
+            )
+            raise PowerFlowError(
+                f"feeder {feeder.name!r}: {field} of {what} at bus {feeder.bus_ids[feeder.leg_bus[leg]]} is "
+                f"{values[at]} in scenario {at[:-1]} of the batch; give finite powers"
+            )
