@@ -6,12 +6,14 @@ from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import Solver, solver_for
+from dcgrid_env.powerflow.unbalanced.linearised import Linearised, linearise
 from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import BranchFlows, ThreePhaseSolution, branch_flows
 
 __all__ = [
     "BranchFlows",
     "Control",
+    "Linearised",
     "PowerFlowError",
     "Sensitivity",
     "Solution",
@@ -20,6 +22,7 @@ __all__ = [
     "branch_flows",
     "distflow",
     "lindistflow",
+    "linearise",
     "own_sensitivity",
     "sensitivity",
     "solve_unbalanced",

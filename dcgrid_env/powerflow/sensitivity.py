@@ -1,4 +1,7 @@
-"""How far the voltage at each node moves with the power at each node, linearised around 1 p.u. without load.
+"""How far the voltage at each node moves with the power at each node.
+
+A balanced feeder is linearised around 1 p.u. without load, a three-phase feeder around its base case: its own loads,
+taps and capacitors, since the base taps and the laws of the loads are part of how its voltages move.
 
 For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of r and x over the path that two nodes
 share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
@@ -14,7 +17,8 @@ from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.linearised import linearise
 
 _PU_PER_MVA = 1000.0 / S_BASE_KVA
 
@@ -29,29 +33,36 @@ class Sensitivity(NamedTuple):
 
 
 @cached_on_owner
-def sensitivity(feeder: Feeder) -> Sensitivity:
-    """Derivative of the voltage at every node by the power injected at every node, around 1 p.u. and no load.
+def sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
+    """Derivative of the voltage at every node by the power injected at every node.
 
     Returns
     -------
     Sensitivity
-        Two read-only matrices of shape (n_node, n_node), made once for a feeder. Rows and columns of the source's
-        nodes are zero: its voltage is given.
+        Two read-only matrices of shape (n_node, n_node), made once for a feeder. Rows and columns of a balanced
+        feeder's source are zero: its voltage is given. In a three-phase feeder power is injected from ground at the
+        devices' leg of each node, entries go across phases and may be negative, and the source has an impedance.
     """
+    if isinstance(feeder, ThreePhaseFeeder):
+        slopes = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar)
+        return Sensitivity(*map(_read_only, slopes[:2]))
     path = feeder.path
     r, x = ((path * z_pu) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
     return Sensitivity(_read_only(r), _read_only(x))
 
 
 @cached_on_owner
-def own_sensitivity(feeder: Feeder) -> Sensitivity:
-    """Derivative of the voltage at every node by the power injected at that same node, around 1 p.u. and no load.
+def own_sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
+    """Derivative of the voltage at every node by the power injected at that same node.
 
     Returns
     -------
     Sensitivity
-        The diagonals of :func:`sensitivity` up to rounding, read-only and of shape (n_node,); no matrix is made.
+        The diagonals of :func:`sensitivity` up to rounding, read-only and of shape (n_node,); for a balanced feeder no
+        matrix is made.
     """
+    if isinstance(feeder, ThreePhaseFeeder):
+        return Sensitivity(*(_read_only(np.diagonal(slope).copy()) for slope in sensitivity(feeder)))
     own = np.zeros((2, feeder.n_node))
     for j in feeder.depth_first.order[1:]:
         own[:, j] = own[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])

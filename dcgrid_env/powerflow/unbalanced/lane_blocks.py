@@ -111,7 +111,7 @@ def begin(plan, wide, work):
 def sweep_block(plan, wide, nodes, n_device, work):
     """One backward and forward sweep; the squared change of the voltages stands in the last row."""
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
-    shunt_currents(plan, wide, V, J)
+    shunt_currents(plan, wide, 1.0, V, J)
     load_currents(plan, wide, V, P, Q, H, J)
     device_currents(nodes, n_device, wide, V, DP, DQ, J)
     capacitor_currents(plan, wide, V, on, J)

@@ -17,27 +17,34 @@ U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def shunt_currents(plan, wide, V, J):
-    """Set J to what the susceptances at each bus draw at V."""
+def shunt_currents(plan, wide, sign, V, J):
+    """Set J to what the susceptances at each bus draw at V, times ``sign``, -1 for the conjugate."""
     W = np.uint64(len(wide))
     shunt = plan.shunt
     for k in range(plan.kind.shape[0]):
         o = plan.first[k] * U2 * W
         size = plan.first[k + 1] - plan.first[k]
         if size == U1:
-            s0 = shunt[k, 0]
+            s0 = sign * shunt[k, 0]
             for b in range(W):
                 J[o + b] = -(s0 * V[o + W + b])
                 J[o + W + b] = s0 * V[o + b]
         elif size == U2:
-            s0, s1, s2 = shunt[k, 0], shunt[k, 1], shunt[k, 4]
+            s0, s1, s2 = sign * shunt[k, 0], sign * shunt[k, 1], sign * shunt[k, 4]
             for b in range(W):
                 J[o + b] = -(s0 * V[o + W + b] + s1 * V[o + U3 * W + b])
                 J[o + W + b] = s0 * V[o + b] + s1 * V[o + U2 * W + b]
                 J[o + U2 * W + b] = -(s1 * V[o + W + b] + s2 * V[o + U3 * W + b])
                 J[o + U3 * W + b] = s1 * V[o + b] + s2 * V[o + U2 * W + b]
         else:
-            s0, s1, s2, s3, s4, s5 = shunt[k, 0], shunt[k, 1], shunt[k, 2], shunt[k, 4], shunt[k, 5], shunt[k, 8]
+            s0, s1, s2, s3, s4, s5 = (
+                sign * shunt[k, 0],
+                sign * shunt[k, 1],
+                sign * shunt[k, 2],
+                sign * shunt[k, 4],
+                sign * shunt[k, 5],
+                sign * shunt[k, 8],
+            )
             for b in range(W):
                 r0, i0, r1, i1 = V[o + b], V[o + W + b], V[o + U2 * W + b], V[o + U3 * W + b]
                 r2, i2 = V[o + U4 * W + b], V[o + U5 * W + b]
@@ -50,7 +57,7 @@ def shunt_currents(plan, wide, V, J):
 
 
 @numba.njit(inline="always")
-def _admittance(law, k, wide, V, i, j, H):
+def leg_admittance(law, k, wide, V, i, j, H):
     """Set H to h_p and h_q of a leg between the rows i and j of V: see ``grid.three_phase_legs``."""
     W = np.uint64(len(wide))
     rated_sq, z_p, i_p, c_p = law[k, 1], law[k, 2], law[k, 3], law[k, 4]
@@ -90,7 +97,7 @@ def load_currents(plan, wide, V, P, Q, H, J):
             for b in range(U2 * W):
                 H[b] = 1.0
         else:
-            _admittance(plan.leg_law, k, wide, V, i, j, H)
+            leg_admittance(plan.leg_law, k, wide, V, i, j, H)
         if plan.leg_ends[k, 1] == ground:
             for b in range(W):
                 p, q = P[at + b] * H[b], Q[at + b] * H[W + b]

@@ -1,0 +1,74 @@
+"""From weights of any leading shape to the compiled derivative and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.plan import plan_of
+from dcgrid_env.powerflow.unbalanced.sweep_adjoint import sweep_adjoint_lanes
+
+_NO_ROWS = np.empty((0, 0))
+
+
+def derivatives(
+    feeder: ThreePhaseFeeder,
+    given: tuple[Any, ...],
+    solved: tuple[Any, Any],
+    weights: tuple[Any, Any, Any, Sequence[Any]],
+    converged: Any,
+) -> tuple[Any, ...]:
+    """Derivatives of a weighted sum of a solution's figures by all that the sweep was given.
+
+    Parameters
+    ----------
+    feeder, given
+        What ``solve_batch`` was given.
+    solved
+        Its ``restart``, and its currents, real parts first, shape (..., 2 n_node).
+    weights
+        Those of v_pu (..., n_node), of ``solved`` and, in a sequence, of loss, source p and source q (...); None is 0.
+    converged
+        Which lanes have a solution; the others get 0.
+
+    Returns
+    -------
+    tuple
+        By p_kw, q_kvar, source_pu, ratio and state, in the shapes that they have in ``given``.
+    """
+    shape, n = converged.shape, feeder.n_node
+    n_lanes = converged.size
+    rows = tuple(_rows(a, n_lanes, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
+    solved = (_rows(solved[0], n_lanes, 2 * n), _rows(solved[1], n_lanes, 2 * n))
+    of_lane = np.zeros((3, n_lanes)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
+    for k, weight in enumerate(weights[3]):
+        if weight is not None:
+            of_lane[k] = weight.reshape(n_lanes)
+    widths = (n, 2 * n, 2 * n)
+    wide = [_NO_ROWS if w is None else _rows(w, n_lanes, width) for w, width in zip(weights[:3], widths, strict=True)]
+    out = tuple(np.zeros(a.shape) for a in rows)
+    plan, good = plan_of(feeder), np.ascontiguousarray(converged.reshape(n_lanes))
+
+    def part(first: int, last: int) -> int:
+        cut = slice(first, last)
+        of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_lane[:, cut]))
+        solved_part = (solved[0][cut], solved[1][cut])
+        sweep_adjoint_lanes(
+            plan, tuple(a[cut] for a in rows), solved_part, of_part, good[cut], tuple(a[cut] for a in out)
+        )
+        return 0
+
+    if n_lanes:
+        over_lanes(part, n_lanes)
+    return tuple(a.reshape((*shape, a.shape[-1]) if a.ndim == 2 else shape) for a in out)
+
+
+def _rows(values: Any, n_lanes: int, width: int | None) -> Any:
+    """(lane, width) or (lane,), float64, contiguous and writable: the one memory layout of the kernel."""
+    rows = values.reshape((n_lanes,) if width is None else (n_lanes, width))
+    good = rows.dtype == np.float64 and rows.flags.c_contiguous and rows.flags.writeable
+    return rows if good else np.array(rows, np.float64, order="C")

@@ -1,0 +1,74 @@
+"""A three-phase power flow linearised where it stands: how every voltage moves with every input.
+
+Figures are signed and go across phases: a load on one phase lowers its own voltage and may raise another's.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.solution import PowerFlowError
+from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
+from dcgrid_env.powerflow.unbalanced.three_phase_inputs import check_legs, control_inputs, source_voltage
+
+_TOLERANCE_PU = 1e-12
+FloatArray = NDArray[np.float64]
+
+
+class Linearised(NamedTuple):
+    """Derivatives of voltage magnitudes, row i the voltage at node i; power is *injected* at the devices' legs."""
+
+    by_p_pu_per_mw: FloatArray
+    """dV_i / dp_j, p.u. per MW injected from ground at node j, shape (n_node, n_node)."""
+    by_q_pu_per_mvar: FloatArray
+    """dV_i / dq_j, p.u. per Mvar injected from ground at node j, shape (n_node, n_node)."""
+    by_tap_pu: FloatArray
+    """dV_i / dtap_j, p.u. a tap, shape (n_node, n_regulator)."""
+    by_capacitor_pu: FloatArray
+    """dV_i / dstate_j, p.u. from off to on as the slope here has it, shape (n_node, n_capacitor)."""
+
+
+def linearise(
+    feeder: ThreePhaseFeeder,
+    p_kw: Any,
+    q_kvar: Any,
+    source_voltage_pu: float | None = None,
+    control: Control | None = None,
+) -> Linearised:
+    """Linearise one power flow, by the compiled derivative for the weight of each node.
+
+    Parameters
+    ----------
+    feeder, p_kw, q_kvar, source_voltage_pu, control
+        One power flow as :func:`solve_unbalanced` takes it, powers of shape (n_leg,), NumPy arrays.
+
+    Raises
+    ------
+    PowerFlowError
+        For what cannot be used, and for a power flow without a solution.
+    """
+    from dcgrid_env.powerflow.unbalanced.adjoint_batch import derivatives  # brings the compiler with it
+
+    solution = solve_unbalanced(feeder, p_kw, q_kvar, source_voltage_pu, control, tolerance_pu=_TOLERANCE_PU)
+    p_kw, q_kvar = check_legs(feeder, p_kw, q_kvar)
+    if p_kw.ndim != 1 or not solution.converged:
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: p_kw has shape {p_kw.shape} and converged is {solution.converged}; give one "
+            "power flow that has a solution"
+        )
+    source_pu = source_voltage(feeder, p_kw, source_voltage_pu)
+    q_kvar, ratio, state = control_inputs(feeder, q_kvar, control)
+    n, n_load = feeder.n_node, feeder.first_device_leg
+    given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
+    amperes = np.concatenate((solution.i_re_a, solution.i_im_a))
+    solved = tuple(np.broadcast_to(a, (n, 2 * n)) for a in (solution.restart, amperes))
+    d_p, d_q, _, d_ratio, d_state = derivatives(
+        feeder, given, solved, (np.eye(n), None, None, ()), np.ones(n, np.bool_)
+    )
+    step = np.array(feeder.network.regulator.tap_step)
+    return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:], d_ratio * step, d_state)

@@ -1,0 +1,113 @@
+"""The derivative of a solved sweep, compiled: what each input does to a weighted sum of the solution's figures.
+
+At the solution V_m = A V_n - B I_m and I_m = (currents of the legs at V_m) + sum of A^T I of what m feeds, and the
+derivative follows from these alone (the implicit function theorem). With a bar for the derivative of the weighted sum
+by a real and an imaginary part, and N the two by two real derivative of a bus's currents by its voltages,
+
+    vbar_m = weight of V + N^T ibar_m + sum over what m feeds of A^T vbar
+    ibar_m = weight of I + A ibar_n - conj(B) vbar_m
+
+which is the same sweep, with ibar for the voltage, vbar for the current, conjugated matrices and a source of zero.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
+    clear_inactive,
+    hand_over,
+    leg_derivatives,
+    legs_transposed,
+    load_weights,
+    weights_of_currents,
+)
+from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, go_down, shunt_currents
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
+
+SWEEPS = 400
+TOLERANCE = 1e-9
+"""Largest estimated error of ibar, as a share of its largest after the first sweep."""
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _transposed(plan, wide, N, off_on, G, Y, X):
+    """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
+    shunt_currents(plan, wide, -1.0, Y, X)
+    capacitor_currents(plan, wide, Y, off_on, X)
+    legs_transposed(plan, wide, N, G, Y, X)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
+    """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up."""
+    before, scale = np.ones(len(wide)), np.zeros(len(wide))
+    for k in range(Y.shape[0]):
+        Y[k] = 0.0
+    for sweep in range(SWEEPS):
+        _transposed(plan, wide, N, off_on, G, Y, X)
+        add_up(plan, wide, ratio, X)
+        go_down(plan, wide, -1.0, ratio, X, Y, T, off)
+        settled = sweep > 0
+        for b in range(count):
+            if sweep == 0:
+                scale[b] = off[b]
+            elif scale[b] > 0.0:
+                error = error_sq(off[b] / scale[b], before[b])
+                settled = settled and error <= TOLERANCE * TOLERANCE
+                before[b] = off[b] / scale[b]
+        if settled:
+            break
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _blocks(plan, wide, given, solved, weights, converged, out):
+    """Take the lanes through in blocks of the given width."""
+    width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
+    work = workspace(plan, wide)
+    V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
+    rows = 2 * (n_node + 4) * width
+    X, Y, G, K = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
+    N = np.zeros((n_node + plan.leg_is_z.shape[0]) * 4 * width)
+    loss = np.zeros(width)
+    off_on = np.empty_like(on)
+    nodes = np.arange(n_node).astype(np.uint64)
+    for first in range(0, n_lanes, width):
+        count = min(width, n_lanes - first)
+        for b in range(width):
+            lane = first + min(b, count - 1)
+            load_lane(b, lane, plan, wide, given, nodes, n_node, work)
+        for k in range(on.shape[0]):
+            off_on[k] = -on[k]
+        has_currents = load_weights(first, count, plan, wide, solved, weights, V, J, G, loss)
+        clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, loss)
+        leg_derivatives(plan, wide, V, P, Q, DP, DQ, N)
+        if has_currents:  # what they weigh goes down the tree once, and from there through the legs
+            for k in range(K.shape[0]):
+                X[k] = 0.0
+            weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K)
+            _transposed(plan, wide, N, off_on, G, K, X)
+            for k in range(2 * n_node * width):
+                G[k] = X[k]
+        _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off)
+        if has_currents:
+            for k in range(2 * n_node * width):
+                Y[k] += K[k]
+        hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def sweep_adjoint_lanes(plan, given, solved, weights, converged, out):
+    """Fill ``out`` with derivatives of sum(weights * figures).
+
+    ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
+    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
+    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
+    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
+    """
+    if converged.shape[0] <= FEW:
+        _blocks(plan, ONE, given, solved, weights, converged, out)
+    else:
+        _blocks(plan, WIDE, given, solved, weights, converged, out)
