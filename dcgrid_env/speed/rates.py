@@ -23,6 +23,7 @@ from dcgrid_env.speed.environment_rates import environment_rows, memory_row
 from dcgrid_env.speed.measuring import Row
 from dcgrid_env.speed.power_flow_rates import Case, power_flow_rows, reference_rows
 from dcgrid_env.speed.tensors import tensor_rows
+from dcgrid_env.speed.three_phase_rates import ThreePhaseCase, three_phase_reference_rows, three_phase_rows
 
 PACKAGES = ("torch", "pandapower", "power-grid-model", "lightsim2grid", "OpenDSSDirect.py", "dss_python_backend")
 
@@ -60,9 +61,12 @@ def measure(cfg: Speed) -> Iterator[Row]:
     yield from tensors
     case = Case.draw(scenario, cfg.feeders)
     yield from power_flow_rows(case, cfg.seconds)
+    three_phase = ThreePhaseCase.draw(cfg.feeders)
+    yield from three_phase_rows(three_phase, cfg.seconds)
     yield memory_row(cfg.scenario, cfg.memory_num_envs)
     if cfg.reference_solvers:
         yield from reference_rows(case, cfg.seconds)
+        yield from three_phase_reference_rows(three_phase, cfg.seconds)
 
 
 def about() -> dict[str, Any]:

@@ -7,10 +7,10 @@ import pytest
 
 from dcgrid_env import ThreePhaseFeeder, load_feeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
+from dcgrid_env.speed.opendss_circuit import OpenDss
 from helpers.feeders import THREE_PHASE
 
 pytest.importorskip("dss", reason="OpenDSSDirect.py is not installed (the extra test has it)")
-from helpers.opendss_circuit import OpenDss
 
 POINTS, HEAVY = 200, 50
 V_PU, KW = 1e-6, 1e-2

@@ -1,4 +1,7 @@
-"""A three-phase feeder's own tables as a circuit of OpenDSS, solved at points of our choice. A test-only dependency."""
+"""A three-phase feeder's own tables as a circuit of OpenDSS, to check figures and speed against.
+
+The library comes with the extras ``bench`` and ``test`` and is imported when a circuit is made.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ _NODES = {"a": 1, "b": 2, "c": 3}
 _WIRES = {"wye": (".1", ".2", ".3"), "delta": (".1.2", ".2.3", ".3.1")}
 _MODELS = {"PQ": 1, "Z": 2, "CVR": 4, "I": 5, "ZIP": 8}
 TOLERANCE = 1e-10
+"""What OpenDSS is asked to reach unless told otherwise, p.u. of voltage."""
 
 
 def _wires(phases: str) -> str:
@@ -27,8 +31,8 @@ def _matrix(values: Any, phases: str) -> str:
 class OpenDss:
     """One circuit; ``solve`` sets loads, taps and capacitors and hands over voltages and totals."""
 
-    def __init__(self, feeder: ThreePhaseFeeder):
-        from dss import DSS
+    def __init__(self, feeder: ThreePhaseFeeder, tolerance: float = TOLERANCE):
+        from dss import DSS  # pyright: ignore[reportMissingImports]  (in the bench and test extras only)
 
         self.dss, self.feeder, network = DSS.NewContext(), feeder, feeder.network
         text = self.dss.Text
@@ -37,7 +41,7 @@ class OpenDss:
         bases = sorted({round(float(kv) * math.sqrt(3.0), 9) for kv in feeder.base_kv_ln})
         text.Command = f"Set VoltageBases={bases}"
         text.Command = "CalcVoltageBases"
-        for line in (f"Set Tolerance={TOLERANCE}", "Set MaxIterations=300", "Set ControlMode=OFF", "Set Mode=Snap"):
+        for line in (f"Set Tolerance={tolerance}", "Set MaxIterations=300", "Set ControlMode=OFF", "Set Mode=Snap"):
             text.Command = line
         self._names = [str(n).lower() for n in self.dss.ActiveCircuit.AllNodeNames]
         of_node = {name: k for k, name in enumerate(self._names)}
@@ -155,13 +159,18 @@ class OpenDss:
             circuit.Capacitors.Name = f"leg{leg}"
             circuit.Capacitors.States = [int(state[row])]
 
+    def solve_again(self) -> None:
+        """Solve what is set, from the voltages of the last solution; RuntimeError without one."""
+        solution = self.dss.ActiveCircuit.Solution
+        solution.Solve()
+        if not solution.Converged:
+            raise RuntimeError(f"OpenDSS found no power flow on feeder {self.feeder.name!r}")
+
     def solve(self, *point: Any) -> tuple[np.ndarray, float, float, float]:
         """Complex voltages, p.u., by node, loss and source power, kW and kvar; RuntimeError without a solution."""
         self.set_point(*point)
+        self.solve_again()
         circuit, feeder = self.dss.ActiveCircuit, self.feeder
-        circuit.Solution.Solve()
-        if not circuit.Solution.Converged:
-            raise RuntimeError("OpenDSS found no solution")
         volts = np.array(circuit.AllBusVolts).view(np.complex128)[self._order]
         power = np.array(circuit.TotalPower)[:2]
         loss = np.array(circuit.Losses).ravel()[0] / 1e3
