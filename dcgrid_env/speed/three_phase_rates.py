@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from time import perf_counter
 from typing import Any
@@ -103,11 +104,46 @@ def _derivative_row(case: ThreePhaseCase, label: str, seconds: float) -> Row:
 
 
 def three_phase_reference_rows(case: ThreePhaseCase, seconds: float) -> Iterator[Row]:
-    """OpenDSS's Solve alone on the same points."""
-    name = f"OpenDSS, Solve alone, {case.feeder.name}"
-    if find_spec("dss") is None:
+    """OpenDSS's Solve alone on the same points; power-grid-model's asymmetric batch on a plain feeder, beside ours."""
+    yield _opendss_row(case, seconds)
+    name = f"power-grid-model, asymmetric, plain {case.feeder.name}"
+    if find_spec("power_grid_model") is None:
         yield Row(name, None, MISSING)
         return
+    from dcgrid_env.speed.three_phase_grid_model import plain_feeder, power_grid_model_batch
+
+    plain = plain_feeder(case.feeder)
+    p_kw, q_kvar = _at_first_nodes(case, plain)
+    n, exact = len(p_kw), solve_unbalanced(plain, p_kw, q_kvar, tolerance_pu=EXACT_PU).v_pu
+    theirs = power_grid_model_batch(plain)
+    for one, solve in ((name, theirs), (f"three-phase sweep, plain {case.feeder.name}", partial(_voltages, plain))):
+        error = float(np.abs(solve(p_kw, q_kvar) - exact).max())
+        yield Row(f"{one}, {n} points", rate(partial(solve, p_kw, q_kvar), n, seconds), "power flows/s", error)
+
+
+def _voltages(feeder: ThreePhaseFeeder, p_kw: FloatArray, q_kvar: FloatArray) -> FloatArray:
+    return solve_unbalanced(feeder, p_kw, q_kvar).v_pu
+
+
+def _at_first_nodes(case: ThreePhaseCase, plain: ThreePhaseFeeder) -> tuple[FloatArray, FloatArray]:
+    """Powers of a plain feeder's legs: each load's leg from its first node to ground, four fifths of it."""
+    feeder, n_load = case.feeder, case.feeder.first_device_leg
+    to = [plain.nodes_of(feeder.bus_ids[feeder.node_bus[k]])[0] for k in feeder.load_legs.node]
+    first = [feeder.first_node[feeder.node_bus[k]] for k in feeder.load_legs.node]
+    to = np.array(to) + feeder.load_legs.node - np.array(first)
+    powers = np.zeros((2, len(case.p_kw), plain.n_leg))
+    for out, values in zip(powers, (case.p_kw, case.q_kvar), strict=True):
+        for leg, node in enumerate(to):
+            out[:, node] += 0.8 * values[:, leg]
+    assert plain.first_device_leg == 0
+    assert n_load == len(to)
+    return powers[0], powers[1]
+
+
+def _opendss_row(case: ThreePhaseCase, seconds: float) -> Row:
+    name = f"OpenDSS, Solve alone, {case.feeder.name}"
+    if find_spec("dss") is None:
+        return Row(name, None, MISSING)
     from dcgrid_env.speed.opendss_circuit import OpenDss
 
     circuit, points = OpenDss(case.feeder, OPENDSS_PU), [case.point(k) for k in range(min(SINGLES, len(case.p_kw)))]
@@ -118,4 +154,4 @@ def three_phase_reference_rows(case: ThreePhaseCase, seconds: float) -> Iterator
         start = perf_counter()
         circuit.solve_again()
         spent.append(perf_counter() - start)
-    yield Row(name, 1.0 / float(np.median(spent)), "power flows/s", error)
+    return Row(name, 1.0 / float(np.median(spent)), "power flows/s", error)

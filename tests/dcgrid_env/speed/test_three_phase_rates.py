@@ -20,17 +20,19 @@ def test_every_rate_has_its_error(case):
     assert case.error_pu(case.v_pu[:3] + 1e-3) == pytest.approx(1e-3)
 
 
-def test_opendss_solves_the_same_points(case):
-    pytest.importorskip("dss", reason="OpenDSSDirect.py is not installed (the extra test has it)")
-    (row,) = three_phase_reference_rows(case, 0.01)
-    assert row.error_pu is not None
-    assert row.error_pu < 1e-6
+def test_other_libraries_solve_the_same_points(case):
+    for module in ("dss", "power_grid_model"):
+        pytest.importorskip(module, reason=f"{module} is not installed (the extra bench has it)")
+    rows = list(three_phase_reference_rows(case, 0.01))
+    assert len(rows) == 3
+    for row in rows:
+        assert row.error_pu is not None
+        assert row.error_pu < 1e-6
 
 
 def test_a_library_that_is_not_installed_is_said_to_be(case, monkeypatch):
     monkeypatch.setattr("dcgrid_env.speed.three_phase_rates.find_spec", lambda name: None)
-    (row,) = three_phase_reference_rows(case, 0.01)
-    assert (row.value, row.unit) == (None, MISSING)
+    assert [(row.value, row.unit) for row in three_phase_reference_rows(case, 0.01)] == [(None, MISSING)] * 2
 
 
 def test_points_are_the_same_at_each_call(case):
