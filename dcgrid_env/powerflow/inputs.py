@@ -12,6 +12,7 @@ from array_api_compat import is_array_api_obj
 
 from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 
@@ -47,7 +48,7 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
     return p_kw, q_kvar
 
 
-def substation_voltage(feeder: Feeder, p_kw: Array, v0_pu: Any) -> Array:
+def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: Any) -> Array:
     """``v0_pu`` (the feeder's own if None) with the loads' kind and leading shape; PowerFlowError unless positive."""
     v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
     if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray) and 0.0 < v0_pu < np.inf:
@@ -116,7 +117,7 @@ def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:
         )
 
 
-def figures(feeder: Feeder, name: str, values: Any) -> Array:
+def figures(feeder: Feeder | ThreePhaseFeeder, name: str, values: Any) -> Array:
     """Take an argument as an array of real numbers, NumPy's unless it is of another library; PowerFlowError else."""
     if isinstance(values, np.ma.MaskedArray):
         raise PowerFlowError(

@@ -157,7 +157,7 @@ class OpenDss:
                 circuit.Transformers.Tap = float(tap_ratio[row])
         for leg, row in enumerate(feeder.capacitor_legs.row):
             circuit.Capacitors.Name = f"leg{leg}"
-            circuit.Capacitors.States = [int(state[row])]
+            circuit.Capacitors.States = [int(state[row])]  # pyright: ignore[reportAttributeAccessIssue]
 
     def solve_again(self) -> None:
         """Solve what is set, from the voltages of the last solution; RuntimeError without one."""

@@ -85,7 +85,7 @@ def power_grid_model_batch(feeder: ThreePhaseFeeder) -> Callable[[FloatArray, Fl
             by_phase = np.zeros((len(p_kw), n, 3))
             by_phase[:, feeder.node_bus, phase] = values * 1e3
             update[field] = by_phase
-        found = model.calculate_power_flow(
+        found: Any = model.calculate_power_flow(
             symmetric=False,
             update_data={"asym_load": update},
             threading=n_threads(),

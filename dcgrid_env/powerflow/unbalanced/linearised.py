@@ -66,7 +66,7 @@ def linearise(
     n, n_load = feeder.n_node, feeder.first_device_leg
     given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
     amperes = np.concatenate((solution.i_re_a, solution.i_im_a))
-    solved = tuple(np.broadcast_to(a, (n, 2 * n)) for a in (solution.restart, amperes))
+    solved = (np.broadcast_to(solution.restart, (n, 2 * n)), np.broadcast_to(amperes, (n, 2 * n)))
     d_p, d_q, _, d_ratio, d_state = derivatives(
         feeder, given, solved, (np.eye(n), None, None, ()), np.ones(n, np.bool_)
     )

@@ -27,6 +27,7 @@ def test_shipped_tables_are_the_published_ones(feeder):
 def test_a_feeder_comes_back_from_its_folder_its_tables_and_a_pickle(feeder, tmp_path):
     feeder.to_csv(tmp_path / "a")
     again = read_feeder(tmp_path / "a")
+    assert isinstance(again, ThreePhaseFeeder)
     again.to_csv(tmp_path / "b")
     for file in sorted((tmp_path / "a").iterdir()):
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -127,7 +128,7 @@ def three_phase_of(feeder):
     kv_ln, n = feeder.base_kv / math.sqrt(3.0), feeder.n_bus
     names = [f"{k}" for k in range(n - 1)]
 
-    def diagonal(values):
+    def diagonal(values) -> list[Any]:
         return [np.diag([value] * 3) for value in values.tolist()]
 
     def thirds(values):
@@ -189,7 +190,7 @@ def test_two_nodes_by_hand(p_kw, q_kvar):
     feeder = two_nodes(r, x)
     powers = np.zeros((2, feeder.n_leg))
     powers[:, -1] = p_kw, q_kvar
-    solution = solve_unbalanced(feeder, *powers, tolerance_pu=1e-12)
+    solution = solve_unbalanced(feeder, powers[0], powers[1], tolerance_pu=1e-12)
     assert solution.v_pu == pytest.approx([1.0, 1.0, 1.0, v_pu], abs=1e-10)
     assert solution.i_a[3] == pytest.approx(math.hypot(p_kw, q_kvar) / v_pu, abs=1e-6)
     assert solution.loss_kw == pytest.approx(r * (p * p + q * q) / v_pu**2 * 1e3, abs=1e-6)
