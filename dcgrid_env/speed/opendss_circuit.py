@@ -29,12 +29,13 @@ def _matrix(values: Any, phases: str) -> str:
 
 
 class OpenDss:
-    """One circuit; ``solve`` sets loads, taps and capacitors and hands over voltages and totals."""
+    """One circuit, with or without a load for each device's leg; ``solve`` hands over voltages and totals."""
 
-    def __init__(self, feeder: ThreePhaseFeeder, tolerance: float = TOLERANCE):
+    def __init__(self, feeder: ThreePhaseFeeder, tolerance: float = TOLERANCE, has_devices: bool = True):
         from dss import DSS  # pyright: ignore[reportMissingImports]  (in the bench and test extras only)
 
         self.dss, self.feeder, network = DSS.NewContext(), feeder, feeder.network
+        self._n_leg = feeder.n_leg if has_devices else feeder.first_device_leg
         text = self.dss.Text
         for line in ("Clear", *self._source(network), *self._branches(network), *self._injections(network)):
             text.Command = line
@@ -124,7 +125,7 @@ class OpenDss:
                 f"kv={table.leg_kv[row]!r} kw=0 kvar=0 model={_MODELS[table.model[row]]} "
                 f"vminpu={table.vmin_pu[row]!r} vmaxpu={table.vmax_pu[row]!r} vlowpu={table.vlow_pu[row]!r}{shares}"
             )
-        for node in range(feeder.n_node):
+        for node in range(self._n_leg - feeder.first_device_leg):
             bus = feeder.node_bus[node]
             out.append(
                 f"New Load.device{node} bus1={feeder.bus_ids[bus]}.{feeder.node_phase[node]} phases=1 conn=wye "
@@ -147,7 +148,7 @@ class OpenDss:
         circuit.Vsources.Name = "source"
         circuit.Vsources.pu = float(source_pu)
         loads, first = circuit.Loads, feeder.first_device_leg
-        for leg in range(feeder.n_leg):
+        for leg in range(self._n_leg):
             loads.Name = f"leg{leg}" if leg < first else f"device{leg - first}"
             loads.kW, loads.kvar = float(p_kw[leg]), float(q_kvar[leg])
         for row, name in enumerate(feeder.network.regulator.name):

@@ -146,7 +146,8 @@ def _opendss_row(case: ThreePhaseCase, seconds: float) -> Row:
         return Row(name, None, MISSING)
     from dcgrid_env.speed.opendss_circuit import OpenDss
 
-    circuit, points = OpenDss(case.feeder, OPENDSS_PU), [case.point(k) for k in range(min(SINGLES, len(case.p_kw)))]
+    circuit = OpenDss(case.feeder, OPENDSS_PU, has_devices=False)
+    points = [case.point(k) for k in range(min(SINGLES, len(case.p_kw)))]
     error = case.error_pu([np.abs(circuit.solve(*point)[0]) for point in points])
     spent, turns, until = [], itertools.cycle(points), perf_counter() + seconds
     while perf_counter() < until:

@@ -90,14 +90,16 @@ def _by_lane(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, widt
 
 
 def _check_ratios(feeder: ThreePhaseFeeder, ratio: Array) -> None:
-    table = feeder.network.regulator
-    step = np.array(table.tap_step)
-    low, high = (
-        1.0 + step * (np.array(end) + side * _ROUNDING) for end, side in ((table.tap_min, -1), (table.tap_max, 1))
-    )
-    if str(ratio.dtype).endswith("float32"):
-        low, high = low - 1e-6, high + 1e-6
+    low, high = _ratio_limits(feeder, str(ratio.dtype).endswith("float32"))
     _check_range(feeder, "regulator", "tap_ratio", ratio, low, high)
+
+
+@cached_on_owner
+def _ratio_limits(feeder: ThreePhaseFeeder, is_single: bool) -> tuple[Any, Any]:
+    table, slack = feeder.network.regulator, 1e-6 if is_single else 0.0
+    step = np.array(table.tap_step)
+    low = 1.0 + step * (np.array(table.tap_min) - _ROUNDING) - slack
+    return low, 1.0 + step * (np.array(table.tap_max) + _ROUNDING) + slack
 
 
 def _check_range(feeder: ThreePhaseFeeder, kind: str, field: str, values: Array, low: Any, high: Any) -> None:
