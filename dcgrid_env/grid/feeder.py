@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.core.units import impedance_base_ohm
+from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
 from dcgrid_env.grid.formats.folder_kind import is_three_phase
 from dcgrid_env.grid.network import (
@@ -40,7 +41,7 @@ def _read_only(array: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Feeder:
+class Feeder(OneNodeABus):
     """A radial feeder. Every array over buses follows ``bus_ids``; branch ``k`` feeds bus ``k + 1``.
 
     Make one with :meth:`from_tables`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it and turn
@@ -208,35 +209,9 @@ class Feeder:
         """Number of branches, one for each bus but the substation."""
         return len(self.parent)
 
-    @property
-    def n_node(self) -> int:
-        """Number of nodes. A node is a phase of a bus; a balanced feeder has one at each bus, in ``bus_ids``' order."""
-        return len(self.bus_ids)
-
-    @cached_property
-    def node_bus(self) -> IntArray:
-        """Position in ``bus_ids`` of each node's bus, shape (n_node,)."""
-        return _read_only(np.arange(self.n_node, dtype=np.intp))
-
-    @cached_property
-    def node_phase(self) -> IntArray:
-        """Phase of each node, shape (n_node,): 0, which stands for the positive sequence of a balanced feeder."""
-        return _read_only(np.zeros(self.n_node, dtype=np.intp))
-
-    @cached_property
-    def source_nodes(self) -> IntArray:
-        """Nodes of the substation, where the voltage is given."""
-        return _read_only(np.flatnonzero(self.node_bus == 0))
-
-    @cached_property
-    def load_nodes(self) -> IntArray:
-        """All other nodes, where the voltage follows from the loads: those that voltages are judged at."""
-        return _read_only(np.flatnonzero(self.node_bus != 0))
-
-    @cached_property
-    def load_slice(self) -> slice:
-        """``load_nodes`` as a slice of an axis over nodes, which takes them without a copy: the source's come first."""
-        return slice(len(self.source_nodes), None)
+    def scaled(self, r_share: float, x_share: float) -> Feeder:
+        """This feeder with every line's resistance and reactance times a share."""
+        return replace(self, r_ohm=r_share * self.r_ohm, x_ohm=x_share * self.x_ohm)
 
     def index(self, bus: BusId) -> int:
         """Position of a bus, given as text or a whole number, in ``bus_ids``; FeederError where there is none."""

@@ -3,37 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
-from dcgrid_env.grid.network import BusId, Network, bus_text
+from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import check_three_phase
 from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
-from dcgrid_env.grid.three_phase_tree import Tree, three_phase_tree
-from dcgrid_env.grid.topology import FeederError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
 
 __all__ = ["ThreePhaseFeeder"]
 
 
-def _read_only(values: Any, dtype: Any = np.float64) -> Any:
-    array = np.array(values, dtype)
-    array.flags.writeable = False
-    return array
-
-
 @dataclass(frozen=True, eq=False)
-class ThreePhaseFeeder:
+class ThreePhaseFeeder(PhaseNodes):
     """A radial feeder of one, two and three phases. A *node* is a phase of a bus, the phases of a bus adjacent.
 
     Make one with :meth:`from_network`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it. Every array
@@ -98,11 +87,6 @@ class ThreePhaseFeeder:
         return fields_alone(self)
 
     @property
-    def name(self) -> str:
-        """The feeder's name."""
-        return self.network.name
-
-    @property
     def v0_pu(self) -> float:
         """Voltage of the ideal source behind the source's impedance, p.u."""
         return float(self.network.source.v_pu[0])
@@ -110,126 +94,16 @@ class ThreePhaseFeeder:
     @cached_property
     def source_angle_deg(self) -> FloatArray:
         """Angles of the ideal source's phases a, b, c, shape (3,)."""
-        return _read_only(self.network.source.angle_deg[0] - np.array([0.0, 120.0, 240.0]))
+        return read_only(self.network.source.angle_deg[0] - np.array([0.0, 120.0, 240.0]))
 
-    @cached_property
-    def _tree(self) -> Tree:
-        return three_phase_tree(self.network)
-
-    @property
-    def bus_ids(self) -> tuple[str, ...]:
-        """Bus names, as text, depth first from the source bus."""
-        return self._tree.bus_ids
-
-    @property
-    def bus_phases(self) -> tuple[str, ...]:
-        """The phases of each bus, a text such as ``"abc"`` or ``"b"``."""
-        return self._tree.phases
-
-    @property
-    def n_bus(self) -> int:
-        """Number of buses, the source bus among them."""
-        return len(self.bus_ids)
-
-    @property
-    def n_branch(self) -> int:
-        """Number of branches, one for each bus but the source bus."""
-        return len(self.bus_ids) - 1
-
-    @cached_property
-    def n_node(self) -> int:
-        """Number of nodes: the phases of all buses."""
-        return sum(map(len, self.bus_phases))
-
-    @cached_property
-    def parent(self) -> IntArray:
-        """Position in ``bus_ids`` of the bus at the sending end of branch k, shape (n_branch,)."""
-        return _read_only(self._tree.parent, np.intp)
-
-    @cached_property
-    def first_node(self) -> IntArray:
-        """First node of each bus, and ``n_node`` at the end, shape (n_bus + 1,)."""
-        return _read_only(np.cumsum([0, *map(len, self.bus_phases)]), np.intp)
-
-    @cached_property
-    def node_bus(self) -> IntArray:
-        """Position in ``bus_ids`` of each node's bus, shape (n_node,)."""
-        return _read_only(np.repeat(np.arange(self.n_bus), np.diff(self.first_node)), np.intp)
-
-    @cached_property
-    def node_phase(self) -> IntArray:
-        """Phase of each node, shape (n_node,): 1, 2, 3 for a, b, c."""
-        return _read_only(["abc".index(phase) + 1 for phases in self.bus_phases for phase in phases], np.intp)
-
-    @cached_property
-    def node_parent(self) -> IntArray:
-        """Node of the same phase at the bus that feeds each node's, shape (n_node,); -1 at the source bus."""
-        found = [-1] * len(self.bus_phases[0])
-        for i in range(1, self.n_bus):
-            sender = self.parent[i - 1]
-            found += [self.first_node[sender] + self.bus_phases[sender].index(p) for p in self.bus_phases[i]]
-        return _read_only(found, np.intp)
-
-    @cached_property
-    def source_nodes(self) -> IntArray:
-        """Nodes of the source bus. Its voltage is not held: the ideal source stands behind an impedance."""
-        return _read_only(np.flatnonzero(self.node_bus == 0), np.intp)
-
-    @cached_property
-    def load_nodes(self) -> IntArray:
-        """All other nodes: those that voltages are judged at."""
-        return _read_only(np.flatnonzero(self.node_bus != 0), np.intp)
-
-    @cached_property
-    def load_slice(self) -> slice:
-        """``load_nodes`` as a slice of an axis over nodes, which takes them without a copy: the source's come first."""
-        return slice(len(self.source_nodes), None)
-
-    def index(self, bus: BusId) -> int:
-        """Position of a bus, given as text or a whole number, in ``bus_ids``; FeederError where there is none."""
-        try:
-            return self._index[bus_text(bus)]
-        except KeyError:
-            raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
-
-    def nodes_of(self, bus: BusId) -> tuple[int, ...]:
-        """The nodes of a bus in the order of their phases; FeederError for a bus that there is not."""
-        i = self.index(bus)
-        return tuple(range(self.first_node[i], self.first_node[i + 1]))
-
-    @cached_property
-    def _index(self) -> dict[str, int]:
-        return {bus: i for i, bus in enumerate(self.bus_ids)}
-
-    @cached_property
-    def _nodes_by_phase(self) -> dict[str, dict[str, int]]:
-        return {
-            bus: {phase: int(self.first_node[i]) + k for k, phase in enumerate(self.bus_phases[i])}
-            for i, bus in enumerate(self.bus_ids)
-        }
-
-    @property
-    def _bases(self) -> dict[str, float]:
-        return dict(zip(self.bus_ids, self.base_kv_ln.tolist(), strict=True))
-
-    def _by_bus(self, values: Sequence[float]) -> FloatArray:
-        of_bus = dict(zip(self.network.node.bus, values, strict=True))
-        return _read_only([of_bus[bus] for bus in self.bus_ids])
-
-    @cached_property
-    def base_kv_ln(self) -> FloatArray:
-        """Line-to-neutral base voltage of each bus, kV, shape (n_bus,)."""
-        return self._by_bus(self.network.node.base_kv_ln)
-
-    @cached_property
-    def x(self) -> FloatArray:
-        """Coordinate of each bus in the one-line diagram, shape (n_bus,), NaN where none is published."""
-        return self._by_bus(self.network.node.x)
-
-    @cached_property
-    def y(self) -> FloatArray:
-        """Coordinate of each bus in the one-line diagram, shape (n_bus,), NaN where none is published."""
-        return self._by_bus(self.network.node.y)
+    def scaled(self, r_share: float, x_share: float) -> ThreePhaseFeeder:
+        """This feeder with every line's resistances and reactances times a share."""
+        line = self.network.phase_line
+        r_ohm, x_ohm = (
+            tuple(tuple(tuple(share * z for z in row) for row in matrix) for matrix in matrices)
+            for share, matrices in ((r_share, line.r_ohm), (x_share, line.x_ohm))
+        )
+        return self.from_network(replace(self.network, phase_line=replace(line, r_ohm=r_ohm, x_ohm=x_ohm)))
 
     @cached_property
     def branches(self) -> Branches:
@@ -259,17 +133,22 @@ class ThreePhaseFeeder:
     @cached_property
     def leg_bus(self) -> IntArray:
         """Position in ``bus_ids`` of the bus of each leg, shape (n_leg,)."""
-        return _read_only(np.concatenate((self.load_legs.bus, self.node_bus)), np.intp)
+        return read_only(np.concatenate((self.load_legs.bus, self.node_bus)), np.intp)
+
+    @cached_property
+    def leg_node(self) -> IntArray:
+        """Node of each leg, the first of its two where it joins two, shape (n_leg,)."""
+        return read_only(np.concatenate((self.load_legs.node, np.arange(self.n_node))), np.intp)
 
     @cached_property
     def p_load_kw(self) -> FloatArray:
         """Active power of each leg at its rated voltage in the base case, kW, shape (n_leg,); devices draw nothing."""
-        return _read_only(np.concatenate((self.load_legs.p_kw, np.zeros(self.n_node))))
+        return read_only(np.concatenate((self.load_legs.p_kw, np.zeros(self.n_node))))
 
     @cached_property
     def q_load_kvar(self) -> FloatArray:
         """Reactive power of each leg at its rated voltage in the base case, kvar, shape (n_leg,)."""
-        return _read_only(np.concatenate((self.load_legs.q_kvar, np.zeros(self.n_node))))
+        return read_only(np.concatenate((self.load_legs.q_kvar, np.zeros(self.n_node))))
 
     @property
     def n_regulator(self) -> int:
@@ -279,7 +158,7 @@ class ThreePhaseFeeder:
     @cached_property
     def base_tap(self) -> FloatArray:
         """Tap of each regulator in the base case, shape (n_regulator,)."""
-        return _read_only(self.network.regulator.tap)
+        return read_only(self.network.regulator.tap)
 
     def tap_ratio(self, tap: Any) -> Any:
         """Voltage ratio of each regulator at the given taps, shape (..., n_regulator), an array of the given kind."""
@@ -296,7 +175,7 @@ class ThreePhaseFeeder:
     @cached_property
     def base_capacitor_on(self) -> FloatArray:
         """1 for a capacitor bank that is on in the base case, 0 for one that is off, shape (n_capacitor,)."""
-        return _read_only([state == "on" for state in self.network.capacitor.state])
+        return read_only([state == "on" for state in self.network.capacitor.state])
 
 
 def _frozen(arrays: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -77,7 +78,7 @@ class FeederMap:
 
     def _draw_network(self, few: bool) -> None:
         ax, feeder, xy = self.ax, self.feeder, self.xy
-        share = feeder.path.T @ feeder.p_load_kw
+        share = _fed_through(feeder)
         width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
         segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
         ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
@@ -246,3 +247,11 @@ def draw_feeder(
     drawn.place(dc_buses, inv_buses)
     drawn.update(v_pu, clock_share, backlog_s)
     return drawn
+
+
+def _fed_through(feeder: Any) -> np.ndarray:
+    """Base load that each branch feeds, kW, (n_branch,)."""
+    total = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
+    for bus in feeder.depth_first.order[:0:-1]:
+        total[feeder.parent[bus - 1]] += total[bus]
+    return total[1:]
