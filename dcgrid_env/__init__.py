@@ -3,6 +3,7 @@
 from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
+from dcgrid_env.engine.connections import nodes_by_bus, sensitivity_between_agents, sensitivity_to_agents
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
@@ -14,6 +15,7 @@ from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.powerflow import (
+    Control,
     PowerFlowError,
     Sensitivity,
     Solution,
@@ -21,6 +23,7 @@ from dcgrid_env.powerflow import (
     lindistflow,
     own_sensitivity,
     sensitivity,
+    solver_for,
 )
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
@@ -43,6 +46,7 @@ __all__ = [
     "ActionError",
     "ActionLayout",
     "Background",
+    "Control",
     "Cost",
     "CostWeights",
     "DataCenters",
@@ -80,12 +84,16 @@ __all__ = [
     "lindistflow",
     "load_feeder",
     "make_scenario",
+    "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
     "read_feeder",
     "register_device",
     "scenario_hash",
     "sensitivity",
+    "sensitivity_between_agents",
+    "sensitivity_to_agents",
+    "solver_for",
 ]
 
 _register()

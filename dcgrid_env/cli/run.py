@@ -78,7 +78,8 @@ class Run(Command):
         console.print(summed_up.rich(console.width, fixed=2))
         for note in summed_up.notes:
             console.print(note)
-        console.print(linear_difference(scenario, seeds))
+        if scenario.power_flow == "distflow":
+            console.print(linear_difference(scenario, seeds))
         for line in tuned_from(names, scenario, self.tuned):
             console.print(line)
         for name, controller in controllers.items():

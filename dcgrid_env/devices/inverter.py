@@ -12,6 +12,7 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
+from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.grid import buses_as_text
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
@@ -39,12 +40,16 @@ class Inverters(PickledByFields):
     1, one for t = 0 and one for each step (storage following a schedule; negative charges). Plain form: "pv", a list of
     shares, or a recording's name or file.
     """
+    phases: Phases | None = None
+    """Phases of a three-phase feeder that an inverter feeds in equal parts, such as "abc" or "b"; by default all that
+    its bus has."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, injection=_injection)
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
         check_rating(self, "s_rated_kva", self.count)
+        check_phases(self, self.count)
         if isinstance(self.injection, tuple):
             wrong = [share for share in self.injection if not is_number(share) or not -1 <= share <= 1]
             if wrong:

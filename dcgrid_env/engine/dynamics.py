@@ -13,15 +13,17 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import Parameters, parameters
-from dcgrid_env.engine.state import Exogenous, State
-from dcgrid_env.powerflow import Control, Solution, Solver, solver_for
+from dcgrid_env.engine.state import Exogenous, State, ThreePhaseState
+from dcgrid_env.grid import Feeder
+from dcgrid_env.powerflow import Control, Solution, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solution]:
     """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power."""
     params = parameters(scenario, exogenous.p_load_kw)
-    v = 0.0 * exogenous.p_load_kw + scenario.source_voltage_pu
+    feeder = scenario.feeder
+    v = 0.0 * exogenous.p_load_kw[..., : feeder.n_node] + scenario.source_voltage_pu
     agents = 0.0 * (exogenous.p_load_kw[..., :1] + params.p_scale_kw)
     cuts = device_slices(scenario)
     devices = tuple(
@@ -31,7 +33,10 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
     setpoints = tuple(
         tuple(agents[..., cut] + rest for rest in of_device) for of_device, cut in zip(params.rest, cuts, strict=True)
     )
-    before = State(v, v, agents, agents, None, agents, agents, agents, devices)
+    phases = None
+    if not isinstance(feeder, Feeder):
+        phases = ThreePhaseState(0.0 * v, 0.0 * v, agents, agents, 0.0 * v[..., : len(three_phase_nodes(feeder))])
+    before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
 
@@ -89,24 +94,29 @@ def _step(
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
-    nodes = exogenous.nodes
     p_net, q_net = _net_loads(exogenous, p_agent, q_agent)
-    control = _control(scenario, params.devices, devices, exogenous) if changing else None
+    changed = changing or exogenous.capacitor_on is not None
+    control = _control(scenario, params.devices, devices, exogenous) if changed else None
     solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
-    v, restart = solution.v_pu, solution.restart
+    v, restart, phases = solution.v_pu, solution.restart, None
+    if state.three_phase is not None:
+        phases = _by_phase(scenario.feeder, solution, exogenous.nodes)
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
+        if phases is not None and state.three_phase is not None:
+            phases = ThreePhaseState(*(xp.where(solved, *both) for both in zip(phases, state.three_phase, strict=True)))
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
-        v_agent_pu=from_nodes(v, nodes),
+        v_agent_pu=from_nodes(v, exogenous.nodes),
         v_agent_last_pu=state.v_agent_pu,
         restart=restart,
         p_kw=p_agent,
         q_kvar=q_agent,
         q_limit_kvar=q_limit,
         devices=tuple(devices),
+        three_phase=phases,
     ), solution
 
 
@@ -124,12 +134,12 @@ def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: 
     for i in _grid(scenario)[1]:
         change = scenario.devices[i].grid_change(params[i], states[i])
         if change.shunt_kvar is not None:
-            nodes = exogenous.nodes[:, cuts[i]]
+            legs = _legs(exogenous)[:, cuts[i]]
             before = 0.0 * exogenous.q_load_kvar if shunt_kvar is None else shunt_kvar
-            shunt_kvar = add_at(before, nodes, _to_nodes(change.shunt_kvar, nodes))
+            shunt_kvar = add_at(before, legs, _to_nodes(change.shunt_kvar, legs))
         if change.tap_ratio is not None:
             ratios.append(change.tap_ratio)
-    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
+    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar, exogenous.capacitor_on)
 
 
 @cached_on_owner
@@ -140,12 +150,17 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
 
 
 def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
-    """Net load of each node, kW and kvar, (lane, n_node), under the agents' draws and reactive injections."""
-    p_load, q_load, nodes = exogenous.p_load_kw, exogenous.q_load_kvar, exogenous.nodes
+    """Net load of each leg, kW and kvar, (lane, n_leg), under the agents' draws and reactive injections."""
+    p_load, q_load, legs = exogenous.p_load_kw, exogenous.q_load_kvar, _legs(exogenous)
     if is_rows(p_load) and is_rows(p_kw):
-        return step_kernels().net_loads(p_load, q_load, nodes, p_kw, q_kvar)
-    p_net = add_at(p_load, nodes, _to_nodes(p_kw, nodes))
-    return p_net, add_at(q_load, nodes, _to_nodes(-q_kvar, nodes))
+        return step_kernels().net_loads(p_load, q_load, legs, p_kw, q_kvar)
+    p_net = add_at(p_load, legs, _to_nodes(p_kw, legs))
+    return p_net, add_at(q_load, legs, _to_nodes(-q_kvar, legs))
+
+
+def _legs(exogenous: Exogenous) -> Array:
+    """Where the agents draw, (lane, n_agent, k)."""
+    return exogenous.nodes if exogenous.legs is None else exogenous.legs
 
 
 @cache
@@ -167,3 +182,16 @@ def from_nodes(v_pu: Array, nodes: Array) -> Array:
     """Each agent's voltage, the mean of its nodes', (lane, n_agent)."""
     at = take_at(v_pu, nodes)
     return at[..., 0] if nodes.shape[-1] == 1 else at.sum(-1) / nodes.shape[-1]
+
+
+def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
+    """Lowest and highest voltage of each agent's nodes, (lane, n_agent) each."""
+    at = take_at(v_pu, nodes)
+    return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
+
+
+def _by_phase(feeder: Any, solution: Any, nodes: Array) -> ThreePhaseState:
+    """What the state of a three-phase feeder has beside its voltages."""
+    lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
+    factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
+    return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor)

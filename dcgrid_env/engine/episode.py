@@ -13,8 +13,10 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
+from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
+from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 
@@ -53,16 +55,28 @@ class _Load(NamedTuple):
     q_fixed_kvar: np.ndarray
 
 
+class _Legs(NamedTuple):
+    """The loads of a three-phase feeder, which the noise of their buses scales."""
+
+    bus: np.ndarray
+    p_kw: np.ndarray
+    q_kvar: np.ndarray
+
+
+@cached_on_owner
+def _legs(scenario: Scenario) -> _Legs:
+    feeder = scenario.feeder
+    return _Legs(feeder.leg_bus.copy(), feeder.p_load_kw.copy(), feeder.q_load_kvar.copy())
+
+
 @cached_on_owner
 def _load(scenario: Scenario) -> _Load:
     feeder = scenario.feeder
-    return _Load(
-        rho=float(scenario.load_rho**scenario.dt_s),
-        sigma=float(scenario.load_sigma),
-        p_base_kw=feeder.p_load_kw.copy(),
-        q_base_kvar=feeder.q_load_kvar.copy(),
-        q_fixed_kvar=-feeder.capacitor_kvar if scenario.capacitors else np.zeros(feeder.n_bus),
-    )
+    rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
+    if not isinstance(feeder, Feeder):  # the factor of each bus, by which its legs are scaled
+        return _Load(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
+    fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
+    return _Load(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
 
 
 def prepare(scenario: Scenario, episode: Episode) -> None:
@@ -171,13 +185,13 @@ def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 
 def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
-    """What is lost in the interval that ends at ``step`` (lane,), bool: agents, then buses' capacitors.
+    """What is lost in the interval that ends at ``step`` (lane,), bool: agents, then capacitors.
 
-    (lane, n_agent + n_bus)
+    (lane, n_agent + n_bus), or n_capacitor instead of n_bus on a three-phase feeder.
     """
     target, begin, end = np.moveaxis(episode.fault, -1, 0)
     struck = (begin <= step[:, None]) & (step[:, None] < end)
-    out = np.zeros((len(step), scenario.n_agents + scenario.feeder.n_bus), bool)
+    out = np.zeros((len(step), scenario.n_agents + len(scenario.capacitor_connected)), bool)
     lane, i = np.nonzero(struck)
     out[lane, target[lane, i]] = True
     return out
@@ -248,13 +262,22 @@ def exogenous(
         injection = sun_rows(scenario).take(episode.sun + step)[:, None] * rated_kva
         if hour is not None and schedule == SUN:
             injection *= sun_share(hour)[:, None]
-    available = None
+    three_phase = not isinstance(scenario.feeder, Feeder)
+    if three_phase:
+        p, q = step_kernels().leg_loads(p, *_legs(scenario))
+    available = capacitor_on = None
+    if three_phase and not scenario.capacitors:
+        capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
     if scenario.faults:
         agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
-        q += capacitors * scenario.feeder.capacitor_kvar
-    compute = compute_share(scenario, episode, step)
-    return Exogenous(p, q, p_ref, injection, episode.placed.nodes, compute, available), z
+        if three_phase:
+            capacitor_on = scenario.capacitor_connected * (1.0 - capacitors)
+        else:
+            q += capacitors * scenario.feeder.capacitor_kvar
+    placed, compute = episode.placed, compute_share(scenario, episode, step)
+    legs = placed.legs if three_phase else None
+    return Exogenous(p, q, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on), z
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:

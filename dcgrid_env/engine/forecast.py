@@ -18,15 +18,17 @@ class Forecast(NamedTuple):
     buses: np.ndarray
     """Position in ``bus_ids`` of each agent's bus, (n_agent,)."""
     p_load_kw: np.ndarray
-    """Other loads, kW, (T, n_bus)."""
+    """Other loads, kW, (T, n_leg)."""
     q_load_kvar: np.ndarray
-    """Other loads less capacitors, kvar, (T, n_bus)."""
+    """Other loads, kvar, (T, n_leg); on a balanced feeder less capacitors."""
     p_ref_kw: np.ndarray
     """What the data centres would draw at the top clock with nothing queued, kW, (T, n_dc)."""
     p_inverter_kw: np.ndarray
     """Scheduled active injection of the inverters, kW, (T, n_inv)."""
     available: np.ndarray
     """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
+    capacitor_on: np.ndarray | None = None
+    """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all stand as the feeder has them."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
@@ -39,12 +41,15 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
     drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
-    steps = []
+    steps, capacitors = [], []
     for _, outside in episode.unroll(scenario, drawn):
         available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]
         fields = (outside.p_load_kw, outside.q_load_kvar, outside.p_ref_kw, outside.p_inverter_kw)
         steps.append((*(values[0] for values in fields), available))
-    return Forecast(drawn.buses[0], *(np.array(column[1:]) for column in zip(*steps, strict=True)))
+        if outside.capacitor_on is not None:
+            capacitors.append(outside.capacitor_on[0])
+    columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
+    return Forecast(drawn.buses[0], *columns, np.array(capacitors[1:]) if capacitors else None)
 
 
 def episode_hash(scenario: Scenario, seed: int) -> str:
@@ -54,4 +59,5 @@ def episode_hash(scenario: Scenario, seed: int) -> str:
     to the other side.
     """
     drawn = forecast(scenario, seed)._asdict()
-    return digest((name, np.round(values * 2.0**7) + 0.0) for name, values in drawn.items())  # no negative zero
+    there = ((name, values) for name, values in drawn.items() if values is not None)
+    return digest((name, np.round(values * 2.0**7) + 0.0) for name, values in there)  # no negative zero

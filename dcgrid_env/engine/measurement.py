@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.engine.dynamics import extremes_of_nodes, from_nodes
 from dcgrid_env.engine.state import State
+from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -15,14 +17,35 @@ def measurement_noise(scenario: Scenario, key: np.ndarray, step: np.ndarray) -> 
         return None
     from dcgrid_env.core import random  # brings the compiler with it, so not on import
 
-    n = scenario.feeder.n_bus if scenario.observe == "feeder" else scenario.n_agents
+    n = scenario.feeder.n_node if scenario.observe == "feeder" else scenario.n_agents
     return scenario.voltage_noise_pu * random.standard(key, random.MEASUREMENT, step, n)
 
 
 def measure(scenario: Scenario, state: State, noise: Array | None) -> Array:
-    """Measure voltages, p.u., (lane, n_measured): of every bus where agents observe the feeder, else of the agents."""
+    """Measure voltages, p.u., (lane, n_measured): of every node where agents observe the feeder, else of the agents.
+
+    On a three-phase feeder the agents' means are followed by their lowest and their highest phases, which one meter
+    measures with one error.
+    """
     true = state.v_pu if scenario.observe == "feeder" else state.v_agent_pu
+    if state.three_phase is not None and scenario.observe != "feeder":
+        xp, phases = namespace(true), state.three_phase
+        true = xp.concat((true, phases.v_agent_lowest_pu, phases.v_agent_highest_pu), axis=-1)
+        noise = None if noise is None else xp.concat((noise, noise, noise), axis=-1)
     return true if noise is None else true + noise
+
+
+def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Array, Array | None]:
+    """The agents' voltages among what is measured, (lane, n_agent), and of a three-phase feeder lowest, then highest.
+
+    ``nodes`` are those of the agents, see ``Exogenous``; (lane, 2 n_agent), None on a balanced feeder.
+    """
+    balanced, n = isinstance(scenario.feeder, Feeder), scenario.n_agents
+    if scenario.observe == "feeder":
+        lowest, highest = (None, None) if balanced else extremes_of_nodes(measured_pu, nodes)
+        by_phase = None if balanced else namespace(measured_pu).concat((lowest, highest), axis=-1)
+        return from_nodes(measured_pu, nodes), by_phase
+    return (measured_pu, None) if balanced else (measured_pu[:, :n], measured_pu[:, n:])
 
 
 def remembered(scenario: Scenario) -> int:

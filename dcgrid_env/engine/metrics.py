@@ -13,6 +13,8 @@
 | loss_mean_kw, loss_energy_kwh | loss of the feeder |
 | q_effort_pct | mean abs(q) as a share of the apparent-power rating |
 | clock_mean_pct | mean clock as a share of the top clock |
+| unbalance_mean_pct, unbalance_max_pct | voltage unbalance factor of three-phase buses over the steps 1 .. T |
+| nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
 
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
@@ -34,6 +36,7 @@ import numpy as np
 
 from dcgrid_env.engine.state import field_of_devices
 from dcgrid_env.engine.trace_pool import trace_pool
+from dcgrid_env.powerflow import nema_unbalance
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -52,6 +55,8 @@ class Series:
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
         self.devices = tuple(_history([s.devices[i] for s in states], lane) for i in range(len(scenario.devices)))
         """State of each device over time, from the reset on."""
+        self.three_phase = None if states[0].three_phase is None else _history([s.three_phase for s in states], lane)
+        """``State.three_phase`` over time, from the reset on; None on a balanced feeder."""
         self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
         self.cost_j = np.array([t.cost_j[lane] for t in steps])
@@ -88,10 +93,23 @@ class Series:
             "steps": len(v),
             "power_flow_converged": self.converged,
         }
+        if self.three_phase is not None:
+            figures |= self._unbalance()
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self._requests() if device.input == "workload" else None
             figures |= device.metrics(history, s.dt_s, requests)
         return {name: float(value) for name, value in figures.items()}
+
+    def _unbalance(self) -> dict[str, float]:
+        """Figures of the unbalance of a three-phase feeder's voltages."""
+        phases = self.three_phase
+        factor = phases.unbalance[1:]
+        nema = nema_unbalance(self.scenario.feeder, phases.v_re_pu[1:], phases.v_im_pu[1:])
+        return {
+            "unbalance_mean_pct": 100.0 * factor.mean() if factor.size else 0.0,
+            "unbalance_max_pct": 100.0 * factor.max(initial=0.0),
+            "nema_unbalance_max_pct": 100.0 * nema.max(initial=0.0),
+        }
 
     def _requests(self) -> list[tuple[Any, float]] | None:
         """The requests of each site's row of trace and when the episode begins among them, s; None without any."""

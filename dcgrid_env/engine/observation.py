@@ -10,6 +10,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
 | q_limit | all | the same share | 0 .. 1 |
 | r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
+| v_lowest, v_highest | all on a three-phase feeder | lowest and highest of its phases, as v_deviation | the same |
 | device fields | as each device says (``Device.fields``) | | |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
@@ -27,14 +28,17 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
-from dcgrid_env.engine.dynamics import from_nodes, step_kernels
+from dcgrid_env.engine.connections import agent_nodes, between_buses, own_distance
+from dcgrid_env.engine.dynamics import step_kernels
+from dcgrid_env.engine.measurement import of_agents
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
-from dcgrid_env.powerflow import own_sensitivity, sensitivity
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
+BY_PHASE = ("v_lowest", "v_highest")
+"""What agents on a three-phase feeder see beside these."""
 N_NEIGHBOURS = 3
 
 
@@ -44,7 +48,9 @@ class Placement(NamedTuple):
     distance: Array
     """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""
     nodes: Array
-    """Flat positions lane * n_bus + bus of the agents' nodes, as in ``Exogenous.nodes``, (lane, n_agent, 1)."""
+    """Where the agents are connected, as in ``Exogenous.nodes``, (lane, n_agent, k)."""
+    legs: Array
+    """Where they draw, as in ``Exogenous.legs``, (lane, n_agent, k)."""
     nearest: Array
     """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
 
@@ -56,13 +62,18 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
         count = min(N_NEIGHBOURS, scenario.n_agents - 1)
         wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
     elif scenario.observe == "feeder":
-        wider = tuple(f"v_deviation_{bus}" for bus in scenario.feeder.bus_ids[scenario.feeder.load_slice])
+        wider = tuple(f"v_deviation_{node}" for node in scenario.feeder.node_ids[scenario.feeder.load_slice])
     agents = iter(scenario.agents)
     return {
-        next(agents): (*COMMON, *(field.name for field in fields), *wider)
+        next(agents): (*common_fields(scenario), *(field.name for field in fields), *wider)
         for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
         for _ in range(device.count)
     }
+
+
+def common_fields(scenario: Scenario) -> tuple[str, ...]:
+    """Names of the fields that every agent observes, whatever its device, in order."""
+    return COMMON if isinstance(scenario.feeder, Feeder) else (*COMMON, *BY_PHASE)
 
 
 @cached_on_owner
@@ -78,11 +89,12 @@ def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
+        **dict.fromkeys(BY_PHASE, (-edge, edge)),
         "p": (-1.0, max(device.largest_draw_share for device in scenario.devices)),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
-        "r": (0.0, max(float(own[:, 0].max()), 1e-6)),
-        "x": (0.0, max(float(own[:, 1].max()), 1e-6)),
+        "r": (0.0, max(float(own[..., 0].max()), 1e-6)),
+        "x": (0.0, max(float(own[..., 1].max()), 1e-6)),
     }
 
     def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
@@ -113,14 +125,8 @@ def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 @cached_on_owner
 def _own_distance(scenario: Scenario) -> np.ndarray:
-    """(R_ii, X_ii) in bands, (n_bus, 2)."""
-    return np.stack(own_sensitivity(scenario.model), axis=-1) / (scenario.band_pu or 1.0)
-
-
-@cached_on_owner
-def _between(feeder: Feeder) -> np.ndarray:
-    """Impedance magnitude of the path between any two buses, (n_bus, n_bus)."""
-    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in sensitivity(feeder)))
+    """(R_ii, X_ii) of each agent at each bus, in bands, (n_agent, n_bus, 2)."""
+    return own_distance(scenario) / (scenario.band_pu or 1.0)
 
 
 class _Layout(NamedTuple):
@@ -139,6 +145,7 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     blocks = [
         np.full(n, per_band), np.full(n, per_band), 1.0 / params.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
     ]  # fmt: skip
+    blocks += [np.full(n, per_band) for _ in common_fields(scenario)[len(blocks) :]]
     common = len(blocks)
     for fields in device_fields(scenario):
         blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
@@ -166,17 +173,22 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
-    own = _own_distance(scenario)
+    feeder, own = scenario.feeder, _own_distance(scenario)
     lanes, n_agent = buses.shape
-    nodes = (buses + np.arange(lanes)[:, None] * scenario.feeder.n_bus)[..., None]
+    lane = np.arange(lanes)[:, None, None]
+    own = own[np.arange(n_agent), buses]
+    local = agent_nodes(scenario, buses)
+    nodes = legs = local + lane * feeder.n_node
+    if feeder.n_leg != feeder.n_node:
+        legs = local + feeder.first_device_leg + lane * feeder.n_leg
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
-        apart = _between(scenario.model)[buses[:, :, None], buses[:, None, :]]
+        apart = between_buses(scenario.model)[buses[:, :, None], buses[:, None, :]]
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
-    return Placement(np.concatenate((own[buses, 0], own[buses, 1]), axis=-1), nodes, nearest)
+    return Placement(np.concatenate((own[..., 0], own[..., 1]), axis=-1), nodes, legs, nearest)
 
 
 def observe(
@@ -198,16 +210,17 @@ def observe(
     given_next
         What comes from outside over the coming interval, for each device (``episode.given_next``).
     v_measured_pu, v_before_pu
-        Voltage as measured now and one step before, p.u.: at the agents, (lane, n_agent), or at every bus,
-        (lane, n_bus), where the scope is the feeder; the state's own unless the scenario has noise or delay.
+        Voltage as measured now and one step before, p.u. (``measurement.measure``); the state's own unless the
+        scenario has noise or delay.
     """
     xp = namespace(state.v_pu)
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
-    v_now, v_before = v_measured_pu, v_before_pu
-    if scenario.observe == "feeder":
-        v_now, v_before = (from_nodes(v, placed.nodes) for v in (v_now, v_before))
+    v_now, by_phase = of_agents(scenario, v_measured_pu, placed.nodes)
+    v_before, _ = of_agents(scenario, v_before_pu, placed.nodes)
     deviation = v_now - 1.0
     raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
+    if by_phase is not None:
+        raw.append(by_phase - 1.0)
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])

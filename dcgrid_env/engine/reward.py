@@ -5,7 +5,9 @@
 
 means over buses other than the substation, and over agents. reward_t is minus its share of J times T. Three more
 terms have weight 0 by default: ``step`` is mean|V_t - V_{t-1}|, ``clock`` the mean movement of the clocks as a share of
-their range, ``loss`` the feeder's loss as a share of its base load and the data centres' ratings.
+their range, ``loss`` the feeder's loss as a share of its base load and the data centres' ratings. On a three-phase
+feeder means are over nodes, and there is ``unbalance``, at weight 0 too: the mean over three-phase buses of the squared
+voltage unbalance factor, taken as 1 at most.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from dcgrid_env.devices import CostTerm
 from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
+from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import Solution
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -44,6 +47,9 @@ class Costs(NamedTuple):
 
 VOLTAGE, VIOLATION, EFFORT, STEP, LOSS = map(Costs._fields.index, ("voltage", "violation", "effort", "step", "loss"))
 """Places of the grid's own terms, so that a step builds its costs without looking names up."""
+
+UNBALANCE = "unbalance"
+"""The term of the grid that a three-phase feeder alone has."""
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
@@ -87,6 +93,8 @@ def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array
         costs[STEP] = sum_last(change) * (w.step / t.n_judged)
     if w.loss:
         costs[LOSS] = solution.loss_kw * (w.loss / params.p_all_kw)
+    if state.three_phase is not None and w.unbalance:
+        costs[t.kind._fields.index(UNBALANCE)] = _mean_unbalance(state.three_phase.unbalance) * w.unbalance
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -106,10 +114,16 @@ def _voltage_sums(scenario: Scenario, v_pu: Array, judged: slice) -> tuple[Array
     return sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
 
 
+def _mean_unbalance(factor: Array) -> Array:
+    """Mean of the squared voltage unbalance factor over three-phase buses, (lane,)."""
+    n = factor.shape[-1]
+    return sum_last(1.0 - positive_part(1.0 - factor * factor)) / max(n, 1)
+
+
 def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
     """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
-    The feeder's loss is nobody's own and is charged to all alike.
+    The feeder's loss and unbalance are nobody's own and are charged to all alike.
     """
     xp, w, params = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
     deviation = xp.abs(state.v_agent_pu - 1.0)
@@ -122,6 +136,9 @@ def local_costs(scenario: Scenario, state: State, solution: Solution, last: Arra
         loss=none + (solution.loss_kw * (w.loss / params.p_all_kw))[..., None],
         **dict.fromkeys(terms(scenario).names, none),
     )
+    if state.three_phase is not None and w.unbalance:
+        own = none + (_mean_unbalance(state.three_phase.unbalance) * w.unbalance)[..., None]
+        costs = costs._replace(**{UNBALANCE: own})
     for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i])
@@ -159,7 +176,9 @@ def terms(scenario: Scenario) -> Terms:
         for i, device in enumerate(scenario.devices)
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
-    more = tuple(dict.fromkeys(term.name for _, term, _ in own_terms if term.name not in Costs._fields))
+    of_grid = () if isinstance(scenario.feeder, Feeder) else (UNBALANCE,)
+    names = (*of_grid, *(term.name for _, term, _ in own_terms))
+    more = tuple(dict.fromkeys(name for name in names if name not in Costs._fields))
     kind = _costs(more)
     own_terms.sort(key=lambda entry: (entry[0], entry[1].amount))
     charged = tuple((i, term, weight, kind._fields.index(term.name)) for i, term, weight in own_terms if weight)
@@ -193,6 +212,8 @@ def largest_costs(scenario: Scenario) -> Costs:
     of_devices = dict.fromkeys(terms(scenario).names, 0.0)
     for _, term, weight, _ in terms(scenario).charged:
         of_devices[term.name] += weight * term.largest
+    if UNBALANCE in of_devices:
+        of_devices[UNBALANCE] += w.unbalance
     return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
         violation=w.violation * (1.0 - scenario.band_pu),

@@ -209,6 +209,8 @@ def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
     """``now`` with the lanes of ``drawn`` put in."""
 
     def put(old: Any, new: Any) -> Any:
+        if old is None:
+            return None
         if isinstance(old, np.ndarray):
             merged = old.copy()
             merged[lanes] = new

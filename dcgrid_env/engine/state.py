@@ -12,20 +12,40 @@ class Exogenous(NamedTuple):
     """What comes from outside over one interval; nothing here depends on an action."""
 
     p_load_kw: Array
-    """Other loads, kW, (lane, n_bus)."""
+    """Other loads, kW, (lane, n_leg); a balanced feeder has a leg a bus."""
     q_load_kvar: Array
-    """Other loads less capacitors, kvar, (lane, n_bus)."""
+    """Other loads, kvar, (lane, n_leg); on a balanced feeder less capacitors."""
     p_ref_kw: Array
     """What sites of work would draw at the top clock with nothing queued, kW, (lane, n_site)."""
     p_inverter_kw: Array
     """Scheduled active injection, kW, (lane, slot) of the device that has a schedule."""
     nodes: Array
-    """Where each agent is connected, flat positions lane * n_bus + bus, int, (lane, n_agent, n_node). An agent sees the
+    """Where each agent is connected, flat positions lane * n_node + node, int, (lane, n_agent, k). An agent sees the
     mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
     compute_share: Array | None = None
     """Compute-bound share of the work that arrives, (lane, n_site); None under a clock law of one work class."""
     available: Array | None = None
     """1 for an agent that is connected to the grid and 0 for one that is not, (lane, n_agent); None where all are."""
+    legs: Array | None = None
+    """Where each agent draws, flat positions lane * n_leg + leg, int, (lane, n_agent, k); None: the nodes."""
+    capacitor_on: Array | None = None
+    """1 for a capacitor bank of a three-phase feeder that is connected and 0 for one that is not, (lane, n_capacitor);
+    None where all stand as the feeder has them."""
+
+
+class ThreePhaseState(NamedTuple):
+    """What a state has beside on a three-phase feeder."""
+
+    v_re_pu: Array
+    """Real part of the voltage, p.u., (lane, n_node)."""
+    v_im_pu: Array
+    """Imaginary part of the voltage, p.u., (lane, n_node)."""
+    v_agent_lowest_pu: Array
+    """Voltage of each agent's lowest phase, p.u., (lane, n_agent)."""
+    v_agent_highest_pu: Array
+    """Voltage of its highest."""
+    unbalance: Array
+    """Voltage unbalance factor |V2| / |V1| of each three-phase bus, (lane, n_three_phase_bus)."""
 
 
 class State(NamedTuple):
@@ -35,7 +55,7 @@ class State(NamedTuple):
     """
 
     v_pu: Array
-    """Voltage, p.u., (lane, n_bus); the last solved one where the power flow has none."""
+    """Voltage, p.u., (lane, n_node); the last solved one where the power flow has none."""
     v_last_pu: Array
     """Voltage one step earlier."""
     v_agent_pu: Array
@@ -51,6 +71,8 @@ class State(NamedTuple):
     """Largest reactive magnitude at this active power, kvar, (lane, n_agent)."""
     devices: tuple[Any, ...]
     """State of each of the scenario's devices, a NamedTuple of arrays (lane, slot, ..)."""
+    three_phase: ThreePhaseState | None = None
+    """None on a balanced feeder."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)
@@ -58,7 +80,8 @@ class State(NamedTuple):
     def map(self, function: Callable[[Array], Array]) -> State:
         """The state with every array put through a function."""
         devices = tuple(type(d)(*map(function, d)) if hasattr(d, "_fields") else d for d in self.devices)
-        return State(*map(function, self[:-1]), devices=devices)
+        phases = None if self.three_phase is None else ThreePhaseState(*map(function, self.three_phase))
+        return State(*map(function, self[:-2]), devices=devices, three_phase=phases)
 
 
 def field_of_devices(devices: tuple[Any, ...], name: str) -> Any:

@@ -7,19 +7,31 @@ import numpy as np
 
 
 @numba.njit(error_model="numpy", cache=True)
-def net_loads(p_load_kw, q_load_kvar, nodes, p_kw, q_kvar):
-    """Net load of each node, kW and kvar, (lane, n_node): loads, and what agents draw less what they inject.
+def leg_loads(factor, leg_bus, p_kw, q_kvar):
+    """Loads of the legs, kW and kvar, (lane, n_leg): base loads (n_leg,) times a factor of their bus (lane, n_bus)."""
+    p, q = np.empty((factor.shape[0], len(leg_bus))), np.empty((factor.shape[0], len(leg_bus)))
+    for lane in range(factor.shape[0]):
+        for leg in range(len(leg_bus)):
+            share = factor[lane, leg_bus[leg]]
+            p[lane, leg] = share * p_kw[leg]
+            q[lane, leg] = share * q_kvar[leg]
+    return p, q
 
-    ``nodes`` (lane, n_agent, k) are flat positions lane * n_node + node, among which an agent's ``p_kw, q_kvar``
-    (lane, n_agent) are shared in equal parts.
+
+@numba.njit(error_model="numpy", cache=True)
+def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
+    """Net load of each leg, kW and kvar, (lane, n_leg): loads, and what agents draw less what they inject.
+
+    ``legs`` (lane, n_agent, k) are flat positions lane * n_leg + leg, among which an agent's ``p_kw, q_kvar``
+    (lane, n_agent) are shared in equal parts; an agent may have a leg several times.
     """
     p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
     p_at, q_at = p_net.reshape(-1), q_net.reshape(-1)
-    lanes, agents, parts = nodes.shape
+    lanes, agents, parts = legs.shape
     for lane in range(lanes):
         for agent in range(agents):
             for part in range(parts):
-                at = nodes[lane, agent, part]
+                at = legs[lane, agent, part]
                 p_at[at] += p_kw[lane, agent] / parts
                 q_at[at] += -q_kvar[lane, agent] / parts
     return p_net, q_net

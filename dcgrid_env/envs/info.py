@@ -42,6 +42,8 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     figures["power_flow_converged"] = transition.converged.astype(np.float64)
     extremes = step_kernels().extremes(state.v_pu, scenario.feeder.load_slice.start)
     figures["voltage_min_pu"], figures["voltage_max_pu"] = extremes[0], extremes[1]
+    if state.three_phase is not None:
+        figures["unbalance_max_pct"] = 100.0 * np.maximum.reduce(state.three_phase.unbalance, -1, initial=0.0)
     for i, its_state in enumerate(state.devices):
         if its_state:
             figures.update(scenario.devices[i].totals(its_state))

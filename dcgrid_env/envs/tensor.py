@@ -48,6 +48,7 @@ class _Outside(NamedTuple):
     compute_share: Array | None  # one step more
     available: Array | None
     noise_pu: Array | None
+    capacitor_on: Array | None
 
 
 class TensorEnv:
@@ -96,7 +97,7 @@ class TensorEnv:
         self._copied = None if copies == 1 else self._index(lanes)
         placed = observation.placement(self.scenario, buses[lanes])
         self._placed = Placement(
-            as_like(placed.distance, self.like), self._index(placed.nodes), self._index(placed.nearest)
+            as_like(placed.distance, self.like), *map(self._index, (placed.nodes, placed.legs, placed.nearest))
         )
         self.step_number = 0
         self.state, _ = dynamics.initial_state(self.scenario, self._exogenous())
@@ -162,7 +163,7 @@ class TensorEnv:
         o, now = self._outside, self._now
         return Exogenous(
             now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
-            now(o.compute_share), now(o.available),
+            now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
         )  # fmt: skip
 
     def _measure(self) -> Array:
@@ -228,6 +229,6 @@ def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
     course = _Outside(
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
-        stacked("available"), np.stack(noise_pu) if noise_pu else None,
+        stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),
     )  # fmt: skip
     return course, drawn.buses

@@ -153,7 +153,8 @@ class Curves:
         low, high = v.min(axis=1), v.max(axis=1)
         self.range.set_verts([np.column_stack((np.r_[t, t[::-1]], np.r_[low, high[::-1]]))])
         self.mean.set_data(t, v[:, s.feeder.load_slice].mean(axis=1))
-        values = {"v_pu": v[:, history.buses], "p_ref_kw": history.p_ref_kw(s, steps)}
+        by_bus = history.bus_v_pu(slice(history.first, history.last + 1))
+        values = {"v_pu": by_bus[:, history.buses], "p_ref_kw": history.p_ref_kw(s, steps)}
         for name, bundle in self.curves.items():
             rows = values[name] if name in values else getattr(history, name)[steps]
             bundle.show(t, rows[:, : s.n_sites] if name == "p_kw" else rows)

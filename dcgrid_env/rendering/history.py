@@ -21,7 +21,8 @@ class History:
         rows, n_dc = scenario.horizon + 1, scenario.n_sites
         self.order = sites_first(scenario)
         """Agents as the picture has them."""
-        self.v_pu = np.empty((rows, scenario.feeder.n_bus), np.float32)
+        self.v_pu = np.empty((rows, scenario.feeder.n_node), np.float32)
+        self._feeder = scenario.feeder
         self.f_mhz = np.empty((rows, n_dc), np.float32)
         self.backlog_kws = np.empty((rows, n_dc), np.float32)
         self.p_kw = np.empty((rows, scenario.n_agents), np.float32)
@@ -47,6 +48,10 @@ class History:
         self.q_kvar[step] = state.q_kvar[lane, self.order]
         self.solved = snapshot.transition.converged[lane]
 
+    def bus_v_pu(self, steps: int | slice) -> np.ndarray:
+        """Voltage of each bus, the mean of its phases, p.u., (..., n_bus)."""
+        return bus_means(self._feeder, self.v_pu[steps])
+
     @property
     def buses(self) -> np.ndarray:
         """Position of each agent's bus, (n_agent,), in the picture's order."""
@@ -55,6 +60,12 @@ class History:
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
         return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
+
+
+def bus_means(feeder: Any, by_node: np.ndarray) -> np.ndarray:
+    """Mean over the nodes of each bus, (..., n_bus) of (..., n_node)."""
+    first = np.flatnonzero(np.diff(feeder.node_bus, prepend=-1))
+    return np.add.reduceat(by_node, first, axis=-1) / np.bincount(feeder.node_bus).astype(by_node.dtype)
 
 
 def sites_first(scenario: Scenario) -> np.ndarray:

@@ -92,17 +92,19 @@ class MapPart:
             self.buses = history.buses.copy()
             self.feeder.place(self.buses[: s.n_sites], self.buses[s.n_sites :])
         v = history.v_pu[step]
+        by_bus = history.bus_v_pu(step)
         dc = s.datacenter
         share = history.f_mhz[step] / dc.f_max_mhz
-        self.feeder.update(v, share, history.backlog_kws[step] / dc.p_rated_kw)
+        self.feeder.update(by_bus, share, history.backlog_kws[step] / dc.p_rated_kw)
         scale, unit = self.time_unit
         t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
         self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")
         lowest = int(np.argmin(v))
         outside, nodes = self.feeder.outside(v)[s.feeder.load_slice].sum(), len(s.feeder.load_nodes)
+        one, many = ("bus", "buses") if s.feeder.n_node == s.feeder.n_bus else ("node", "nodes")
         self.subtitle.set_text(
-            f"lowest voltage {v[lowest]:.4f} p.u. at bus {s.feeder.bus_ids[lowest]};   "
-            f"{outside} of {nodes} buses outside {_band(s)} p.u."
+            f"lowest voltage {v[lowest]:.4f} p.u. at {one} {s.feeder.node_ids[lowest]};   "
+            f"{outside} of {nodes} {many} outside {_band(s)} p.u."
             if history.solved
             else "the power flow has no solution (voltage collapse); these are the last solved voltages"
         )

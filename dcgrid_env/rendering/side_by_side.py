@@ -56,7 +56,7 @@ def _voltages(ax, scenario: Scenario, run: Series, t: np.ndarray) -> None:
         ax.fill_between(t, low, high, color="#0072B2", alpha=alpha, linewidth=0, label=label)
     ax.plot(t, np.median(v, axis=1), color="#003f63", linewidth=1.4, label="median bus")
     worst = int(np.argmin(v.min(axis=0)))
-    lowest = feeder.bus_ids[feeder.node_bus[feeder.load_nodes[worst]]]
+    lowest = feeder.node_ids[feeder.load_nodes[worst]]
     ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: bus {lowest}")
     for edge in (1.0 - scenario.band_pu, 1.0 + scenario.band_pu):
         ax.axhline(edge, color="black", linestyle="--", linewidth=0.9)

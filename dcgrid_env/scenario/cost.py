@@ -23,6 +23,8 @@ class CostWeights(NamedTuple):
     clock: float = 0.0
     step: float = 0.0
     loss: float = 0.0
+    unbalance: float = 0.0
+    """Weighs the mean squared voltage unbalance factor over three-phase buses, which balanced feeders do not have."""
 
 
 @dataclass(frozen=True, kw_only=True)

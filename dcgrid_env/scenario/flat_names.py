@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, Generic, Literal, TypeVar
 
 from dcgrid_env.devices import Dvfs
+from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
 from dcgrid_env.scenario.cost import CostWeights, RewardScope, VoltageCost
 from dcgrid_env.scenario.sensing import ObservationScope
@@ -54,9 +55,11 @@ class FlatNames:
     q_max_share = Flat[float]("datacenter", "q_max_share")
     dvfs = Flat[Dvfs]("datacenter", "clock_law")
     boost_share = Flat[float]("datacenter", "boost_share")
+    datacenter_phases = Flat[Phases | None]("datacenter", "phases")
 
     inverter_buses = Flat[Buses]("inverter", "buses")
     inverter_s_kva = Flat[Rating]("inverter", "s_rated_kva")
+    inverter_phases = Flat[Phases | None]("inverter", "phases")
     inverter_trace = Flat[PowerTrace | tuple[float, ...] | str | None]("inverter", "injection")
 
     trace = Flat[str | tuple[PowerTrace, ...]]("workload", "trace")

@@ -6,21 +6,31 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.grid import Feeder, FeederError
+from dcgrid_env.devices.phases import phases_of
+from dcgrid_env.grid import Feeder, FeederError, ThreePhaseFeeder
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.flat_names import FLAT
 
 
-def free_load_buses(feeder: Feeder, devices: tuple[Any, ...]) -> np.ndarray:
-    """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed."""
+def free_load_buses(feeder: Feeder | ThreePhaseFeeder, devices: tuple[Any, ...]) -> np.ndarray:
+    """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed.
+
+    On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to.
+    """
     taken = {0, *(feeder.index(bus) for device in devices for bus in device.buses or ())}
-    free = [i for i in np.flatnonzero(feeder.p_load_kw > 0) if i not in taken]
-    return np.array(free, dtype=np.int64)
+    if isinstance(feeder, Feeder):
+        loaded = np.flatnonzero(feeder.p_load_kw > 0)
+    else:
+        drawn = [device for device in devices if device.buses is None]
+        needed = {phase for device in drawn for phases in phases_of(device) for phase in phases or "abc"}
+        with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
+        loaded = [i for i in with_load if needed <= set(feeder.bus_phases[i])]
+    return np.array([i for i in loaded if i not in taken], dtype=np.int64)
 
 
-def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None:
+def check_placement(name: str, feeder: Feeder | ThreePhaseFeeder, devices: tuple[Any, ...]) -> None:
     """Raise ScenarioError unless every device can have a bus of its own, not the substation."""
-    fixed: list[tuple[str, Any]] = []
+    fixed: list[tuple[str, Any, str | None]] = []
     drawn = 0
     for device in reversed(devices):
         if device.buses is None:
@@ -33,10 +43,10 @@ def check_placement(name: str, feeder: Feeder, devices: tuple[Any, ...]) -> None
                 f"{count}={device.count} and as many {buses}, or {buses}=None to have them drawn among the load buses"
             )
         where = next((name for name, of in FLAT.items() if of == (device.kind, "buses")), f"{device.kind}.buses")
-        fixed += ((where, bus) for bus in device.buses)
+        fixed += ((where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
     taken: dict[int, Any] = {}
-    for where, bus in fixed:
-        at = _position(name, feeder, where, bus)
+    for where, bus, phases in fixed:
+        at = _position(name, feeder, where, bus, phases)
         if at in taken:
             raise ScenarioError(f"scenario {name!r}: more than one device at bus {bus!r}; give each its own")
         taken[at] = bus
@@ -59,16 +69,17 @@ def _words(device: Any) -> tuple[str, str]:
     return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
 
 
-def _position(name: str, feeder: Feeder, where: str, bus: Any) -> int:
-    """Position of a device's bus; ScenarioError for one that no device can have."""
+def _position(name: str, feeder: Feeder | ThreePhaseFeeder, where: str, bus: Any, phases: str | None) -> int:
+    """Position of a device's bus; ScenarioError for one that no device can have, or not of these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")
     try:
         at = feeder.index(bus)
+        feeder.nodes_at(at, phases)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {error}") from None
     if at == 0:
         raise ScenarioError(
-            f"scenario {name!r}: a device at the substation {bus!r}, whose voltage is held; choose another bus"
+            f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"
         )
     return at

@@ -16,7 +16,7 @@ from dcgrid_env.core.checked import check_fields, choice, count, number, refuse,
 from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
@@ -28,7 +28,7 @@ from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import ALL_SPLITS
 
-PowerFlowName = Literal["distflow", "lindistflow"]
+PowerFlowName = Literal["distflow", "lindistflow", "sweep"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, init=False)
@@ -40,7 +40,7 @@ class Scenario(PickledByFields, FlatNames):
     """
 
     name: str
-    feeder: Feeder
+    feeder: Feeder | ThreePhaseFeeder
     source_voltage_pu: float = number(0.5, 1.5)
     """Voltage at the substation, p.u."""
     devices: tuple[Device, ...]
@@ -55,7 +55,8 @@ class Scenario(PickledByFields, FlatNames):
     """Actions in an episode."""
     dt_s: float = number(1e-3, 3600.0, default=1.0)
     """Length of a step, s."""
-    power_flow: PowerFlowName = choice("distflow", "lindistflow", default="distflow")
+    power_flow: PowerFlowName = choice("distflow", "lindistflow", "sweep", default="distflow")
+    """How the power flow is solved: "distflow" or "lindistflow" of a balanced feeder, "sweep" of a three-phase one."""
     split: str = choice(*ALL_SPLITS, default="train")
     """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
 
@@ -75,8 +76,13 @@ class Scenario(PickledByFields, FlatNames):
             self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.feeder, Feeder):
-            raise refuse(self, "feeder", "give a Feeder (load_feeder(name) or Feeder.from_csv(folder))")
+        if not isinstance(self.feeder, Feeder | ThreePhaseFeeder):
+            raise refuse(self, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder)")
+        balanced = isinstance(self.feeder, Feeder)
+        if balanced == (self.power_flow == "sweep"):
+            methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
+            kind = "balanced" if balanced else "three-phase"
+            raise refuse(self, "power_flow", f"give {methods} for the {kind} feeder {self.feeder.name!r}")
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         for device in self.devices:
@@ -223,17 +229,23 @@ class Scenario(PickledByFields, FlatNames):
         return read_only(np.concatenate([np.empty(0), *parts]))
 
     @cached_property
-    def model(self) -> Feeder:
+    def model(self) -> Feeder | ThreePhaseFeeder:
         """The feeder as agents and controllers know it; the power flow is that of ``feeder``."""
         if self.r_model_share == 1.0 and self.x_model_share == 1.0:
             return self.feeder
-        r_ohm, x_ohm = self.r_model_share * self.feeder.r_ohm, self.x_model_share * self.feeder.x_ohm
-        return dataclasses.replace(self.feeder, r_ohm=r_ohm, x_ohm=x_ohm)
+        return self.feeder.scaled(self.r_model_share, self.x_model_share)
 
     @cached_property
     def q_scale_kvar(self) -> np.ndarray:
         """Reactive limit of each agent at zero active power, kvar, (n_agent,): what a reactive action is a share of."""
         return read_only(np.concatenate([device.q_limit_kvar for device in self.devices]))
+
+    @cached_property
+    def capacitor_connected(self) -> np.ndarray:
+        """1 where a capacitor is connected at t = 0, by bus, or by bank on a three-phase feeder; 0 elsewhere."""
+        feeder = self.feeder
+        there = feeder.capacitor_kvar > 0 if isinstance(feeder, Feeder) else feeder.base_capacitor_on
+        return read_only(np.where(self.capacitors, there, 0.0))
 
     @cached_property
     def fault_targets(self) -> tuple[np.ndarray, ...]:
@@ -248,7 +260,7 @@ class Scenario(PickledByFields, FlatNames):
 
     def _of_kind(self, kind: str) -> list[int]:
         if kind == CAPACITOR:
-            connected = self.feeder.capacitor_kvar > 0 if self.capacitors else np.zeros(self.feeder.n_bus, bool)
+            connected = self.capacitor_connected > 0
             return [self.n_agents + int(bus) for bus in np.flatnonzero(connected)]
         kinds = [device.kind for device in self.devices for _ in range(device.count)]
         return [i for i, of_agent in enumerate(kinds) if of_agent == kind]

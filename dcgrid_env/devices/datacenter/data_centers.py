@@ -17,6 +17,7 @@ from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
+from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.grid import buses_as_text
 
@@ -52,6 +53,9 @@ class DataCenters(PickledByFields):
     "linear", "prefill-decode", or a mapping such as ``{"law": "prefill-decode", "decode_clock_share": 0.03}``."""
     boost_share: float = number(1.0, 2.0, default=1.0)
     """Highest short draw of a site as a share of its rating; up to 1.3 has been seen."""
+    phases: Phases | None = None
+    """Phases of a three-phase feeder that a site draws from in equal parts, such as "abc" or "b". By default all that
+    its bus has, which are all three where the bus is drawn."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, clock_law=_clock_law)
@@ -66,6 +70,7 @@ class DataCenters(PickledByFields):
             wrong = work_classes_of(self.clock_law)
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
+        check_phases(self, self.count)
 
     @cached_property
     def work_classes(self) -> int:

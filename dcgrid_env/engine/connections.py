@@ -1,0 +1,109 @@
+"""Which nodes and legs an agent at a bus is connected to, and how far its voltage moves with its own power."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import lcm
+
+import numpy as np
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices.phases import phases_of
+from dcgrid_env.grid import Feeder, FeederError
+from dcgrid_env.powerflow import Sensitivity, own_sensitivity, sensitivity
+from dcgrid_env.scenario.scenario import Scenario
+
+
+@cached_on_owner
+def nodes_by_bus(scenario: Scenario) -> np.ndarray:
+    """Nodes of each agent if it stands at a bus, int, (n_agent, n_bus, k); of a bus that it cannot stand at, node 0.
+
+    An agent shares its power equally among its nodes and sees their mean voltage. ``k`` is the same for all: an agent
+    of fewer nodes has each of them several times.
+    """
+    feeder = scenario.feeder
+    agents = [phases for device in scenario.devices for phases in phases_of(device)]
+    connected = {phases: [_nodes(feeder, bus, phases) for bus in range(feeder.n_bus)] for phases in set(agents)}
+    k = lcm(*(len(nodes) for by_bus in connected.values() for nodes in by_bus))
+    widened = {
+        phases: np.array([np.tile(nodes, k // len(nodes)) for nodes in by_bus]) for phases, by_bus in connected.items()
+    }
+    return np.stack([widened[phases] for phases in agents])
+
+
+def _nodes(feeder: Feeder, bus: int, phases: str | None) -> tuple[int, ...]:
+    try:
+        return feeder.nodes_at(bus, phases)
+    except FeederError:
+        return (0,)
+
+
+@cached_on_owner
+def own_distance(scenario: Scenario) -> np.ndarray:
+    """R_ii and X_ii of each agent at each bus, p.u. per MW and Mvar, (n_agent, n_bus, 2).
+
+    How far the agent's voltage rises with the power that it injects, as the scenario's model of the feeder has it.
+    """
+    model = scenario.model
+    if isinstance(model, Feeder):
+        own = np.stack(own_sensitivity(model), axis=-1)
+        return np.broadcast_to(own, (scenario.n_agents, *own.shape))
+    nodes = nodes_by_bus(scenario)
+    by_pair = partial(_mean_of_pairs, nodes[..., :, None], nodes[..., None, :])
+    return np.stack([by_pair(matrix) for matrix in sensitivity(model)], axis=-1)
+
+
+def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
+    """Derivative of the voltage at every node by the power that each agent injects, in the believed feeder.
+
+    Parameters
+    ----------
+    scenario
+        Gives the feeder as it is believed, ``Scenario.model``, and what the agents are connected to.
+    buses
+        Position of each agent's bus in ``bus_ids``, (lane, n_agent).
+
+    Returns
+    -------
+    Sensitivity
+        P.u. per MW and per Mvar, (lane, n_agent, n_node).
+    """
+    model = scenario.model
+    if isinstance(model, Feeder):
+        return Sensitivity(*(matrix[buses] for matrix in sensitivity(model)))
+    nodes = agent_nodes(scenario, buses)
+    return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in sensitivity(model)))
+
+
+def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
+    """Derivative of each agent's voltage by the power that each agent injects, in the feeder as it is.
+
+    ``buses`` is as in :func:`sensitivity_to_agents`; p.u. per MW and per Mvar, (lane, n_agent, n_agent), the agent that
+    sees first.
+    """
+    nodes = agent_nodes(scenario, buses)
+    rows, columns = nodes[:, :, None, :, None], nodes[:, None, :, None, :]
+    return Sensitivity(*(_mean_of_pairs(rows, columns, matrix) for matrix in sensitivity(scenario.feeder)))
+
+
+def agent_nodes(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
+    """Nodes of agents at positions ``buses`` (lane, n_agent) of ``bus_ids``, int, (lane, n_agent, k)."""
+    return nodes_by_bus(scenario)[np.arange(scenario.n_agents), buses]
+
+
+def _mean_of_pairs(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    return matrix[rows, columns].mean((-1, -2))
+
+
+@cached_on_owner
+def between_buses(feeder: Feeder) -> np.ndarray:
+    """Impedance magnitude of the path between any two buses, p.u. per MVA, (n_bus, n_bus).
+
+    On a three-phase feeder that of the mean voltages under power that is shared equally among a bus's phases.
+    """
+    by_bus = sensitivity(feeder)
+    if not isinstance(feeder, Feeder):
+        share = np.zeros((feeder.n_bus, feeder.n_node))
+        share[feeder.node_bus, np.arange(feeder.n_node)] = 1.0 / np.bincount(feeder.node_bus)[feeder.node_bus]
+        by_bus = [0.5 * share @ (matrix + matrix.T) @ share.T for matrix in by_bus]
+    return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in by_bus))
