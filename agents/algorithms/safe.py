@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env import Scenario, field_names, sensitivity
+from dcgrid_env import Scenario, field_names, sensitivity_between_agents
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
 from dcgrid_env.agents.training.run_folder import torch
@@ -49,16 +49,16 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     The smallest over ``PLACEMENTS`` placements that the scenario draws; infinite where there are no agents of the kind.
     """
     index, n_dc = scenario.feeder.index, scenario.n_datacenters
-    r, x = (z / (scenario.band_pu or 1.0) for z in sensitivity(scenario.feeder))
     q_mvar = scenario.q_scale_kvar / 1e3
     # Half the range of actions moves half the power between the slowest clock and the top.
     p_mw = 0.5 * (1.0 - scenario.f_min_mhz / scenario.f_max_mhz) * scenario.datacenter.p_dynamic_kw / 1e3
     late = np.sin(np.pi / (2 * (2 * scenario.measurement_delay + 1)))
     slopes = []
     for buses in placements(scenario, PLACEMENTS):
-        at = [index(bus) for bus in buses]
-        x_scaled = np.sqrt(q_mvar)[:, None] * x[np.ix_(at, at)] * np.sqrt(q_mvar)
-        r_scaled = np.sqrt(p_mw)[:, None] * r[np.ix_(at[:n_dc], at[:n_dc])] * np.sqrt(p_mw)
+        at = np.array([[index(bus) for bus in buses]])
+        r, x = (by[0] / (scenario.band_pu or 1.0) for by in sensitivity_between_agents(scenario, at))
+        x_scaled = np.sqrt(q_mvar)[:, None] * x * np.sqrt(q_mvar)
+        r_scaled = np.sqrt(p_mw)[:, None] * r[:n_dc, :n_dc] * np.sqrt(p_mw)
         of_clock = 0.5 / np.linalg.eigvalsh(r_scaled)[-1] if n_dc else np.inf
         slopes.append((2.0 * late / np.linalg.eigvalsh(x_scaled)[-1], of_clock))
     reactive, clock = np.min(slopes, axis=0)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from dcgrid_env import Forecast, Scenario, action_layout, distflow, lindistflow
+from dcgrid_env import Control, Forecast, Scenario, action_layout, nodes_by_bus, solver_for
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -98,9 +98,10 @@ class EpisodeProgram:
         excess_only = np.concatenate([np.full(size, float(name == "w")) for name, size in self.sizes.items()])
         least = self._by_unknown(self._optimum(limits, excess_only, inf_w=True).x)
         excess = least["w"].reshape(self.scenario.horizon, -1)
+        feeder = self.scenario.feeder
         step, bus = np.unravel_index(np.argmax(excess), excess.shape)
         return (
-            f"keep_band cannot be met; at bus {self.scenario.feeder.bus_ids[bus + 1]} the voltage is at least "
+            f"keep_band cannot be met; at bus {feeder.node_ids[feeder.load_nodes[bus]]} the voltage is at least "
             f"{excess[step, bus]:.4f} p.u. beyond the band at step {step + 1}; allow it (keep_band=False) or lighten "
             "the load"
         )
@@ -113,27 +114,39 @@ class EpisodeProgram:
         s, episode, n_dc = self.scenario, self.episode, self.scenario.n_datacenters
         p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw), axis=1) * episode.available
         p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
-        p_kw[:, episode.buses] += p_agent
-        q_kvar[:, episode.buses] -= self.q_kvar
-        moved = np.eye(s.feeder.n_bus)[episode.buses] * _SPAN
-        none = np.zeros((1, s.feeder.n_bus))
+        moved = _SPAN * self._shares()
+        p_kw += p_agent @ moved / _SPAN
+        q_kvar -= self.q_kvar @ moved / _SPAN
+        none = np.zeros((1, s.feeder.n_leg))
         by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved))[:, None]
         by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved))[:, None]
-        solve = distflow if s.power_flow == "distflow" else lindistflow
-        shape = (1 + n_dc + s.n_agents, s.horizon, s.feeder.n_bus)
-        loads = (p_kw + by_p).reshape(-1, shape[2]), (q_kvar - by_q).reshape(-1, shape[2])
-        solution = solve(s.feeder, *loads, s.v0_pu)
-        unsolved = np.flatnonzero(~solution.converged.reshape(shape[:2]).all(axis=0))
+        shape = (1 + n_dc + s.n_agents, s.horizon)
+        loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
+        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(shape[0]))
+        unsolved = np.flatnonzero(~solution.converged.reshape(shape).all(axis=0))
         if unsolved.size:
             raise ValueError(
                 f"hindsight of scenario {s.name!r}: the power flow around the trajectory has no solution at step "
                 f"{unsolved[0] + 1}; give the feeder less load"
             )
-        v_pu = solution.v_pu.reshape(shape)[:, :, 1:]
+        v_pu = solution.v_pu.reshape(*shape, -1)[..., s.feeder.load_slice]
         # What a tripped data centre draws, the grid does not see.
         drawn = np.concatenate((episode.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
         slopes = np.moveaxis(v_pu[1:] - v_pu[0], 0, -1) / _SPAN * drawn[:, None]
         return v_pu[0], slopes[..., :n_dc], slopes[..., n_dc:]
+
+    def _shares(self) -> np.ndarray:
+        """Share of each agent's power that each leg draws, (n_agent, n_leg)."""
+        s = self.scenario
+        nodes = nodes_by_bus(s)[np.arange(s.n_agents), self.episode.buses]
+        shares = np.zeros((s.n_agents, s.feeder.n_leg))
+        np.add.at(shares, (np.arange(s.n_agents)[:, None], s.feeder.first_device_leg + nodes), 1.0 / nodes.shape[1])
+        return shares
+
+    def _control(self, copies: int) -> Control | None:
+        """What the episode changes of the grid, for each of its steps and as many copies of them."""
+        on = self.episode.capacitor_on
+        return None if on is None else Control(capacitor_on=np.tile(on, (copies, 1)))
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""

@@ -2,7 +2,8 @@
 
     V_i(t+1) = V_i(t) - (sum_a R_ia (p_a(t+1) - p_a(t)) - X_ia (q_a(t+1) - q_a(t))) / V_i(t)
 
-R and X are LinDistFlow's (M. E. Baran and F. F. Wu 1989) of ``Scenario.model``, the feeder as controllers believe it.
+R and X are LinDistFlow's (M. E. Baran and F. F. Wu 1989) of ``Scenario.model``, the feeder as controllers believe it;
+on a three-phase feeder the derivatives of its nodes' voltages around the base case, across phases.
 LinDistFlow is linear in V^2, so a bus's slopes are divided by its voltage; p is drawn, q injected. Only changes are
 predicted: what the other loads, the losses and an error of R and X do stands in the measurement, so that none of it is
 left in a steady state (offset-free, as with the disturbance model of J. B. Rawlings, D. Q. Mayne and M. Diehl, "Model
@@ -25,7 +26,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity
+from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity, sensitivity_to_agents
 from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
 
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
@@ -45,11 +46,11 @@ class Slopes(NamedTuple):
 
 
 def slopes(scenario: Scenario, buses: np.ndarray) -> Slopes:
-    """LinDistFlow's slopes of the believed feeder for agents at positions ``buses`` of ``bus_ids``, (lane, n_agent)."""
+    """Slopes of the believed feeder for agents at positions ``buses`` of ``bus_ids``, (lane, n_agent)."""
     if (buses == buses[:1]).all():
         buses = buses[:1]
-    r, x = sensitivity(scenario.model)
-    return Slopes(-r[buses, scenario.feeder.load_slice] / 1000.0, x[buses, scenario.feeder.load_slice] / 1000.0)
+    r, x = (by[..., scenario.feeder.load_slice] for by in sensitivity_to_agents(scenario, buses))
+    return Slopes(-r / 1000.0, x / 1000.0)
 
 
 class Estimate(NamedTuple):
@@ -179,7 +180,8 @@ def _gain(scenario: Scenario) -> float:
     if sigma_v == 0.0:
         return 1.0
     r, x = sensitivity(s.model)
-    drop = (r * s.feeder.p_load_kw + x * s.feeder.q_load_kvar)[s.feeder.load_slice] / 1000.0
+    p_kw, q_kvar = (np.bincount(s.feeder.leg_node, load) for load in (s.feeder.p_load_kw, s.feeder.q_load_kvar))
+    drop = (r * p_kw + x * q_kvar)[s.feeder.load_slice] / 1000.0
     step = 2.0 * (1.0 - s.load_rho**s.dt_s) * s.load_sigma**2
     ratio = step * (drop**2).sum(axis=1).mean() / sigma_v**2
     return max(float(0.5 * (np.sqrt(ratio * ratio + 4.0 * ratio) - ratio)), _GAIN_LEAST)

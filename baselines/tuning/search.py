@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, sensitivity
+from dcgrid_env import Scenario, nodes_by_bus, sensitivity
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -82,11 +82,18 @@ def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
 def _distances(scenario: Scenario) -> np.ndarray:
     """R_ii and X_ii wherever an agent may stand, (n, 2)."""
-    at: list[int] = []
+    first, rows = 0, []
     for device in scenario.devices:
         buses = device.buses
-        at += scenario.candidates.tolist() if buses is None else [scenario.feeder.index(bus) for bus in buses]
-    return np.stack([np.diag(m)[at] for m in sensitivity(scenario.model)], axis=-1)
+        if buses is None:
+            rows += [(first, bus) for bus in scenario.candidates.tolist()]
+        else:
+            rows += [(first + i, scenario.feeder.index(bus)) for i, bus in enumerate(buses)]
+        first += device.count
+    agents, at = np.array(rows).T
+    nodes = nodes_by_bus(scenario)[agents, at]
+    own = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in sensitivity(scenario.model))
+    return np.stack(list(own), axis=-1)
 
 
 TUNABLE: dict[str, Tunable] = {
