@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.phases import phases_of
-from dcgrid_env.grid import Feeder, FeederError
+from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
 from dcgrid_env.powerflow import Sensitivity, own_sensitivity, sensitivity
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -31,7 +31,7 @@ def nodes_by_bus(scenario: Scenario) -> np.ndarray:
     return np.stack([widened[phases] for phases in agents])
 
 
-def _nodes(feeder: Feeder, bus: int, phases: str | None) -> tuple[int, ...]:
+def _nodes(feeder: AnyFeeder, bus: int, phases: str | None) -> tuple[int, ...]:
     try:
         return feeder.nodes_at(bus, phases)
     except FeederError:
@@ -96,7 +96,7 @@ def _mean_of_pairs(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) ->
 
 
 @cached_on_owner
-def between_buses(feeder: Feeder) -> np.ndarray:
+def between_buses(feeder: AnyFeeder) -> np.ndarray:
     """Impedance magnitude of the path between any two buses, p.u. per MVA, (n_bus, n_bus).
 
     On a three-phase feeder that of the mean voltages under power that is shared equally among a bus's phases.

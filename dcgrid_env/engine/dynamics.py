@@ -14,12 +14,12 @@ from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Exogenous, State, ThreePhaseState
-from dcgrid_env.grid import Feeder
-from dcgrid_env.powerflow import Control, Solution, Solver, solver_for, three_phase_nodes, unbalance_factor
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario
 
 
-def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solution]:
+def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnySolution]:
     """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power."""
     params = parameters(scenario, exogenous.p_load_kw)
     feeder = scenario.feeder
@@ -34,14 +34,14 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Solu
         tuple(agents[..., cut] + rest for rest in of_device) for of_device, cut in zip(params.rest, cuts, strict=True)
     )
     phases = None
-    if not isinstance(feeder, Feeder):
+    if isinstance(feeder, ThreePhaseFeeder):
         phases = ThreePhaseState(0.0 * v, 0.0 * v, agents, agents, 0.0 * v[..., : len(three_phase_nodes(feeder))])
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
 
 
-def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, Solution]:
+def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
     """Advance every lane by one interval.
 
     Parameters
@@ -79,7 +79,7 @@ def _step(
     setpoints: Sequence[Any],
     q_setpoint_kvar: Array,
     exogenous: Exogenous,
-) -> tuple[State, Solution]:
+) -> tuple[State, AnySolution]:
     xp = namespace(q_setpoint_kvar)
     solve, changing = _grid(scenario)
     devices, draws = [], []

@@ -16,7 +16,7 @@ from dcgrid_env.engine import observation
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 
@@ -64,8 +64,7 @@ class _Legs(NamedTuple):
 
 
 @cached_on_owner
-def _legs(scenario: Scenario) -> _Legs:
-    feeder = scenario.feeder
+def _legs(feeder: ThreePhaseFeeder) -> _Legs:
     return _Legs(feeder.leg_bus.copy(), feeder.p_load_kw.copy(), feeder.q_load_kvar.copy())
 
 
@@ -73,7 +72,7 @@ def _legs(scenario: Scenario) -> _Legs:
 def _load(scenario: Scenario) -> _Load:
     feeder = scenario.feeder
     rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
-    if not isinstance(feeder, Feeder):  # the factor of each bus, by which its legs are scaled
+    if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
         return _Load(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
     fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
     return _Load(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
@@ -262,9 +261,10 @@ def exogenous(
         injection = sun_rows(scenario).take(episode.sun + step)[:, None] * rated_kva
         if hour is not None and schedule == SUN:
             injection *= sun_share(hour)[:, None]
-    three_phase = not isinstance(scenario.feeder, Feeder)
+    feeder = scenario.feeder
+    three_phase = isinstance(feeder, ThreePhaseFeeder)
     if three_phase:
-        p, q = step_kernels().leg_loads(p, *_legs(scenario))
+        p, q = step_kernels().leg_loads(p, *_legs(feeder))
     available = capacitor_on = None
     if three_phase and not scenario.capacitors:
         capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
@@ -274,7 +274,7 @@ def exogenous(
         if three_phase:
             capacitor_on = scenario.capacitor_connected * (1.0 - capacitors)
         else:
-            q += capacitors * scenario.feeder.capacitor_kvar
+            q += capacitors * feeder.capacitor_kvar
     placed, compute = episode.placed, compute_share(scenario, episode, step)
     legs = placed.legs if three_phase else None
     return Exogenous(p, q, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on), z

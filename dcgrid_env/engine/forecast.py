@@ -49,7 +49,7 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
         if outside.capacitor_on is not None:
             capacitors.append(outside.capacitor_on[0])
     columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
-    return Forecast(drawn.buses[0], *columns, np.array(capacitors[1:]) if capacitors else None)
+    return Forecast(drawn.buses[0], *columns, capacitor_on=np.array(capacitors[1:]) if capacitors else None)
 
 
 def episode_hash(scenario: Scenario, seed: int) -> str:

@@ -36,6 +36,7 @@ import numpy as np
 
 from dcgrid_env.engine.state import field_of_devices
 from dcgrid_env.engine.trace_pool import trace_pool
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -93,18 +94,18 @@ class Series:
             "steps": len(v),
             "power_flow_converged": self.converged,
         }
-        if self.three_phase is not None:
-            figures |= self._unbalance()
+        if isinstance(s.feeder, ThreePhaseFeeder):
+            figures |= self._unbalance(s.feeder)
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self._requests() if device.input == "workload" else None
             figures |= device.metrics(history, s.dt_s, requests)
         return {name: float(value) for name, value in figures.items()}
 
-    def _unbalance(self) -> dict[str, float]:
+    def _unbalance(self, feeder: ThreePhaseFeeder) -> dict[str, float]:
         """Figures of the unbalance of a three-phase feeder's voltages."""
-        phases = self.three_phase
+        phases: Any = self.three_phase
         factor = phases.unbalance[1:]
-        nema = nema_unbalance(self.scenario.feeder, phases.v_re_pu[1:], phases.v_im_pu[1:])
+        nema = nema_unbalance(feeder, phases.v_re_pu[1:], phases.v_im_pu[1:])
         return {
             "unbalance_mean_pct": 100.0 * factor.mean() if factor.size else 0.0,
             "unbalance_max_pct": 100.0 * factor.max(initial=0.0),

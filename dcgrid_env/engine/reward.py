@@ -27,7 +27,7 @@ from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
-from dcgrid_env.powerflow import Solution
+from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -79,7 +79,7 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     return xp.where(inside, xp.exp(-1.0 / xp.where(inside, near, 1.0 + 0.0 * near)), 0.0 * near)
 
 
-def team_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
+def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
     xp, w, params, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
     deviation, excess = _voltage_sums(scenario, state.v_pu, t.judged)
@@ -120,7 +120,7 @@ def _mean_unbalance(factor: Array) -> Array:
     return sum_last(1.0 - positive_part(1.0 - factor * factor)) / max(n, 1)
 
 
-def local_costs(scenario: Scenario, state: State, solution: Solution, last: Array) -> Costs:
+def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
     """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
     The feeder's loss and unbalance are nobody's own and are charged to all alike.

@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.state import State
-from dcgrid_env.powerflow import Solution
+from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -170,7 +170,7 @@ class Simulation:
         drawn: episode.Episode,
         step: np.ndarray,
         state: State,
-        solution: Solution,
+        solution: AnySolution,
         measured: tuple[np.ndarray, ...],
         p_ref_next: np.ndarray,
         j_before: np.ndarray,

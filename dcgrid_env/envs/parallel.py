@@ -73,8 +73,9 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
             a: spaces.Box(*bounds[a], dtype=np.float32) for a in s.agents
         }
         layout = action_layout(s)
+        low, high = layout.bounds
         self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
-            a: spaces.Box(*(bound[at] for bound in layout.bounds), dtype=np.float32) for a, at in layout.slices.items()
+            a: spaces.Box(low[at], high[at], dtype=np.float32) for a, at in layout.slices.items()
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}

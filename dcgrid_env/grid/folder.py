@@ -8,8 +8,11 @@ from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.formats.folder_kind import is_three_phase
 from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
+AnyFeeder = Feeder | ThreePhaseFeeder
+"""A feeder of either kind."""
 
-def read_feeder(folder: str | Path) -> Feeder | ThreePhaseFeeder:
+
+def read_feeder(folder: str | Path) -> AnyFeeder:
     """Read the balanced or three-phase feeder that a folder holds, which its files tell.
 
     Raises

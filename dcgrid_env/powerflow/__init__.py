@@ -5,13 +5,14 @@ from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
-from dcgrid_env.powerflow.solver import Solver, solver_for
+from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
 from dcgrid_env.powerflow.unbalance import nema_unbalance, three_phase_nodes, unbalance_factor
 from dcgrid_env.powerflow.unbalanced.linearised import Linearised, linearise
 from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import BranchFlows, ThreePhaseSolution, branch_flows
 
 __all__ = [
+    "AnySolution",
     "BranchFlows",
     "Control",
     "Linearised",

@@ -14,6 +14,9 @@ from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.unbalanced.sweep import solve_unbalanced
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
+AnySolution = Solution | ThreePhaseSolution
+"""What a power flow returns, by the kind of feeder; the fields that both have mean the same."""
+
 
 class Solver(Protocol):
     """Solves the power flow of one kind of feeder, for one feeder or a batch, by one method."""
@@ -26,7 +29,7 @@ class Solver(Protocol):
         source_voltage_pu: Any,
         control: Control | None = None,
         start: Array | None = None,
-    ) -> Solution | ThreePhaseSolution:
+    ) -> AnySolution:
         """Solve the power flow.
 
         Parameters

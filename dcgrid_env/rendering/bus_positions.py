@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import AnyFeeder
 
 FloatArray = NDArray[np.float64]
 
@@ -13,7 +13,7 @@ _WIDTH_TO_HEIGHT = 1.35
 """Shape of the box that a tree should fill."""
 
 
-def positions(feeder: Feeder) -> FloatArray:
+def positions(feeder: AnyFeeder) -> FloatArray:
     """Where each bus goes in a drawing, shape (n_bus, 2); distinct, finite and the same at each call.
 
     The published coordinates where the feeder has them. A bus without, or on top of another, goes beside the bus that
@@ -30,7 +30,7 @@ def positions(feeder: Feeder) -> FloatArray:
     return xy if placed.all() else _beside(feeder, xy)
 
 
-def _beside(feeder: Feeder, xy: FloatArray) -> FloatArray:
+def _beside(feeder: AnyFeeder, xy: FloatArray) -> FloatArray:
     """Fill in missing rows near a neighbour that is placed, in the direction with the most room."""
     upstream = np.concatenate(([-1], feeder.parent))
     lengths = np.linalg.norm(xy[1:] - xy[feeder.parent], axis=1)
@@ -76,7 +76,7 @@ class _Block:
         return side
 
 
-def _tree(feeder: Feeder) -> FloatArray:
+def _tree(feeder: AnyFeeder) -> FloatArray:
     children: list[list[int]] = [[] for _ in range(feeder.n_bus)]
     weight = [(1, 1)] * feeder.n_bus  # buses on the longest way down, buses in all
     for j in feeder.depth_first.order[::-1].tolist():

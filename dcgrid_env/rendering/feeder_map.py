@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -15,7 +14,7 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Affine2D
 from numpy.typing import ArrayLike, NDArray
 
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import AnyFeeder
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ class FeederMap:
     """
 
     def __init__(
-        self, ax: Axes, feeder: Feeder, xy: FloatArray, band_pu: float, names: tuple[Sequence[str], Sequence[str]]
+        self, ax: Axes, feeder: AnyFeeder, xy: FloatArray, band_pu: float, names: tuple[Sequence[str], Sequence[str]]
     ):
         self.ax, self.feeder, self.xy, self.band_pu = ax, feeder, xy, band_pu
         few = feeder.n_bus <= _FEW_BUSES
@@ -205,7 +204,7 @@ class _Room:
 
 def draw_feeder(
     ax: Axes,
-    feeder: Feeder,
+    feeder: AnyFeeder,
     xy: FloatArray,
     v_pu: ArrayLike,
     dc_buses: Sequence[int] | NDArray[np.intp],
@@ -249,7 +248,7 @@ def draw_feeder(
     return drawn
 
 
-def _fed_through(feeder: Any) -> np.ndarray:
+def _fed_through(feeder: AnyFeeder) -> np.ndarray:
     """Base load that each branch feeds, kW, (n_branch,)."""
     total = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
     for bus in feeder.depth_first.order[:0:-1]:

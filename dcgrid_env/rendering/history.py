@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dcgrid_env.engine import episode
+from dcgrid_env.grid import AnyFeeder
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class History:
         return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
 
 
-def bus_means(feeder: Any, by_node: np.ndarray) -> np.ndarray:
+def bus_means(feeder: AnyFeeder, by_node: np.ndarray) -> np.ndarray:
     """Mean over the nodes of each bus, (..., n_bus) of (..., n_node)."""
     first = np.flatnonzero(np.diff(feeder.node_bus, prepend=-1))
     return np.add.reduceat(by_node, first, axis=-1) / np.bincount(feeder.node_bus).astype(by_node.dtype)

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.devices.phases import phases_of
-from dcgrid_env.grid import Feeder, FeederError, ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.flat_names import FLAT
 
 
-def free_load_buses(feeder: Feeder | ThreePhaseFeeder, devices: tuple[Any, ...]) -> np.ndarray:
+def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
     """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed.
 
     On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to.
@@ -28,7 +28,7 @@ def free_load_buses(feeder: Feeder | ThreePhaseFeeder, devices: tuple[Any, ...])
     return np.array([i for i in loaded if i not in taken], dtype=np.int64)
 
 
-def check_placement(name: str, feeder: Feeder | ThreePhaseFeeder, devices: tuple[Any, ...]) -> None:
+def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> None:
     """Raise ScenarioError unless every device can have a bus of its own, not the substation."""
     fixed: list[tuple[str, Any, str | None]] = []
     drawn = 0
@@ -69,7 +69,7 @@ def _words(device: Any) -> tuple[str, str]:
     return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
 
 
-def _position(name: str, feeder: Feeder | ThreePhaseFeeder, where: str, bus: Any, phases: str | None) -> int:
+def _position(name: str, feeder: AnyFeeder, where: str, bus: Any, phases: str | None) -> int:
     """Position of a device's bus; ScenarioError for one that no device can have, or not of these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")

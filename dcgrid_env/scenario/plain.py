@@ -28,7 +28,7 @@ from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.grid import FEEDER_REGISTRY, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
+from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
@@ -50,7 +50,7 @@ def to_plain(value: Any) -> Any:
         return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
         return value.name.lower()
-    if isinstance(value, Feeder | ThreePhaseFeeder):
+    if isinstance(value, AnyFeeder):
         return _feeder_to_plain(value)
     if isinstance(value, PowerTrace):
         return value.asked_by or value
@@ -87,7 +87,7 @@ _REMEDIES: dict[type[Any], str] = {
 }
 
 
-def _feeder_to_plain(feeder: Feeder | ThreePhaseFeeder) -> Any:
+def _feeder_to_plain(feeder: AnyFeeder) -> Any:
     """Name or folder that gives a feeder of the same content; the feeder itself where there is none."""
     content = digest([("", feeder)])
     if feeder.name in FEEDER_REGISTRY and digest([("", load_feeder(feeder.name))]) == content:

@@ -16,7 +16,7 @@ from dcgrid_env.core.checked import check_fields, choice, count, number, refuse,
 from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
-from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
@@ -40,7 +40,8 @@ class Scenario(PickledByFields, FlatNames):
     """
 
     name: str
-    feeder: Feeder | ThreePhaseFeeder
+    feeder: Any
+    """A Feeder or a ThreePhaseFeeder: of no one type here, as code that works on one kind knows which it has."""
     source_voltage_pu: float = number(0.5, 1.5)
     """Voltage at the substation, p.u."""
     devices: tuple[Device, ...]
@@ -76,7 +77,7 @@ class Scenario(PickledByFields, FlatNames):
             self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.feeder, Feeder | ThreePhaseFeeder):
+        if not isinstance(self.feeder, AnyFeeder):
             raise refuse(self, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder)")
         balanced = isinstance(self.feeder, Feeder)
         if balanced == (self.power_flow == "sweep"):
@@ -229,7 +230,7 @@ class Scenario(PickledByFields, FlatNames):
         return read_only(np.concatenate([np.empty(0), *parts]))
 
     @cached_property
-    def model(self) -> Feeder | ThreePhaseFeeder:
+    def model(self) -> Any:
         """The feeder as agents and controllers know it; the power flow is that of ``feeder``."""
         if self.r_model_share == 1.0 and self.x_model_share == 1.0:
             return self.feeder

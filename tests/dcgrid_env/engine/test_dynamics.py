@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import PrefillDecodeDvfs, Scenario, Solution, action_layout, distflow, lindistflow, make_scenario
+from dcgrid_env import PrefillDecodeDvfs, Scenario, action_layout, distflow, lindistflow, make_scenario
 from dcgrid_env.engine import dynamics, episode, reward
 from dcgrid_env.engine.state import Exogenous, State
 from helpers.forms import FORMS
@@ -52,7 +52,7 @@ def as_torch(fields: Any) -> Any:
     return type(fields)._make(a if a is None else torch.tensor(np.asarray(a)) for a in fields)
 
 
-def run(scenario: Scenario, given: list[Exogenous], actions: Any) -> list[tuple[State, Solution]]:
+def run(scenario: Scenario, given: list[Exogenous], actions: Any) -> list[tuple[State, Any]]:
     course = [dynamics.initial_state(scenario, given[0])]
     for action, exogenous in zip(actions, given[1:], strict=True):
         course.append(dynamics.step(scenario, course[-1][0], action, exogenous))

@@ -1,5 +1,7 @@
 """The engine on three-phase feeders: where devices draw, what agents see, what is charged and measured."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from dcgrid_env.powerflow import nema_unbalance, sensitivity, solver_for
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
-def play(scenario, lanes=3, steps=None, seed=0, action=None):
+def play(scenario, lanes=3, steps=None, seed=0, action=None) -> Any:
     """A batch under random or given actions, its transitions from the reset on."""
     simulation = Simulation(scenario, lanes)
     transitions = [simulation.reset(list(range(lanes)))]
@@ -69,6 +71,7 @@ def test_voltages_are_those_of_the_solver_and_agents_see_their_phases(name):
 def test_load_noise_is_one_draw_a_bus():
     scenario = ieee13()
     drawn = episode.draw(scenario, np.arange(2, dtype=np.uint64), np.zeros(2, np.uint64))
+    factor = np.ones(1)
     for _, outside in episode.unroll(scenario, drawn):
         loaded = scenario.feeder.p_load_kw > 0
         factor = (outside.p_load_kw / np.where(loaded, scenario.feeder.p_load_kw, 1.0))[:, loaded]
@@ -197,7 +200,7 @@ def test_tensors_step_alike_and_carry_a_derivative():
     _, transitions = play(scenario, lanes=2)
     env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))
     env.reset(range(2))
-    rng, total, given = np.random.default_rng(0), 0.0, []
+    rng, total, given = np.random.default_rng(0), torch.zeros(()), []
     for t in transitions[1:]:
         action = torch.tensor(rng.uniform(-1.0, 1.0, (2, action_layout(scenario).n)), requires_grad=True)
         step = env.step(action)

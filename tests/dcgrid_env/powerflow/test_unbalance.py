@@ -12,8 +12,8 @@ FEEDER = load_feeder("ieee13-3ph")
 
 def voltages(a: complex, b: complex, c: complex) -> tuple[np.ndarray, np.ndarray]:
     """The same three phasors at every bus."""
-    phasor = np.array([a, b, c])[FEEDER.node_phase - 1]
-    return phasor.real, phasor.imag
+    phasor = np.array([a, b, c], np.complex128)[FEEDER.node_phase - 1]
+    return np.real(phasor), np.imag(phasor)
 
 
 TURN = np.exp(2j * np.pi / 3)
