@@ -134,9 +134,9 @@ def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: 
     for i in _grid(scenario)[1]:
         change = scenario.devices[i].grid_change(params[i], states[i])
         if change.shunt_kvar is not None:
-            legs = _legs(exogenous)[:, cuts[i]]
-            before = 0.0 * exogenous.q_load_kvar if shunt_kvar is None else shunt_kvar
-            shunt_kvar = add_at(before, legs, _to_nodes(change.shunt_kvar, legs))
+            nodes = exogenous.nodes[:, cuts[i]]
+            none = 0.0 * exogenous.q_load_kvar[..., : scenario.feeder.n_node]
+            shunt_kvar = add_at(none if shunt_kvar is None else shunt_kvar, nodes, _to_nodes(change.shunt_kvar, nodes))
         if change.tap_ratio is not None:
             ratios.append(change.tap_ratio)
     return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar, exogenous.capacitor_on)
@@ -192,6 +192,10 @@ def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
 
 def _by_phase(feeder: Any, solution: Any, nodes: Array) -> ThreePhaseState:
     """What the state of a three-phase feeder has beside its voltages."""
-    lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
-    factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
+    if is_rows(solution.v_pu):
+        v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
+        lowest, highest, factor = step_kernels().by_phase(*v, nodes, three_phase_nodes(feeder))
+    else:
+        lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
+        factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
     return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from dcgrid_env.powerflow.unbalance import TINY_PU
+
 
 @numba.njit(error_model="numpy", cache=True)
 def leg_loads(factor, leg_bus, p_kw, q_kvar):
@@ -66,6 +68,36 @@ def extremes(v_pu, first):
             high = v if v > high else high
         out[0, lane], out[1, lane] = low, high
     return out
+
+
+@numba.njit(error_model="numpy", cache=True)
+def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
+    """Each agent's lowest and highest phase, p.u., (lane, n_agent), and each three-phase bus's unbalance factor.
+
+    ``agent_nodes`` (lane, n_agent, k) are flat positions lane * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
+    are voltages, (lane, n_node). See ``powerflow.unbalance``.
+    """
+    lanes, agents, parts = agent_nodes.shape
+    lowest, highest = np.empty((lanes, agents)), np.empty((lanes, agents))
+    factor = np.empty((lanes, bus_nodes.shape[0]))
+    flat, h = v_pu.reshape(-1), np.sqrt(0.75)
+    for lane in range(lanes):
+        for agent in range(agents):
+            low = high = flat[agent_nodes[lane, agent, 0]]
+            for part in range(1, parts):
+                v = flat[agent_nodes[lane, agent, part]]
+                low = v if v < low else low
+                high = v if v > high else high
+            lowest[lane, agent], highest[lane, agent] = low, high
+        for bus in range(bus_nodes.shape[0]):
+            a, b, c = bus_nodes[bus, 0], bus_nodes[bus, 1], bus_nodes[bus, 2]
+            sum_re = v_re_pu[lane, a] - 0.5 * (v_re_pu[lane, b] + v_re_pu[lane, c])
+            sum_im = v_im_pu[lane, a] - 0.5 * (v_im_pu[lane, b] + v_im_pu[lane, c])
+            turn_re = h * (v_re_pu[lane, b] - v_re_pu[lane, c])
+            turn_im = h * (v_im_pu[lane, b] - v_im_pu[lane, c])
+            positive = np.sqrt((sum_re - turn_im) ** 2 + (sum_im + turn_re) ** 2)
+            factor[lane, bus] = np.sqrt((sum_re + turn_im) ** 2 + (sum_im - turn_re) ** 2) / (positive + TINY_PU)
+    return lowest, highest, factor
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -11,11 +11,12 @@ import math
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, take_last
+from dcgrid_env.core.arrays import Array, namespace, positive_sqrt, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import ThreePhaseFeeder
 
-_TINY = 1e-9  # p.u.; a bus without voltage has no unbalance
+TINY_PU = 1e-9
+"""Added to what an unbalance is a share of, so that a bus without voltage has none."""
 
 
 @cached_on_owner
@@ -35,10 +36,9 @@ def unbalance_factor(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -
     h = math.sqrt(0.75)
     sum_re, sum_im = a_re - 0.5 * (b_re + c_re), a_im - 0.5 * (b_im + c_im)
     turn_re, turn_im = h * (b_re - c_re), h * (b_im - c_im)
-    xp = namespace(v_re_pu)
-    positive = xp.hypot(sum_re - turn_im, sum_im + turn_re)
-    negative = xp.hypot(sum_re + turn_im, sum_im - turn_re)
-    return negative / (positive + _TINY)
+    positive = positive_sqrt((sum_re - turn_im) ** 2 + (sum_im + turn_re) ** 2)
+    negative = positive_sqrt((sum_re + turn_im) ** 2 + (sum_im - turn_re) ** 2)
+    return negative / (positive + TINY_PU)
 
 
 def nema_unbalance(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> Array:
@@ -47,7 +47,7 @@ def nema_unbalance(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> 
     lines = [xp.hypot(p[0] - q[0], p[1] - q[1]) for p, q in ((a, b), (b, c), (c, a))]
     mean = (lines[0] + lines[1] + lines[2]) / 3.0
     off = [xp.abs(line - mean) for line in lines]
-    return xp.maximum(xp.maximum(off[0], off[1]), off[2]) / (mean + _TINY)
+    return xp.maximum(xp.maximum(off[0], off[1]), off[2]) / (mean + TINY_PU)
 
 
 def _phasors(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> list[tuple[Array, Array]]:

@@ -70,7 +70,7 @@ def _base(feeder: ThreePhaseFeeder) -> tuple[Any, Any]:
 
 def _spread(values: Any, like: Array, lead: tuple[int, ...]) -> Array:
     values = values if isinstance(like, np.ndarray) else as_like(values, like)
-    return namespace(like).broadcast_to(values, (*lead, values.shape[-1]))
+    return _widened(values, lead, like)
 
 
 def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Any) -> Array:
@@ -86,7 +86,14 @@ def _by_lane(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, widt
         raise PowerFlowError(
             f"feeder {feeder.name!r}: {name} has shape {tuple(array.shape)}; give ({width},) or {(*lead, width)}"
         )
-    return namespace(like).broadcast_to(array, (*lead, width))
+    return _widened(array, lead, like)
+
+
+def _widened(values: Array, lead: tuple[int, ...], like: Array) -> Array:
+    """Values (n,) or (*lead, n) as (*lead, n)."""
+    if lead == (1,):  # a broadcast takes as long as several sweeps of one feeder
+        return values.reshape(1, values.shape[-1])
+    return namespace(like).broadcast_to(values, (*lead, values.shape[-1]))
 
 
 def _check_ratios(feeder: ThreePhaseFeeder, ratio: Array) -> None:

@@ -8,6 +8,7 @@ import torch
 
 from dcgrid_env import DcgridVectorEnv, Inverters, PowerFlowError, TensorEnv, make_scenario
 from dcgrid_env.devices import Channel, GridChange
+from helpers.three_phase import ieee13
 
 
 class _Switched(NamedTuple):
@@ -88,3 +89,15 @@ def test_a_tap_without_a_regulator_is_refused():
     env = DcgridVectorEnv(1, scenario(_Taps))
     with pytest.raises(PowerFlowError, match=r"tap_ratio is .*, and a balanced feeder has no regulator"):
         env.reset(seed=0)
+
+
+def test_a_shunt_at_a_bus_of_three_phases_or_of_one():
+    base = ieee13().replace(horizon=4)
+    buses = {"buses": ("675", "611"), "s_rated_kva": 100.0}
+    voltages = []
+    for group, asked in ((_SwitchedShunts(**buses), 1.0), (Inverters(**buses), 1.0)):
+        env = DcgridVectorEnv(1, base.replace(devices=(base.devices[0], group)))
+        env.reset(seed=0)
+        env.step(np.array([[1.0, 0.0, 1.0, 0.0, asked, asked]]))
+        voltages.append(env.transition.state.v_pu)
+    np.testing.assert_allclose(voltages[0], voltages[1], atol=1e-8)

@@ -11,7 +11,7 @@ from dcgrid_env.engine import connections, dynamics, episode, observation
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.metrics import Recorder
 from dcgrid_env.engine.simulation import Simulation
-from dcgrid_env.powerflow import nema_unbalance, sensitivity, solver_for
+from dcgrid_env.powerflow import nema_unbalance, sensitivity, solver_for, unbalance_factor
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
@@ -59,6 +59,8 @@ def test_voltages_are_those_of_the_solver_and_agents_see_their_phases(name):
             v = state.v_pu[lane, list(feeder.nodes_at(bus))]
             seen = (state.v_agent_pu, state.three_phase.v_agent_lowest_pu, state.three_phase.v_agent_highest_pu)
             assert [field[lane, agent] for field in seen] == pytest.approx([v.mean(), v.min(), v.max()], abs=1e-14)
+    tensors = (torch.tensor(a) for a in (state.three_phase.v_re_pu, state.three_phase.v_im_pu))
+    np.testing.assert_allclose(state.three_phase.unbalance, unbalance_factor(feeder, *tensors), rtol=1e-12)
     phasors = state.three_phase.v_re_pu + 1j * state.three_phase.v_im_pu
     np.testing.assert_allclose(np.abs(phasors), state.v_pu, rtol=1e-12)
     names = observation.field_names(scenario)["dc_0"]
