@@ -17,6 +17,7 @@ from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
 from dcgrid_env.cli.hindsight import HindsightValues
 from dcgrid_env.cli.listing import List
+from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
@@ -53,6 +54,7 @@ COMMANDS = Group(
         "reproduce": Reproduce,
         "list": List,
         "traces": Group("Fetch, show and record power traces.", {"fetch": Fetch, "show": Show, "record": Record}),
+        "import": Group("Read feeders from the files of other programs.", {"opendss": ImportOpenDss}),
         "dev": DEV,
     },
 )

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import secrets
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,30 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Fill a folder: ``folder`` is there, with all of it, once the block has ended without an error.
+
+    The block is given a folder of another name beside it to write to; folders above are made.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be made, or is there and not empty.
+    """
+    folder = folder.absolute()
+    with new_folder(folder.parent):
+        part = folder.with_name(f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}")
+        try:
+            part.mkdir()
+            yield part
+            if folder.exists():
+                folder.rmdir()
+            part.replace(folder)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

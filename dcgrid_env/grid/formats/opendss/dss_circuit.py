@@ -1,0 +1,193 @@
+"""A circuit in OpenDSS: handed over, solved as it stands, and read element by element.
+
+OpenDSSDirect.py comes with the extra ``opendss`` and is imported here alone, when a circuit is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.core.install import from_clone
+from dcgrid_env.grid.formats.opendss.script_reader import Script
+from dcgrid_env.grid.topology import FeederError
+
+TOLERANCE = 1e-10
+"""OpenDSS's tolerance of the solution that is compared with, p.u.; its default of 1e-4 is too coarse."""
+
+
+class Terminal(NamedTuple):
+    """One end of an element."""
+
+    bus: str
+    nodes: tuple[int, ...]
+    """Node of each conductor: 1, 2, 3 for the phases a, b, c, and 0 for ground."""
+
+
+class DssCircuit:
+    """A circuit in an OpenDSS engine of its own; make one with :func:`loaded_circuit`."""
+
+    def __init__(self, engine: Any) -> None:
+        self.engine = engine
+
+    @property
+    def name(self) -> str:
+        """Name of the circuit."""
+        return self.engine.Circuit.Name()
+
+    def names(self, kind: str) -> list[str]:
+        """Names of the enabled elements of a class, without the class."""
+        return [name for name, enabled in self._all(kind) if enabled]
+
+    def disabled(self, kind: str) -> list[str]:
+        """Names of the elements of a class that are not in the circuit."""
+        return [name for name, enabled in self._all(kind) if not enabled]
+
+    def _all(self, kind: str) -> Iterator[tuple[str, bool]]:
+        for full in self.engine.Circuit.AllElementNames():
+            own, _, name = full.partition(".")
+            if own.lower() == kind:
+                self.engine.Circuit.SetActiveElement(full)
+                yield name, bool(self.engine.CktElement.Enabled())
+
+    def kinds(self) -> list[str]:
+        """Classes of the circuit's elements, in lower case."""
+        return list(dict.fromkeys(full.partition(".")[0].lower() for full in self.engine.Circuit.AllElementNames()))
+
+    def activate(self, kind: str, name: str) -> None:
+        """Choose the element that is asked about from here on."""
+        if self.engine.Circuit.SetActiveElement(f"{kind}.{name}") < 0:
+            raise FeederError(f"OpenDSS has no {kind}.{name}")
+
+    def text(self, field: str) -> str:
+        """A property of the active element, as OpenDSS writes it."""
+        return str(self.engine.Properties.Value(field)).strip()
+
+    def figure(self, field: str) -> float:
+        """A property that is one figure."""
+        return float(self.text(field))
+
+    def figures(self, field: str) -> list[float]:
+        """A property that is several figures."""
+        return [float(word) for word in self.text(field).strip("[]()").replace(",", " ").split()]
+
+    def yes(self, field: str) -> bool:
+        """Whether a property is yes or true."""
+        return self.text(field).lower() in ("yes", "true")
+
+    def terminals(self) -> list[Terminal]:
+        """Both ends of the active element, or its one."""
+        element = self.engine.CktElement
+        size, order = element.NumConductors(), list(element.NodeOrder())
+        return [
+            Terminal(bus.partition(".")[0].lower(), tuple(order[k * size : (k + 1) * size]))
+            for k, bus in enumerate(element.BusNames())
+        ]
+
+    def open_conductors(self) -> list[list[bool]]:
+        """Which of its phases the active element has open, at each end."""
+        element = self.engine.CktElement
+        phases = range(1, element.NumPhases() + 1)
+        return [[bool(element.IsOpen(k + 1, i)) for i in phases] for k in range(element.NumTerminals())]
+
+    def admittance(self) -> NDArray[np.complex128]:
+        """Primitive admittance matrix of the active element, siemens, over the conductors of all its ends."""
+        flat = np.asarray(self.engine.CktElement.YPrim(), np.float64)
+        y = flat[::2] + 1j * flat[1::2]
+        size = round(len(y) ** 0.5)
+        return y.reshape(size, size).T
+
+    @contextmanager
+    def closed(self) -> Iterator[None]:
+        """Close the active element within the block, so that its matrices can be read."""
+        element, opened = self.engine.CktElement, self.open_conductors()
+        where = [(k + 1, i + 1) for k, phases in enumerate(opened) for i, is_open in enumerate(phases) if is_open]
+        for end, phase in where:
+            element.Close(end, phase)
+        if where:
+            self.engine.Solution.BuildYMatrix(1, 1)
+        yield
+        for end, phase in where:
+            element.Open(end, phase)
+        if where:
+            self.engine.Solution.BuildYMatrix(1, 1)
+
+    def solve(self) -> bool:
+        """Solve as it stands, controls off; whether OpenDSS converged."""
+        settings = f"mode=snapshot controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
+        try:
+            self.engine.Text.Command(f"set {settings}")
+            self.engine.Solution.Solve()
+        except self.engine.DSSException as error:
+            raise FeederError(f"OpenDSS cannot solve the circuit: {_one_line(error)}") from None
+        return bool(self.engine.Solution.Converged())
+
+    def base_kv_ln(self, bus: str) -> float:
+        """Line-to-neutral base voltage of a bus, kV, and 0 where none is set."""
+        self.engine.Circuit.SetActiveBus(bus)
+        return float(self.engine.Bus.kVBase())
+
+    def coordinates(self, bus: str) -> tuple[float, float]:
+        """Coordinates of a bus, NaN where there are none."""
+        self.engine.Circuit.SetActiveBus(bus)
+        if not self.engine.Bus.Coorddefined():
+            return float("nan"), float("nan")
+        return float(self.engine.Bus.X()), float(self.engine.Bus.Y())
+
+    def volts(self) -> dict[str, complex]:
+        """Voltage of each node to ground, V, by its name such as ``"671.1"``."""
+        flat = np.asarray(self.engine.Circuit.AllBusVolts(), np.float64)
+        names = [name.lower() for name in self.engine.Circuit.AllNodeNames()]
+        return dict(zip(names, (flat[::2] + 1j * flat[1::2]).tolist(), strict=True))
+
+
+def loaded_circuit(master: Path, trust: bool) -> DssCircuit:
+    """Define the circuit of a script in an engine of its own, checked line by line unless it is trusted.
+
+    Raises
+    ------
+    FeederError
+        Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
+    """
+    engine = _engine()
+    if not master.is_file():
+        raise FeederError(f"there is no file {master}; give an OpenDSS master file")
+    if trust:
+        _run(engine, f'redirect "{master.resolve()}"', str(master))
+    else:
+        executive = engine.Executive
+        commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
+        options = [executive.Option(k + 1) for k in range(executive.NumOptions())]
+        for line in Script(master, commands, options, engine.Basic.Classes()).lines():
+            _run(engine, line.command, line.where)
+    if engine.Basic.NumCircuits() != 1:
+        raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
+    return DssCircuit(engine)
+
+
+def _run(engine: Any, command: str, where: str) -> None:
+    try:
+        engine.Text.Command(command)
+    except engine.DSSException as error:
+        raise FeederError(f"{where}: OpenDSS refuses the command: {_one_line(error)}") from None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _engine() -> Any:
+    try:
+        from opendssdirect import dss  # pyright: ignore[reportMissingImports]  (in the extra opendss only)
+    except ImportError:
+        raise FeederError(f"reading OpenDSS files needs OpenDSSDirect.py; {from_clone('opendss')}") from None
+    engine = dss.NewContext()
+    for forbidden in ("AllowChangeDir", "AllowEditor", "AllowForms", "AllowDOScmd"):
+        getattr(engine.Basic, forbidden)(False)
+    engine.Text.Command("clear")
+    return engine

@@ -1,0 +1,110 @@
+"""Transformers with a RegControl as rows of the regulators' table.
+
+A voltage regulator proper (wye, the same voltage on both sides, the tap on the side that it feeds) is one row. Any
+other transformer whose fed-from side is tapped, such as a substation transformer with its tap changer, becomes a
+transformer at the neutral tap and an ideal regulator behind it, at a bus of its own between them: with the impedance z
+of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, that is the same. A tap on the side that is fed from is fixed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
+from dcgrid_env.grid.formats.opendss.dss_lines import rounded
+from dcgrid_env.grid.formats.opendss.dss_transformers import Unit
+from dcgrid_env.grid.formats.opendss.import_report import Report
+
+_SAME = 1e-9  # relative
+_WHOLE = 1e-6  # of a tap
+
+
+@dataclass(frozen=True)
+class Regulation:
+    """A RegControl: which transformer's winding it taps, and the columns of its row that are the control's."""
+
+    name: str
+    unit: str
+    winding: int
+    """1 or 2, in OpenDSS's order."""
+    sensed: int
+    """Which of the transformer's phases it senses, from 0."""
+    values: dict[str, Any]
+
+
+def read_regulations(circuit: DssCircuit, report: Report) -> dict[str, Regulation]:
+    """The control of each transformer that has one, by the transformer's name."""
+    found: dict[str, Regulation] = {}
+    for name in circuit.names("regcontrol"):
+        circuit.activate("regcontrol", name)
+        unit = circuit.text("transformer").lower().removeprefix("transformer.")
+        if unit in found:
+            report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
+            continue
+        found[unit] = _regulation(circuit, report, name, unit)
+    return found
+
+
+def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Regulation:
+    for field, text in (
+        ("reversible", "its control of reversed power is left out"),
+        ("inversetime", "its delay that falls with the deviation is constant here"),
+    ):
+        if circuit.yes(field):
+            report.add("lost", "regcontrol", name, text)
+    if circuit.text("bus"):
+        report.add("lost", "regcontrol", name, "it senses its own terminal here, not another bus")
+    if circuit.figure("vlimit") > 0:
+        report.add("lost", "regcontrol", name, "its limit of voltage is left out")
+    if circuit.figure("ldc_z") != 0:
+        report.add("lost", "regcontrol", name, "its compensation by the current's magnitude is left out")
+    winding, sensed = int(circuit.figure("winding")), circuit.text("ptphase").lower()
+    tapped = int(circuit.figure("tapwinding") or winding)
+    if tapped != winding:
+        report.add("lost", "regcontrol", name, "it senses the winding that it taps here, not the other")
+    if not sensed.isdigit():
+        report.add("lost", "regcontrol", name, f"it senses its first phase here, not the {sensed} of all")
+    values = {
+        "vreg_v": "vreg", "band_v": "band", "pt_ratio": "ptratio", "ct_primary_a": "ctprim", "r_ldc_v": "r",
+        "x_ldc_v": "x", "delay_s": "delay", "tap_delay_s": "tapdelay",
+    }  # fmt: skip
+    row: dict[str, Any] = {column: circuit.figure(field) for column, field in values.items()}
+    row["max_taps_per_move"] = int(circuit.figure("maxtapchange"))
+    return Regulation(name, unit, tapped, max(int(sensed) - 1, 0) if sensed.isdigit() else 0, row)
+
+
+def is_regulator(unit: Unit) -> bool:
+    """Whether an oriented transformer is a row of the regulators' table by itself, without a transformer before it."""
+    first, second = unit.windings
+    wye = first.connection == second.connection == "wye_grounded"
+    return wye and first.tap == 1.0 and math.isclose(first.kv_ll, second.kv_ll, rel_tol=_SAME)
+
+
+def regulator_row(unit: Unit, regulation: Regulation, from_bus: str, report: Report) -> dict[str, Any] | None:
+    """A row from an oriented transformer; None, with its reason in the report, where its tap is no whole step."""
+    to = unit.windings[1]
+    step = (to.tap_max - to.tap_min) / to.n_tap
+    tap, lowest, highest = ((value - 1.0) / step for value in (to.tap, to.tap_min, to.tap_max))
+    if abs(tap - round(tap)) > _WHOLE or max(abs(end - round(end)) for end in (lowest, highest)) > _WHOLE:
+        report.add("refused", "transformer", unit.name, f"its tap {to.tap:g} is not 1 plus whole steps of {step:g}")
+        return None
+    proper = is_regulator(unit)
+    if regulation.sensed >= len(unit.nodes):
+        report.add("refused", "regcontrol", regulation.name, "ptphase is beyond the phases of its transformer")
+        return None
+    if to.connection == "delta":
+        report.add("lost", "regcontrol", regulation.name, "it senses a phase to ground here, not the delta's voltage")
+    report.add("taken", "regcontrol", regulation.name, "in regulators.csv")
+    if not proper:
+        between = "its transformer is a row of its own, at its neutral tap, with a bus between them"
+        report.add("nothing lost", "regcontrol", regulation.name, between)
+    return {
+        "name": regulation.name, "bank": unit.bank or to.bus, "from_bus": from_bus, "to_bus": to.bus,
+        "phases": unit.phases, "sensed_phase": "abc"[unit.nodes[regulation.sensed] - 1],
+        "kv_ln": rounded(to.kv_ll / math.sqrt(3.0)), "kva_per_phase": rounded(unit.kva / len(unit.phases)),
+        "r_percent": unit.r_percent if proper else 0.0, "x_percent": unit.x_percent if proper else 0.0,
+        "tap": round(tap), "tap_neutral": 0, "tap_min": round(lowest), "tap_max": round(highest),
+        "tap_step": rounded(step), "antifloat_ppm": unit.antifloat_ppm if proper else 0.0, **regulation.values,
+    }  # fmt: skip

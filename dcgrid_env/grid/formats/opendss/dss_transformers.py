@@ -1,0 +1,148 @@
+"""Transformers of two windings of an OpenDSS circuit; those with a RegControl go on to ``dss_regulators``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
+from dcgrid_env.grid.formats.opendss.dss_lines import rounded
+from dcgrid_env.grid.formats.opendss.import_report import Report
+from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
+from dcgrid_env.grid.three_phase_tables import WINDINGS
+
+
+@dataclass(frozen=True)
+class Winding:
+    """One winding: its bus, its connection in the tables' words, and its figures."""
+
+    bus: str
+    connection: str
+    kv_ll: float
+    tap: float
+    tap_min: float
+    tap_max: float
+    n_tap: int
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A transformer of one to three phases, its windings in OpenDSS's order."""
+
+    name: str
+    phases: str
+    nodes: tuple[int, ...]
+    windings: tuple[Winding, Winding]
+    kva: float
+    r_percent: float
+    x_percent: float
+    lag: bool
+    """Whether the low side lags, as ANSI has it."""
+    antifloat_ppm: float
+    no_load_percent: float
+    magnetising_percent: float
+    bank: str
+
+
+def read_units(circuit: DssCircuit, report: Report) -> list[Unit]:
+    """The transformers that may be represented; the others stand in the report as refused."""
+    found = []
+    for name in circuit.names("transformer"):
+        unit = _unit(circuit, name)
+        if isinstance(unit, str):
+            report.add("refused", "transformer", name, unit)
+        else:
+            found.append(unit)
+    return found
+
+
+def _unit(circuit: DssCircuit, name: str) -> Unit | str:
+    circuit.activate("transformer", name)
+    ends = circuit.terminals()
+    if len(ends) != 2:
+        return f"it has {len(ends)} windings; two can be represented"
+    if any(any(phases) for phases in circuit.open_conductors()):
+        return "a terminal is open; disable the transformer instead"
+    engine = circuit.engine
+    engine.Transformers.Name(name)
+    size = engine.CktElement.NumPhases()
+    windings, resistance = [], 0.0
+    for k, end in enumerate(ends):
+        engine.Transformers.Wdg(k + 1)
+        delta = bool(engine.Transformers.IsDelta())
+        wrong = _wrong_winding(end, delta, size)
+        if wrong:
+            return f"winding {k + 1} {wrong}"
+        kv = float(engine.Transformers.kV()) * (math.sqrt(3.0) if size == 1 else 1.0)
+        taps = engine.Transformers
+        windings.append(
+            Winding(end.bus, "delta" if delta and size == 3 else "wye_grounded", kv, float(taps.Tap()),
+                    float(taps.MinTap()), float(taps.MaxTap()), int(taps.NumTaps()))
+        )  # fmt: skip
+        resistance += float(engine.Transformers.R())
+    nodes = [end.nodes[:size] for end in ends]
+    turned = (1, 2, 3), (2, 3, 1), (3, 1, 2)
+    if nodes[0] != nodes[1] or (size == 3 and "delta" in {w.connection for w in windings} and nodes[0] not in turned):
+        return f"its phases are {nodes[0]} and {nodes[1]}; both sides must have the same, a delta in the order 1 2 3"
+    circuit.activate("transformer", name)
+    return Unit(
+        name, phases_of(nodes[0]), nodes[0], (windings[0], windings[1]), circuit.figures("kvas")[0],
+        rounded(resistance), rounded(circuit.figure("xhl")), circuit.text("leadlag").lower() in ("lag", "ansi"),
+        circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag"), circuit.text("bank"),
+    )  # fmt: skip
+
+
+def _wrong_winding(end: Terminal, delta: bool, size: int) -> str:
+    phases, rest = end.nodes[:size], end.nodes[size:]
+    if not set(phases) <= {1, 2, 3} or len(set(phases)) < size:
+        return f"has the nodes {'.'.join(map(str, end.nodes))}; its phases must be of the nodes 1, 2, 3"
+    if delta and size == 3:
+        return ""
+    if any(rest):
+        what = "stands between two phases" if size < 3 else "has a neutral that is not at ground"
+        return f"{what} (nodes {'.'.join(map(str, end.nodes))}); wye to ground and delta of three phases are known"
+    return "is a delta of two phases" if delta and size == 2 else ""
+
+
+def oriented(unit: Unit, depth: dict[str, int]) -> Unit:
+    """The transformer with its fed winding first."""
+    first, second = unit.windings
+    return unit if depth[first.bus] <= depth[second.bus] else replace(unit, windings=(second, first))
+
+
+def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
+    """The row of a transformer whose fed winding comes first, its taps taken into its voltages; or what is wrong."""
+    first, second = unit.windings
+    pair = (first.connection, second.connection)
+    if pair not in WINDINGS:
+        known = ", ".join(" / ".join(one) for one in WINDINGS)
+        return f"it is {' / '.join(pair)} from its fed side; {known} are known"
+    shift_deg = 0.0
+    if pair == ("delta", "wye_grounded"):
+        steps_down = first.kv_ll >= second.kv_ll
+        shift_deg = -30.0 if unit.lag == steps_down else 30.0
+    values = {
+        "connection_from": pair[0], "connection_to": pair[1], "kva": rounded(unit.kva),
+        "kv_ll_from": rounded(first.kv_ll * first.tap), "kv_ll_to": rounded(second.kv_ll * to_tap),
+        "r_percent": unit.r_percent, "x_percent": unit.x_percent, "shift_deg": shift_deg,
+        "antifloat_ppm": unit.antifloat_ppm,
+    }  # fmt: skip
+    return Joint("transformer", unit.name, (first.bus, to_bus), unit.phases, True, values)
+
+
+def merged(joints: list[Joint], report: Report) -> list[Joint]:
+    """Single-phase transformers of one kind between the same two buses made one of several phases."""
+    found: dict[tuple[str, str], Joint] = {}
+    for joint in joints:
+        other = found.get(joint.ends)
+        if other is None:
+            found[joint.ends] = joint
+            continue
+        each = [one.values | {"kva": one.values["kva"] / len(one.phases)} for one in (other, joint)]
+        if each[0] != each[1] or set(other.phases) & set(joint.phases):
+            report.add("refused", "transformer", joint.name, f"it stands beside {other.name}, which is not its like")
+            continue
+        phases = "".join(sorted(other.phases + joint.phases))
+        values = joint.values | {"kva": rounded(each[0]["kva"] * len(phases))}
+        found[joint.ends] = replace(other, name=f"{other.name}+{joint.name}", phases=phases, values=values)
+    return list(found.values())

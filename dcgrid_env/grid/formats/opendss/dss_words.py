@@ -1,0 +1,89 @@
+"""One line of an OpenDSS script as words, read by OpenDSS's rules and written again so that nothing can be read twice.
+
+Words are separated by blanks and commas, ``name=value`` is one, and a value may stand in quotes, parentheses, brackets
+or braces up to the first that closes. What OpenDSS and this file could read in two ways (brackets of one kind within
+each other, control characters, its variables ``@name``) is refused.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+CLOSING = {'"': '"', "'": "'", "(": ")", "[": "]", "{": "}"}
+_BLANK = " \t"
+
+
+class Word(NamedTuple):
+    """A word of a line."""
+
+    name: str
+    """What stands before the sign of equality, empty where there is none."""
+    text: str
+    """The value without its quotes."""
+    quote: str = ""
+    """The quote or bracket that it stands in, empty for none."""
+
+    def __str__(self) -> str:
+        text = f"{self.quote}{self.text}{CLOSING[self.quote]}" if self.quote else self.text
+        return f"{self.name}={text}" if self.name else text
+
+
+def words_of(line: str) -> list[Word]:
+    """Split a line without its comment into words.
+
+    Raises
+    ------
+    ValueError
+        Saying what cannot be read; file and line are the caller's to add.
+    """
+    if any((ord(character) < 32 and character != "\t") or ord(character) == 127 for character in line):
+        raise ValueError("a control character; delete it")
+    words: list[Word] = []
+    at = 0
+    while (at := _skipped(line, at, _BLANK + ",")) < len(line) and not _is_comment(line, at):
+        if line[at] == "=":
+            raise ValueError("= without a name before it; write name=value")
+        text, quote, at = _value(line, at)
+        after = _skipped(line, at, _BLANK)
+        if after < len(line) and line[after] == "=":
+            if quote:
+                raise ValueError(f"the name {text!r} stands in quotes; write it without")
+            name, at = text, _skipped(line, after + 1, _BLANK)
+            empty = at >= len(line) or line[at] in ",=" or _is_comment(line, at)
+            text, quote, at = ("", '"', at) if empty else _value(line, at)
+            words.append(Word(name, text, quote))
+        else:
+            words.append(Word("", text, quote))
+    for word in words:
+        if "@" in word.name + word.text:
+            raise ValueError(f"{str(word)!r} may name a variable of OpenDSS; write what it stands for")
+    return words
+
+
+def _skipped(line: str, at: int, characters: str) -> int:
+    while at < len(line) and line[at] in characters:
+        at += 1
+    return at
+
+
+def _is_comment(line: str, at: int) -> bool:
+    return line[at] == "!" or line.startswith("//", at)
+
+
+def _value(line: str, at: int) -> tuple[str, str, int]:
+    """A value that begins at a place, its quote and the place behind it."""
+    quote = line[at]
+    if quote not in CLOSING:
+        end = at
+        while end < len(line) and line[end] not in _BLANK + ",=" and not _is_comment(line, end):
+            if line[end] in "\"'()[]{}":
+                raise ValueError(f"{line[end]} within the word {line[at:].split()[0]!r}; separate words by blanks")
+            end += 1
+        return line[at:end], "", end
+    end = line.find(CLOSING[quote], at + 1)
+    if end < 0:
+        raise ValueError(f"{quote} is not closed on its line")
+    text = line[at + 1 : end]
+    if quote in text:
+        raise ValueError(f"{quote} stands within {quote} {CLOSING[quote]}; use brackets of another kind inside")
+    return text, quote, end + 1

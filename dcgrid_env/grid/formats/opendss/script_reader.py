@@ -1,0 +1,148 @@
+"""The commands of an OpenDSS script and of those that it redirects to, each read, checked and written out anew.
+
+OpenDSS itself opens no script: it is handed these lines one by one, so that what it runs is what was looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from dcgrid_env.grid.formats.opendss import script_rules as rules
+from dcgrid_env.grid.formats.opendss.dss_words import CLOSING, Word, words_of
+from dcgrid_env.grid.formats.opendss.script_files import file_beneath, text_of
+from dcgrid_env.grid.topology import FeederError
+
+DEEPEST = 32
+"""How deep scripts may redirect to further ones."""
+MOST_FILES = 2000
+"""How many scripts may be read in all, one that is read twice counted twice."""
+
+
+class Line(NamedTuple):
+    """A command that is safe to run, and where it stands."""
+
+    command: str
+    where: str
+
+
+@dataclass
+class Script:
+    """A master script that is read as an iterator over its commands.
+
+    Attributes
+    ----------
+    master
+        The file.
+    commands, options, classes
+        Names that the OpenDSS at hand knows, by which abbreviations are resolved.
+    """
+
+    master: Path
+    commands: Sequence[str]
+    options: Sequence[str]
+    classes: Sequence[str]
+    _root: Path = field(init=False)
+    _kind: str | None = field(init=False, default=None)
+    """Class of the element that ``~`` goes on with."""
+    _read: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self._root = self.master.resolve().parent
+
+    def lines(self) -> Iterator[Line]:
+        """Give the commands in order.
+
+        Raises
+        ------
+        FeederError
+            Naming the file, the line, the command and what is wrong with it.
+        """
+        yield from self._file(self.master.resolve(), 0)
+
+    def _file(self, path: Path, depth: int) -> Iterator[Line]:
+        self._read += 1
+        if depth > DEEPEST or self._read > MOST_FILES:
+            raise FeederError(f"{path}: scripts redirect deeper than {DEEPEST} or to more than {MOST_FILES} files")
+        folder, commented = path.parent, False
+        for number, text in enumerate(text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+            line = text.strip()
+            if commented or line.startswith("/*"):
+                commented = "*/" not in line
+                continue
+            if not line or line.startswith(("!", "//")):
+                continue
+            where = f"{path}, line {number}"
+            try:
+                name, words = self._command(words_of(line))
+                if name in ("redirect", "compile"):
+                    script = file_beneath(self._root, folder, self._path(words))
+                    yield from self._file(script, depth + 1)
+                    folder = script.parent if name == "compile" else folder
+                    continue
+                yield Line(" ".join([name, *map(str, self._checked(name, words, folder))]), where)
+            except FeederError:
+                raise
+            except ValueError as error:
+                raise FeederError(
+                    f"{where}: {line.split()[0][:60]!r} is refused: {error}; if you trust the file, --trust runs it "
+                    "as it is"
+                ) from None
+
+    def _command(self, words: list[Word]) -> tuple[str, list[Word]]:
+        """The command that a line gives, written out, and the words behind it."""
+        first = words[0]
+        if not first.name:
+            name = rules.resolved(first.text, rules.COMMANDS, self.commands)
+            return ("more" if name in ("m", "~") else name), words[1:]
+        element, dot, one = first.name.rpartition(".")
+        if not dot or "." not in element:
+            raise ValueError(f"{first.name!r} is no command")
+        return "edit", [Word("", element, '"'), first._replace(name=one), *words[1:]]
+
+    def _path(self, words: list[Word]) -> str:
+        if len(words) != 1 or words[0].name.lower() not in ("", "file"):
+            raise ValueError("give one file, in quotes where its name has blanks")
+        return words[0].text
+
+    def _checked(self, name: str, words: list[Word], folder: Path) -> list[Word]:
+        if name in rules.FILES:
+            return [Word("", str(file_beneath(self._root, folder, self._path(words))), '"')]
+        if name in rules.OPTIONS:
+            self._kind = None
+            return [rules.check_option(word, self.options) for word in words]
+        if name not in rules.DEFINING:
+            self._kind = None
+            for word in words:
+                rules.check_plain(word)
+            return words
+        element = []
+        if name != "more":
+            element, words = words[:1], words[1:]
+            self._kind = self._class_of(element)
+        elif self._kind is None:
+            raise ValueError("it goes on with no New or Edit before it")
+        return [*element, *(self._property(self._kind or "", word, folder) for word in words)]
+
+    def _class_of(self, element: list[Word]) -> str:
+        if not element or element[0].name.lower() not in ("", "object") or "." not in element[0].text:
+            raise ValueError("give the element as class.name first")
+        kind = element[0].text.partition(".")[0].lower()
+        if kind not in {"circuit", *map(str.lower, self.classes)}:
+            raise ValueError(f"{kind!r} is no class of elements that OpenDSS knows")
+        return kind
+
+    def _property(self, kind: str, word: Word, folder: Path) -> Word:
+        """A property with the file that it names, if any, by its whole path."""
+        names = rules.check_property(kind, word)
+        if names == "all":
+            return Word(word.name, str(file_beneath(self._root, folder, word.text)), '"')
+        match = rules.FILE_WITHIN.match(word.text) if names else None
+        if match is None:
+            return word
+        path = file_beneath(self._root, folder, match["path"].strip("\"'"))
+        if CLOSING[word.quote] in str(path) or word.quote in str(path):
+            raise ValueError(f"{str(path)!r} holds {word.quote}; rename the folder or the file")
+        return word._replace(text=f'{match["kind"]}="{path}"{match["rest"]}')

@@ -1,0 +1,121 @@
+"""What an OpenDSS script that nobody vouches for may say: the model's definition, and nothing that acts on the machine.
+
+All that is not known to be harmless is refused. Names are resolved as OpenDSS does, without regard to case, and an
+abbreviation only where one name begins with it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from dcgrid_env.grid.formats.opendss.dss_words import Word
+
+DEFINING = ("new", "edit", "more", "m", "~", "batchedit")
+"""Commands that set properties of elements."""
+FILES = ("redirect", "compile", "buscoords", "latlongcoords")
+"""Commands that name one file to read."""
+OPTIONS = ("set", "solve")
+"""Commands that set options."""
+PLAIN = (
+    "clear", "clearall", "select", "enable", "disable", "open", "close", "calcvoltagebases", "setkvbase",
+    "makebuslist", "reprocessbuses", "allocateloads", "setbusxy",
+)  # fmt: skip
+"""Commands that name elements and figures alone."""
+COMMANDS = (*DEFINING, *FILES, *OPTIONS, *PLAIN)
+_PLAIN_WORDS = ("object", "term", "cond", "bus", "x", "y", "kvll", "kvln", "element")
+HARMLESS_OPTIONS = (
+    "mode", "tolerance", "maxiterations", "miniterations", "maxcontroliter", "controlmode", "loadmodel", "loadmult",
+    "frequency", "basefrequency", "defaultbasefrequency", "normvminpu", "normvmaxpu", "emergvminpu", "emergvmaxpu",
+    "%normal", "%mean", "%stddev", "%growth", "voltagebases", "algorithm", "trapezoidal", "genmult", "harmonics",
+    "allowduplicates", "earthmodel", "neglectloady", "longlinecorrection", "allocationfactors", "cfactors",
+    "numallociterations", "cktmodel", "circuit", "defaultdaily", "defaultyearly", "loadshapeclass", "random", "hour",
+    "sec", "h", "stepsize", "time", "number", "zonelock", "ueweight", "lossweight", "bus", "class", "type", "element",
+    "object", "terminal", "nodewidth", "markercode", "markswitches", "switchmarkercode", "daisysize",
+    "marktransformers", "transmarkercode", "transmarkersize", "markcapacitors", "capmarkercode", "capmarkersize",
+    "markregulators", "regmarkercode", "regmarkersize", "linetypes", "eventlogdefault", "processtime", "totaltime",
+)  # fmt: skip
+"""Options that change figures of the solution or of pictures that are not drawn; not the year, which grows loads."""
+_SNAPSHOT = ("snap", "snapshot")
+BY_POSITION = (
+    "circuit", "vsource", "linecode", "line", "load", "transformer", "xfmrcode", "capacitor", "reactor", "wiredata",
+    "cndata", "tsdata", "linespacing", "linegeometry", "tcc_curve",
+)  # fmt: skip
+"""Classes of elements whose properties name no file, program or action, so that they may be given by position."""
+READS = ("csvfile", "sngfile", "dblfile", "pqcsvfile")
+"""Properties that name a file of figures."""
+_ACTIONS = ("open", "close", "normalize", "clear", "trip", "lock", "unlock")
+_LOADS = ("usermodel", "userdata", "shaftmodel", "shaftdata", "dynadll", "dynadata")
+_DANGEROUS = (*READS, *_LOADS, "action", "debugtrace")
+_ONE_LETTER = (("generator", "d"), ("indmach012", "d"), ("gicline", "c"))  # whole names, no abbreviations
+_SUSPECT = re.compile(r"file|dll|usermodel|userdata|shaft|debug|trace", re.IGNORECASE)
+FILE_WITHIN = re.compile(
+    r"""^\s*(?P<kind>file|sngfile|dblfile|csvfile)\s*=\s*(?P<path>"[^"]+"|'[^']+'|[^\s,"']+)"""
+    r"""(?P<rest>(\s*,?\s*(col|column|header)\s*=\s*\w+)*)\s*$""",
+    re.IGNORECASE,
+)
+"""A value in brackets that stands for the figures of a file."""
+_NAMES_FILE = re.compile(r"file\s*=", re.IGNORECASE)
+
+
+def resolved(word: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
+    """The name that a word stands for, in lower case; ValueError unless it is one of ours and no other of theirs."""
+    word = word.lower()
+    known = {name.lower() for name in theirs}
+    begun = [word] if word in known else sorted(name for name in known if name.startswith(word))
+    if not begun:
+        raise ValueError(f"{word!r} is not known to OpenDSS")
+    if len(begun) > 1:
+        raise ValueError(f"{word!r} may be {', '.join(begun[:4])}; write it out")
+    if begun[0] not in ours:
+        raise ValueError(f"{begun[0]!r} is not part of a model's definition")
+    return begun[0]
+
+
+def check_option(word: Word, theirs: Sequence[str]) -> Word:
+    """An option of Set or Solve with its name written out; ValueError for one that is not harmless."""
+    if not word.name:
+        raise ValueError(f"the option {word.text!r} has no name; write name=value")
+    name = resolved(word.name, HARMLESS_OPTIONS, theirs)
+    if name == "mode" and word.text.lower() not in _SNAPSHOT:
+        raise ValueError(f"mode={word.text} solves more than the present; leave it out, or give mode=snapshot")
+    if _NAMES_FILE.search(word.text):
+        raise ValueError(f"{str(word)!r} names a file; write the figures")
+    return word._replace(name=name)
+
+
+def check_plain(word: Word) -> None:
+    """ValueError for a word of a plain command that is no element, figure or known name."""
+    if word.name and word.name.lower() not in _PLAIN_WORDS:
+        raise ValueError(f"{word.name!r} is not known here; choose {', '.join(_PLAIN_WORDS)}")
+    if _NAMES_FILE.search(word.text):
+        raise ValueError(f"{str(word)!r} names a file")
+
+
+def check_property(kind: str, word: Word) -> str:
+    """How a property names a file, ``all`` of its value or ``within`` its brackets, or not, ``""``.
+
+    ValueError for one that acts, loads a program, writes, or cannot be told from such.
+    """
+    name = word.name.lower()
+    if not name:
+        if kind not in BY_POSITION:
+            raise ValueError(f"{str(word)!r} is given by position; write property=value for a {kind}")
+    elif name in READS:
+        return "all"
+    elif name == "action":
+        if word.text.lower() not in _ACTIONS:
+            raise ValueError(f"{str(word)!r} acts; the actions {', '.join(_ACTIONS)} are harmless")
+    elif name == "debugtrace":
+        if word.text.lower() not in ("no", "false"):
+            raise ValueError(f"{str(word)!r} writes a file; leave it out")
+    elif (kind, name) not in _ONE_LETTER and (
+        (begun := [other for other in _DANGEROUS if other.startswith(name)]) or _SUSPECT.search(name)
+    ):
+        why = f"may be {begun[0]}" if begun else "may name a file or a program"
+        raise ValueError(f"the property {word.name!r} {why}; leave it out")
+    if _NAMES_FILE.search(word.text):
+        if not (word.quote in "([{" and word.quote and FILE_WITHIN.match(word.text)):
+            raise ValueError(f"{str(word)!r} names a file in a way that is not known; write (file=NAME)")
+        return "within"
+    return ""
