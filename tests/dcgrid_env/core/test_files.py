@@ -6,7 +6,16 @@ import threading
 import pytest
 from matplotlib.figure import Figure
 
-from dcgrid_env.core.files import clear_parts, new_folder, require_folder, whole, write_figure, write_json, write_text
+from dcgrid_env.core.files import (
+    clear_parts,
+    new_folder,
+    require_folder,
+    whole,
+    whole_folder,
+    write_figure,
+    write_json,
+    write_text,
+)
 
 
 def test_what_is_written_is_there_with_the_rights_of_any_other_file(tmp_path):
@@ -31,6 +40,28 @@ def test_what_fails_leaves_the_file_as_it_was_and_nothing_beside_it(tmp_path, er
             half(file)
     assert [path.name for path in tmp_path.iterdir()] == ["old"]
     assert (tmp_path / "old").read_text() == "old"
+
+
+def test_a_folder_is_filled_whole_or_not_at_all(tmp_path):
+    out = tmp_path / "a" / "out"
+
+    def half(folder):
+        (folder / "one").write_text("1")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), whole_folder(out) as folder:
+        half(folder)
+    assert list(tmp_path.iterdir()) == []
+    for text in ("new", "empty"):
+        with whole_folder(out) as folder:
+            (folder / "one").write_text(text)
+        assert ((out / "one").read_text(), len(list(out.parent.iterdir()))) == (text, 1)
+        (out / "one").unlink()
+    (out / "kept").touch()
+    with pytest.raises(OSError, match="not empty"), whole_folder(out) as folder:
+        (folder / "one").touch()
+    assert [path.name for path in out.iterdir()] == ["kept"]
+    assert len(list(out.parent.iterdir())) == 1
 
 
 def test_files_that_differ_in_their_suffix_do_not_meet(tmp_path):

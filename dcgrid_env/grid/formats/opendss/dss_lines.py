@@ -101,32 +101,40 @@ def _as_switch(circuit: DssCircuit, report: Report, line: Joint, z: Any, b_us: A
 
 
 def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
-    """Lines of different phases between the same two buses made one, since a bus is fed by one branch."""
-    found: dict[tuple[Any, ...], Joint] = {}
+    """Closed lines of different phases between the same two buses made one, since a bus is fed by one branch."""
+    found: dict[Any, Joint] = {}
     for k, line in enumerate(lines):
-        key = (frozenset(line.ends), line.kind, line.closed)
-        other = found.get(key)
-        if other is None or set(other.phases) & set(line.phases):
-            found[key if other is None else (k,)] = line
-            continue
-        joined = _joined(other, line)
-        if joined is None:
-            report.add("refused", "line", line.name, f"a switch beside {other.name} with another impedance")
-            continue
-        report.add("nothing lost", "line", f"{other.name} and {line.name}", "of other phases: one row of both")
-        found[key] = joined
+        pair = frozenset(line.ends)
+        other = found.get(pair)
+        if not line.closed or (other is not None and set(other.phases) & set(line.phases)):
+            found[k] = line
+        elif other is None:
+            found[pair] = line
+        else:
+            report.add("nothing lost", "line", f"{other.name} and {line.name}", "of other phases: one row of both")
+            found[pair] = _joined(other, line)
     return list(found.values())
 
 
-def _joined(first: Joint, second: Joint) -> Joint | None:
+def _joined(first: Joint, second: Joint) -> Joint:
     phases = "".join(sorted(first.phases + second.phases))
     name = f"{first.name}+{second.name}"
-    if first.kind == "switch":
-        return replace(first, name=name, phases=phases) if first.values == second.values else None
-    values = dict(first.values)
+    if first.kind == second.kind == "switch" and first.values == second.values:
+        return replace(first, name=name, phases=phases)
+    columns = [_as_columns(one) for one in (first, second)]
+    values = dict(columns[0])
     for key in ("r_ohm", "x_ohm", "b_us"):
-        both = [np.array(one.values[key], float) for one in (first, second)]
+        both = [np.array(one[key], float) for one in columns]
         full = np.where(np.isnan(both[0]), np.nan_to_num(both[1]), both[0])
         at = ["abc".index(phase) for phase in phases]
         values[key] = matrix_of(full[np.ix_(at, at)], phases)
-    return replace(first, name=name, phases=phases, values=values)
+    return replace(first, kind="phase_line", name=name, phases=phases, values=values)
+
+
+def _as_columns(line: Joint) -> dict[str, Any]:
+    """The columns of a line, also of a switch."""
+    if line.kind == "phase_line":
+        return line.values
+    one, phases = np.eye(len(line.phases)), line.phases
+    matrices = {key: matrix_of(line.values[key] * one, phases) for key in ("r_ohm", "x_ohm")}
+    return {"length_m": math.nan, **matrices, "b_us": matrix_of(0.0 * one, phases)}

@@ -15,6 +15,7 @@ from dcgrid_env.grid.formats.opendss.joints import Supply
 _LAWS = {1: "PQ", 2: "Z", 3: "ZIP", 4: "CVR", 5: "I", 8: "ZIP"}
 _MOTOR = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 _LEGS = {(1, 0): 0, (2, 0): 1, (3, 0): 2, (1, 2): 3, (2, 3): 4, (1, 3): 5}
+_JUMPS = "; beyond vminpu and vmaxpu OpenDSS has constant power's limits for models 3 and 4, the tables their law's"
 Row = dict[str, Any]
 
 
@@ -56,7 +57,7 @@ def read_loads(circuit: DssCircuit, report: Report, supply: Supply) -> list[Row]
             report.add("refused", "load", name, f"its nodes {nodes} are no legs of phases and ground, or one is open")
         elif law is not None:
             rows += _load_rows(circuit, name, end.bus, legs, size, delta, law)
-            report.add("taken", "load", name, "in loads.csv")
+            report.add("taken", "load", name, f"in loads.csv{_JUMPS if circuit.figure('model') in (3, 4) else ''}")
             if any(circuit.text(field) for field in ("daily", "yearly", "duty")):
                 report.add("nothing lost", "load", name, "its course over time is left out: the power flow is of now")
     return rows

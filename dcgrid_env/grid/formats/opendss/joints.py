@@ -34,8 +34,8 @@ class Supply:
     """Branches between the source bus and each bus that has supply."""
     phases: dict[str, str]
     """Phases that each bus is fed with."""
-    loops: tuple[tuple[Joint, str], ...]
-    """Joints that close a loop, each with the bus that has supply already."""
+    loops: tuple[tuple[Joint, ...], ...]
+    """The joints of each loop, first the one that closes it."""
 
     def fed(self, joint: Joint) -> bool:
         """Whether both ends have supply."""
@@ -48,7 +48,9 @@ def supply_of(source: str, joints: Sequence[Joint]) -> Supply:
     for joint in sorted(joints, key=lambda joint: joint.kind == "switch"):
         for end in set(joint.ends) if joint.closed else ():
             at.setdefault(end, []).append(joint)
-    depth, phases, loops, used = {source: 0}, {source: "abc"}, [], set()
+    depth, phases, loops = {source: 0}, {source: "abc"}, []
+    fed_by: dict[str, tuple[str, Joint]] = {}
+    used: set[int] = set()
     queue = [source]
     for bus in queue:
         for joint in at.get(bus, ()):
@@ -57,8 +59,17 @@ def supply_of(source: str, joints: Sequence[Joint]) -> Supply:
             used.add(id(joint))
             other = joint.ends[1] if joint.ends[0] == bus else joint.ends[0]
             if other in depth:
-                loops.append((joint, other))
+                loops.append((joint, *_between(bus, other, depth, fed_by)))
                 continue
-            depth[other], phases[other] = depth[bus] + 1, joint.phases
+            depth[other], phases[other], fed_by[other] = depth[bus] + 1, joint.phases, (bus, joint)
             queue.append(other)
     return Supply(depth, phases, tuple(loops))
+
+
+def _between(first: str, second: str, depth: dict[str, int], fed_by: dict[str, tuple[str, Joint]]) -> Iterable[Joint]:
+    """The joints on the way from one bus that has supply to another."""
+    while first != second:
+        if depth[first] < depth[second]:
+            first, second = second, first
+        first, joint = fed_by[first]
+        yield joint

@@ -94,10 +94,10 @@ def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: C
     source, source_bus = read_source(circuit, report)
     lines, units = read_lines(circuit, report), read_units(circuit, report)
     supply = supply_of(source_bus, [*lines, *_unit_joints(units)])
-    for joint, bus in supply.loops:
-        kind = "transformer" if joint.kind == "unit" else "line"
-        ends = f"{joint.ends[0]} and {joint.ends[1]}"
-        report.add("refused", kind, joint.name, f"between {ends} it closes a loop at {bus}: open it, or another of it")
+    for loop in supply.loops:
+        kind = "transformer" if loop[0].kind == "unit" else "line"
+        others = ", ".join(joint.name for joint in loop[1:])
+        report.add("refused", kind, loop[0].name, f"it closes a loop with {others or 'itself'}: open one of them")
     lines = _with_supply(lines, supply, report)
     tables = _Tables(circuit, report, supply)
     for unit in units:

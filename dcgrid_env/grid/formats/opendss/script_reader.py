@@ -124,7 +124,11 @@ class Script:
             self._kind = self._class_of(element)
         elif self._kind is None:
             raise ValueError("it goes on with no New or Edit before it")
-        return [*element, *(self._property(self._kind or "", word, folder) for word in words)]
+        kind = self._kind or ""
+        leading = next((k for k, word in enumerate(words) if word.name), len(words))
+        first = [k < min(leading, rules.HARMLESS_POSITIONS) for k in range(len(words))]
+        pairs = zip(words, first, strict=True)
+        return [*element, *(self._property(kind, word, is_first, folder) for word, is_first in pairs)]
 
     def _class_of(self, element: list[Word]) -> str:
         if not element or element[0].name.lower() not in ("", "object") or "." not in element[0].text:
@@ -134,9 +138,9 @@ class Script:
             raise ValueError(f"{kind!r} is no class of elements that OpenDSS knows")
         return kind
 
-    def _property(self, kind: str, word: Word, folder: Path) -> Word:
+    def _property(self, kind: str, word: Word, is_first: bool, folder: Path) -> Word:
         """A property with the file that it names, if any, by its whole path."""
-        names = rules.check_property(kind, word)
+        names = rules.check_property(kind, word, is_first)
         if names == "all":
             return Word(word.name, str(file_beneath(self._root, folder, word.text)), '"')
         match = rules.FILE_WITHIN.match(word.text) if names else None

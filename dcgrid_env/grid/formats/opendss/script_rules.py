@@ -41,7 +41,9 @@ BY_POSITION = (
     "circuit", "vsource", "linecode", "line", "load", "transformer", "xfmrcode", "capacitor", "reactor", "wiredata",
     "cndata", "tsdata", "linespacing", "linegeometry", "tcc_curve",
 )  # fmt: skip
-"""Classes of elements whose properties name no file, program or action, so that they may be given by position."""
+"""Classes of elements whose properties name no file, program or action: all may be given by position."""
+HARMLESS_POSITIONS = 2
+"""How many properties of other classes may be given by position: what is monitored and its terminal, for instance."""
 READS = ("csvfile", "sngfile", "dblfile", "pqcsvfile")
 """Properties that name a file of figures."""
 _ACTIONS = ("open", "close", "normalize", "clear", "trip", "lock", "unlock")
@@ -50,12 +52,11 @@ _DANGEROUS = (*READS, *_LOADS, "action", "debugtrace")
 _ONE_LETTER = (("generator", "d"), ("indmach012", "d"), ("gicline", "c"))  # whole names, no abbreviations
 _SUSPECT = re.compile(r"file|dll|usermodel|userdata|shaft|debug|trace", re.IGNORECASE)
 FILE_WITHIN = re.compile(
-    r"""^\s*(?P<kind>file|sngfile|dblfile|csvfile)\s*=\s*(?P<path>"[^"]+"|'[^']+'|[^\s,"']+)"""
+    r"""^\s*(?P<kind>file|sngfile|dblfile)\s*=\s*(?P<path>"[^"]+"|'[^']+'|[^\s,"']+)"""
     r"""(?P<rest>(\s*,?\s*(col|column|header)\s*=\s*\w+)*)\s*$""",
     re.IGNORECASE,
 )
 """A value in brackets that stands for the figures of a file."""
-_NAMES_FILE = re.compile(r"file\s*=", re.IGNORECASE)
 
 
 def resolved(word: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
@@ -79,8 +80,8 @@ def check_option(word: Word, theirs: Sequence[str]) -> Word:
     name = resolved(word.name, HARMLESS_OPTIONS, theirs)
     if name == "mode" and word.text.lower() not in _SNAPSHOT:
         raise ValueError(f"mode={word.text} solves more than the present; leave it out, or give mode=snapshot")
-    if _NAMES_FILE.search(word.text):
-        raise ValueError(f"{str(word)!r} names a file; write the figures")
+    if "=" in word.text:
+        raise ValueError(f"{str(word)!r} may name a file; write the figures")
     return word._replace(name=name)
 
 
@@ -88,18 +89,20 @@ def check_plain(word: Word) -> None:
     """ValueError for a word of a plain command that is no element, figure or known name."""
     if word.name and word.name.lower() not in _PLAIN_WORDS:
         raise ValueError(f"{word.name!r} is not known here; choose {', '.join(_PLAIN_WORDS)}")
-    if _NAMES_FILE.search(word.text):
-        raise ValueError(f"{str(word)!r} names a file")
+    if "=" in word.text:
+        raise ValueError(f"{str(word)!r} may name a file")
 
 
-def check_property(kind: str, word: Word) -> str:
+def check_property(kind: str, word: Word, is_first: bool) -> str:
     """How a property names a file, ``all`` of its value or ``within`` its brackets, or not, ``""``.
 
+    ``is_first`` says that it is among the first ``HARMLESS_POSITIONS`` and comes after none with a name, from which
+    OpenDSS would count on.
     ValueError for one that acts, loads a program, writes, or cannot be told from such.
     """
     name = word.name.lower()
     if not name:
-        if kind not in BY_POSITION:
+        if kind not in BY_POSITION and not is_first:
             raise ValueError(f"{str(word)!r} is given by position; write property=value for a {kind}")
     elif name in READS:
         return "all"
@@ -114,8 +117,8 @@ def check_property(kind: str, word: Word) -> str:
     ):
         why = f"may be {begun[0]}" if begun else "may name a file or a program"
         raise ValueError(f"the property {word.name!r} {why}; leave it out")
-    if _NAMES_FILE.search(word.text):
-        if not (word.quote in "([{" and word.quote and FILE_WITHIN.match(word.text)):
-            raise ValueError(f"{str(word)!r} names a file in a way that is not known; write (file=NAME)")
+    if "=" in word.text:
+        if word.quote not in ("(", "[") or not FILE_WITHIN.match(word.text):
+            raise ValueError(f"{str(word)!r} may name a file; give the figures, or (file=NAME)")
         return "within"
     return ""

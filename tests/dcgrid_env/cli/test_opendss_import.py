@@ -1,0 +1,88 @@
+"""``dcgrid import opendss`` in a terminal: a folder, a table and a comparison, or one line and nothing written."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import ThreePhaseFeeder, load_feeder
+from dcgrid_env.cli.main import main
+from dcgrid_env.grid.formats import three_phase_folder
+from helpers.opendss_text import script_of
+
+dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+
+
+@pytest.fixture
+def master(tmp_path):
+    path = tmp_path / "Master.dss"
+    path.write_text("\n".join(script_of(load_feeder("ieee13-3ph").network)))
+    return path
+
+
+def said(capsys, *words):
+    """Status and output of a command that fails with one line."""
+    with pytest.raises(SystemExit) as ended:
+        main(["import", "opendss", *map(str, words)])
+    err = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert err.startswith("dcgrid: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def test_a_feeder_is_written_and_compared(master, capsys):
+    out = master.parent / "new" / "my-feeder"
+    main(["import", "opendss", str(master), "--out", str(out)])
+    text = capsys.readouterr().out
+    assert "regcontrol" in text
+    assert "largest voltage difference to OpenDSS" in text
+    assert "differ by more than" not in text
+    assert f"wrote {out}: " in text
+    feeder = ThreePhaseFeeder.from_csv(out)
+    assert set(feeder.node_ids) == set(load_feeder("ieee13-3ph").node_ids)
+    assert sorted(path.name for path in master.parent.iterdir()) == ["Master.dss", "new"]
+
+
+def test_what_is_lost_is_said_with_the_difference_that_it_makes(master, capsys):
+    master.write_text(master.read_text() + "\nNew Generator.g bus1=680 kv=4.16 kw=900 pf=1\nNew Fuse.f line.650632")
+    out = master.parent / "my-feeder"
+    assert "--allow generator,fuse accepts" in said(capsys, master, "--out", out)
+    assert not out.exists()
+    main(["import", "opendss", str(master), "--out", str(out), "--allow", "generator, fuse"])
+    text = capsys.readouterr().out
+    assert "what is lost moves them" in text
+    assert "lost: it never blows" in text
+
+
+def test_a_power_flow_that_opendss_does_not_find_is_said(master, capsys):
+    master.write_text(master.read_text() + "\nEdit Load.671 kw=1e7 vminpu=0.002 vlowpu=0.001")
+    main(["import", "opendss", str(master), "--out", str(master.parent / "out")])
+    assert "found no solution, so that voltages are not compared" in capsys.readouterr().out
+
+
+def test_an_existing_folder_is_taken_only_if_it_is_empty(master, capsys):
+    out = master.parent / "there"
+    out.mkdir()
+    main(["import", "opendss", str(master), "--out", str(out)])
+    capsys.readouterr()
+    np.testing.assert_equal((out / "feeder.toml").exists(), True)
+    assert "is there and not an empty folder" in said(capsys, master, "--out", out)
+    assert "is there and not an empty folder" in said(capsys, master, "--out", master)
+
+
+def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
+    out = master.parent / "a" / "out"
+    assert "there is no file" in said(capsys, master.parent / "none.dss", "--out", out)
+    assert "'fuses' is no kind of loss" in said(capsys, master, "--out", out, "--allow", "fuses")
+    whole = master.read_text()
+    master.write_text(f"{whole}\nExport voltages")
+    assert "'Export' is refused" in said(capsys, master, "--out", out)
+    master.write_text(f"{whole}\nNew Line.loop bus1=650 bus2=680 switch=yes")
+    assert "closes a loop" in said(capsys, master, "--out", out)
+    master.write_text(whole)
+
+    def full(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(three_phase_folder, "write_text", full)
+    assert "no space left" in said(capsys, master, "--out", out)
+    assert [path.name for path in master.parent.iterdir()] == ["Master.dss"]

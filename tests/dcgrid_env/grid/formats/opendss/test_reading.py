@@ -1,0 +1,303 @@
+"""Circuits that are imported: their tables and voltages are OpenDSS's."""
+
+import itertools
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from dcgrid_env import FeederError, ThreePhaseFeeder, load_feeder
+from dcgrid_env.grid import read_opendss
+from dcgrid_env.powerflow import solve_unbalanced
+from helpers.opendss_text import rows, script_of
+
+dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+TABLES = ("source", "phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
+
+
+def voltages(feeder):
+    solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
+    assert solution.converged
+    return dict(zip(feeder.node_ids, solution.v_re_pu + 1j * solution.v_im_pu, strict=True))
+
+
+def apart_pu(found):
+    """Largest difference between our voltages and OpenDSS's, p.u., over the nodes that both have."""
+    ours = voltages(ThreePhaseFeeder.from_network(found.network))
+    assert found.v_pu
+    return max(abs(ours[node] - v) for node, v in found.v_pu.items())
+
+
+def fates(found):
+    return {(row.kind, name, row.fate) for row in found.findings for name in row.names}
+
+
+@pytest.fixture(scope="module", params=["ieee13-3ph", "ieee34-3ph", "ieee123-3ph"])
+def shipped(request, tmp_path_factory):
+    feeder = load_feeder(request.param)
+    path = tmp_path_factory.mktemp(request.param) / "Master.dss"
+    path.write_text("\n".join(script_of(feeder.network)))
+    return feeder, read_opendss(path)
+
+
+def test_the_tables_of_a_shipped_feeder_come_back(shipped):
+    feeder, found = shipped
+    for kind in TABLES:
+        theirs = {row.get("name", "source"): row for row in rows(getattr(found.network, kind))}
+        ours = {row.get("name", "source"): row for row in rows(getattr(feeder.network, kind))}
+        assert set(theirs) == set(ours)
+        for name, field in [(row, column) for row in ours for column in ours[row]]:
+            a, b = ours[name][field], theirs[name][field]
+            if isinstance(a, str):
+                assert a == b, (kind, name, field)
+            else:
+                # What charges a line of some feet is 1e-12 of what it conducts.
+                np.testing.assert_allclose(b, a, rtol=2e-6 if field == "b_us" else 1e-9, atol=1e-9, err_msg=f"{name}")
+    assert set(found.network.node.bus) == set(feeder.network.node.bus)
+
+
+def test_voltages_of_a_shipped_feeder_are_opendss_and_our_own(shipped):
+    feeder, found = shipped
+    assert apart_pu(found) < 1e-8
+    ours = voltages(feeder)
+    assert set(ours) == set(found.v_pu)
+    assert max(abs(ours[node] - v) for node, v in found.v_pu.items()) < 1e-6
+    imported = ThreePhaseFeeder.from_network(found.network)
+    np.testing.assert_array_equal(imported.base_tap, feeder.base_tap)
+    x, buses = dict(zip(feeder.bus_ids, feeder.x, strict=True)), imported.bus_ids
+    np.testing.assert_allclose(imported.x, [x[bus] for bus in buses])
+
+
+def test_a_shipped_feeder_goes_through_a_folder(shipped, tmp_path):
+    _, found = shipped
+    ThreePhaseFeeder.from_network(found.network).to_csv(tmp_path)
+    again = ThreePhaseFeeder.from_csv(tmp_path).to_network()
+    assert repr(again) == repr(found.network)
+
+
+MANY = """
+New Transformer.sub phases=3 xhl=8 wdg=1 bus=n conn=delta kv=12.47 kva=5000 %r=0.5
+~ wdg=2 bus=low conn=wye kv=4.16 kva=5000 %r=0.5 tap=1.025 %noloadloss=0.1 %imag=0.3
+New RegControl.ltc transformer=sub winding=2 vreg=122 band=2 ptratio=20 ctprim=700 r=3 x=9 ptphase=2
+New Line.sp1 phases=1 bus1=low.1 bus2=x1.1 r1=0.3 x1=0.4 c1=3 length=2
+New Line.sp2 phases=1 bus1=x1.2 bus2=low.2 r1=0.3 x1=0.4 c1=3 length=1
+New Line.sw phases=3 bus1=low bus2=sw switch=yes
+New Line.tie bus1=sw bus2=low switch=yes
+Open Line.tie 2
+New Transformer.xa phases=1 buses=[sw.1 lv.1] kvs=[2.4 0.277] kvas=[50 50] xhl=3 taps=[1.025 1]
+New Transformer.xb phases=1 buses=[lv.2 sw.2] kvs=[0.277 2.4] kvas=[50 50] xhl=3 taps=[1 1.025]
+New Transformer.dd phases=3 buses=[lvd sw] conns=[delta delta] kvs=[0.48 4.16] kvas=[100 100] xhl=3 %imag=1
+New Transformer.up phases=3 buses=[lvd up] conns=[delta wye] kvs=[0.48 4.16] kvas=[100 100] xhl=3
+New Transformer.eu phases=3 buses=[up eu] conns=[delta wye] kvs=[4.16 0.48] kvas=[100 100] xhl=3 leadlag=lead
+New Capacitor.c1 bus1=low kvar=[300 300] kv=4.16 numsteps=2 states=[1 0]
+New Capacitor.cd bus1=low kvar=90 kv=4.16 conn=delta
+New Capacitor.cx bus1=sw.1 bus2=sw.2 phases=1 kvar=30 kv=4.16
+New Load.d2 bus1=lvd.1.2.3 phases=2 conn=delta kv=0.48 kw=20 kvar=5
+New Load.a bus1=lv.1 phases=1 kv=0.277 kw=20 pf=0.9 model=5
+New Load.b bus1=lv.2 phases=1 kv=0.277 kva=20 pf=0.9 model=2 status=fixed
+New Load.x bus1=x1.1.2 phases=2 kv=4.16 kw=30 pf=-0.9
+New Load.e bus1=eu kv=0.48 kw=30 kvar=10 model=8 zipv=[0.2 0.3 0.5 0.1 0.1 0.8 0]
+New Monitor.m element=line.l1
+New EnergyMeter.m element=line.l1
+Set LoadMult=1.1
+"""
+
+
+@pytest.fixture
+def many(master):
+    return read_opendss(master(MANY))
+
+
+def test_every_kind_of_element_at_once_has_the_voltages_of_opendss(many):
+    assert apart_pu(many) < 1e-7
+    network = many.network
+    assert network.phase_line.name == ("l1", "l2", "sp1+sp2")
+    assert network.switch.state == ("closed", "open")
+    assert network.transformer.name == ("sub", "xa+xb", "dd", "up", "eu")
+    assert network.transformer.shift_deg == (-30.0, 0.0, 0.0, 30.0, 30.0)
+    assert network.capacitor.state == ("on", "off", "on", "on")
+    load = {row["name"]: row for row in rows(network.phase_load)}
+    assert load["a"]["p_kw"] == pytest.approx((22.0, 0.0, 0.0))
+    assert load["b"]["p_kw"] == pytest.approx((0.0, 18.0, 0.0))
+    assert load["core_sub"]["q_kvar"] == pytest.approx((5.0, 5.0, 5.0))
+
+
+def test_a_substations_tap_changer_is_a_regulator_behind_it(many):
+    [row] = rows(many.network.regulator)
+    assert (row["from_bus"], row["to_bus"], row["phases"], row["sensed_phase"]) == ("n-low", "low", "abc", "b")
+    assert (row["tap"], row["tap_min"], row["tap_max"], row["tap_step"]) == (4, -16, 16, 0.00625)
+    assert (row["vreg_v"], row["pt_ratio"], row["r_ldc_v"], row["x_ldc_v"]) == (122.0, 20.0, 3.0, 9.0)
+    assert row["r_percent"] == row["x_percent"] == 0.0
+
+
+def test_the_report_says_of_every_element_what_became_of_it(many):
+    found = fates(many)
+    assert {("monitor", "m", "nothing lost"), ("energymeter", "m", "nothing lost")} <= found
+    assert "constant impedance" in " ".join(row.text for row in many.findings if "sub" in row.names)
+    taken = {(kind, name) for kind, name, fate in found if fate == "taken"}
+    assert {("line", "tie"), ("regcontrol", "ltc"), ("capacitor", "cx"), ("load", "d2"), ("transformer", "xb")} <= taken
+    assert {fate for *_, fate in found} == {"taken", "nothing lost"}
+
+
+LAWS = ["model=1", "model=2", "model=5", "model=8 zipv=[0.2 0.3 0.5 0.1 0.1 0.8 0]", "model=1 vminpu=0.3",
+        "model=8 zipv=[0.2 0.3 0.5 0.1 0.1 0.8 0] vminpu=0.4 vmaxpu=1.3"]  # fmt: skip
+LEGS = [("wye", "n", 3, 4.16), ("wye", "n.1.3", 2, 4.16), ("wye", "n.2", 1, 2.4), ("wye", "n.2.3", 1, 4.16),
+        ("delta", "n", 3, 4.16), ("delta", "n.2.3.1", 2, 4.16), ("delta", "n.3.1", 1, 4.16),
+        ("delta", "n.1", 1, 4.16)]  # fmt: skip
+
+
+def small(master, load, pu):
+    circuit = f"New Circuit.m basekv=4.16 pu={pu} bus1=s\nNew Line.l bus1=s bus2=n r1=0.05 x1=0.1 r0=0.1 x0=0.2\n"
+    return read_opendss(master(load, circuit), allow=["load"])
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("pu", [0.45, 0.8, 1.0, 1.15])
+def test_loads_of_every_connection_within_and_beyond_their_limits(master, law, pu):
+    loads = [
+        f"New Load.{k} conn={conn} bus1={bus} phases={size} kv={kv} kw=60 kvar=30 {law}"
+        for k, (conn, bus, size, kv) in enumerate(LEGS)
+    ]
+    assert apart_pu(small(master, "\n".join(loads), pu)) < 1e-8
+
+
+@pytest.mark.parametrize(("law", "limit"), [
+    ("model=3", 1e-8), ("model=4", 1e-8), ("model=4 cvrwatts=0 cvrvars=1", 1e-8),
+    ("model=4 cvrwatts=0.8 cvrvars=1.5", 1e-6),
+])  # fmt: skip
+def test_exponents_and_motors_within_their_limits(master, law, limit):
+    load = f"New Load.a bus1=n kv=4.16 kw=100 kvar=50 {law}"
+    for pu in (0.97, 1.0, 1.03):
+        assert apart_pu(small(master, load, pu)) < limit
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    ("New Transformer.t3 phases=1 windings=3 buses=[n.1 c.1.0 c.0.2] kvs=[7.2 0.12 0.12] kvas=[5 5 5]",
+     "transformer t3: it has 3 windings"),
+    ("New Transformer.ll phases=1 buses=[n.1.2 y.1] kvs=[12.47 0.24] kvas=[5 5]", "winding 1 stands between two"),
+    ("New Transformer.yd phases=3 buses=[n y] conns=[wye delta] kvs=[12.47 0.48] kvas=[5 5]",
+     "transformer yd: it is wye_grounded / delta"),
+    ("New Transformer.un phases=3 buses=[n.1.2.3.4 y] kvs=[12.47 0.48] kvas=[5 5]", "neutral that is not at ground"),
+    ("New Transformer.tr phases=3 buses=[n y.2.3.1] conns=[delta wye] kvs=[12.47 0.48] kvas=[5 5]", "the same"),
+    ("New Line.four phases=4 bus1=n.1.2.3.4 bus2=y.1.2.3.4", "line four: a conductor is no phase"),
+    ("New Line.turn bus1=n bus2=y.2.3.1 linecode=c3", "line turn: its phases change from 1.2.3 to 2.3.1"),
+    ("New Line.loop bus1=src bus2=n linecode=c3", "line l2: it closes a loop with l1, loop: open one"),
+    ("Open Line.l2 1 2", "line l2: some of its phases are open"),
+    ("New Reactor.r bus1=n bus2=y", "reactor r: an element of this kind in series"),
+    ("New Capacitor.s bus1=n bus2=y kv=12.47 kvar=9", "capacitor s: it is in series"),
+    ("New Capacitor.r bus1=n kv=12.47 kvar=9 r=1", "capacitor r: it is in series, .* or has a resistance"),
+    ("New AutoTrans.a", "autotrans a: an element"),
+    ("New Load.m bus1=n kv=12.47 kw=9 model=7", "load m: model 7"),
+    ("New Load.n4 bus1=n.1.4 phases=1 kv=7.2 kw=9", "load n4: its nodes 1.4 are no legs"),
+    ("New Vsource.two bus1=n basekv=12.47", "sources source, two; one can be"),
+    ("New Transformer.o phases=3 buses=[n n2] kvs=[12.47 12.47] kvas=[9 9] taps=[1 1.001]\n"
+     "New RegControl.o transformer=o winding=2", r"tap 1.001 is not 1 plus whole steps"),
+])  # fmt: skip
+def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
+    with pytest.raises(FeederError, match=said):
+        read_opendss(master(more))
+
+
+REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
+LOST = {
+    "New Fuse.f monitoredobj=line.l1": "fuse",
+    "New Recloser.f monitoredobj=line.l1": "recloser",
+    "New Relay.f monitoredobj=line.l1": "relay",
+    "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
+    "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=voltage": "capcontrol",
+    "New Generator.f bus1=n kv=12.47 kw=100 pf=1": "generator",
+    "New PVSystem.f bus1=n kv=12.47 kva=100 pmpp=100 irradiance=1": "pvsystem",
+    "New Storage.f bus1=n kv=12.47 kwrated=10": "storage",
+    "New Reactor.f bus1=n kv=12.47 kvar=100": "reactor",
+    "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
+    "New Line.f bus1=far bus2=away linecode=c3": "isolated",
+    f"{REGULATOR} winding=2 reversible=yes": "regcontrol",
+    f"{REGULATOR} winding=1": "regcontrol",
+}
+
+
+@pytest.mark.parametrize("more", LOST)
+def test_what_would_be_lost_must_be_allowed(master, more):
+    kind, path = LOST[more], master(more)
+    with pytest.raises(FeederError, match=f"would be lost: .*{kind} .*--allow {kind} accepts") as refused:
+        read_opendss(path)
+    assert "\n" not in str(refused.value)
+    found = read_opendss(path, allow=[kind.upper()])
+    assert [row.kind for row in found.findings if row.fate == "lost"] == [kind]
+    ThreePhaseFeeder.from_network(found.network)
+
+
+def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
+    found = read_opendss(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
+    assert apart_pu(found) > 1e-4
+
+
+def test_several_kinds_are_asked_for_at_once(master):
+    more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
+    with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
+        read_opendss(master(more), allow=["fuse"])
+    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among capcontrol"):
+        read_opendss(master(more), allow=["fuses"])
+
+
+def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
+    more = "New Load.off bus1=n kv=12.47 kw=9\nDisable Load.off\nNew Line.s bus1=n bus2=far switch=yes\nOpen Line.s 1"
+    found = read_opendss(master(more))
+    assert {("load", "off", "nothing lost"), ("isolated", "line s", "nothing lost")} <= fates(found)
+    assert "far" not in found.network.node.bus
+    assert apart_pu(found) < 1e-8
+
+
+def test_taps_are_those_that_the_script_leaves(master):
+    solved = master(f"{REGULATOR} winding=2 vreg=122 band=1 ptratio=60\nNew Load.r bus1=r.1 phases=1 kv=7.2 kw=90\n",
+                    end="Set VoltageBases=[12.47]\nCalcVoltageBases\nSolve\n")  # fmt: skip
+    found = read_opendss(solved)
+    [tap] = found.network.regulator.tap
+    assert tap not in (0, 16)
+    relay_v = abs(voltages(ThreePhaseFeeder.from_network(found.network))["r.a"]) * 12470 / math.sqrt(3) / 60
+    assert abs(relay_v - 122) < 0.5 + 0.4
+    assert apart_pu(found) < 1e-8
+
+
+def test_lines_and_switches_of_single_phases_side_by_side_are_one(master):
+    more = "New Line.p1 phases=1 bus1=n.1 bus2=p.1 switch=yes\nNew Line.p2 phases=1 bus1=p.2 bus2=n.2 switch=yes\n"
+    two = read_opendss(master(more))
+    assert (two.network.switch.name, two.network.switch.phases) == (("p1+p2",), ("ab",))
+    load = "New Load.p bus1=p kv=12.47 kw=90"
+    three = read_opendss(master(f"{more}New Line.p3 phases=1 bus1=n.3 bus2=p.3 r1=1 x1=2 c1=3 length=2\n{load}"))
+    assert (three.network.phase_line.name[-1], len(three.network.switch)) == ("p1+p2+p3", 0)
+    assert three.network.phase_line.x_ohm[-1][2] == pytest.approx((0.0, 0.0, 4.0))
+    assert apart_pu(two) < 1e-8
+    assert apart_pu(three) < 1e-8
+
+
+def test_a_circuit_without_base_voltages_is_refused(master):
+    with pytest.raises(FeederError, match="has no base voltage; add Set VoltageBases"):
+        read_opendss(master(end=""))
+
+
+def test_what_opendss_refuses_names_file_and_line(master):
+    with pytest.raises(FeederError, match=r"Master.dss, line 9: OpenDSS refuses the command: .*nowhere") as refused:
+        read_opendss(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(FeederError, match="there is no file"):
+        read_opendss("nowhere.dss")
+    with pytest.raises(FeederError, match="defines 0 circuits"):
+        read_opendss(master(circuit="", end=""))
+
+
+def test_a_circuit_that_opendss_cannot_solve_has_no_voltages(master):
+    assert read_opendss(master("Edit Load.d kw=1e6 vminpu=0.002 vlowpu=0.001")).v_pu == {}
+
+
+def test_without_opendssdirect_the_extra_is_named(master, monkeypatch):
+    monkeypatch.setitem(sys.modules, "opendssdirect", None)
+    with pytest.raises(FeederError, match=r"OpenDSSDirect.py.*\[opendss\]"):
+        read_opendss(master())
+
+
+@pytest.mark.parametrize(("first", "second"), [*itertools.product(["src", "n"], repeat=2)])
+def test_lines_may_be_defined_from_either_end(master, first, second):
+    more = f"New Line.a bus1={first} bus2=p linecode=c3\nNew Line.b bus1=q bus2={second} linecode=c3"
+    assert apart_pu(read_opendss(master(more))) < 1e-8
