@@ -1,4 +1,4 @@
-"""Lines and switches of an OpenDSS circuit: their matrices over the whole length, from OpenDSS's own admittances."""
+"""Lines, switches and series reactors of an OpenDSS circuit: whole matrices, from OpenDSS's own admittances."""
 
 from __future__ import annotations
 
@@ -22,20 +22,28 @@ _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "
 
 
 def read_lines(circuit: DssCircuit, report: Report) -> list[Joint]:
-    """The lines and switches that can be represented; the others stand in the report."""
-    found = [_line(circuit, report, name) for name in circuit.names("line")]
+    """The lines, switches and series reactors that can be represented; the others stand in the report."""
+    named = [("line", name) for name in circuit.names("line")]
+    named += [("reactor", name) for name in circuit.names("reactor") if in_series(circuit, "reactor", name)]
+    found = [_line(circuit, report, kind, name) for kind, name in named]
     return _side_by_side([line for line in found if line is not None], report)
 
 
-def _line(circuit: DssCircuit, report: Report, name: str) -> Joint | None:
-    circuit.activate("line", name)
+def in_series(circuit: DssCircuit, kind: str, name: str) -> bool:
+    """Whether an element, which is then the active one, stands between two buses."""
+    circuit.activate(kind, name)
+    return len({end.bus for end in circuit.terminals()}) > 1
+
+
+def _line(circuit: DssCircuit, report: Report, kind: str, name: str) -> Joint | None:
+    circuit.activate(kind, name)
     first, second = circuit.terminals()
     wrong = _wrong_ends(first.nodes, second.nodes)
     opened = [all(phases) for phases in circuit.open_conductors()]
     if any(any(phases) for phases in circuit.open_conductors()) and not any(opened):
         wrong = "some of its phases are open; open all of them, or leave those phases out"
     if wrong:
-        report.add("refused", "line", name, wrong)
+        report.add("refused", kind, name, wrong)
         return None
     with circuit.closed():
         y = circuit.admittance()
@@ -50,8 +58,9 @@ def _line(circuit: DssCircuit, report: Report, name: str) -> Joint | None:
     turned = np.argsort(first.nodes)
     z, b_us = z[np.ix_(turned, turned)], b_us[np.ix_(turned, turned)]
     ends = (first.bus, second.bus)
-    joint = Joint("phase_line", name, ends, phases, not any(opened), _line_values(circuit, z, b_us, phases))
-    return _as_switch(circuit, report, joint, z, b_us)
+    length_m = _length_m(circuit) if kind == "line" else math.nan
+    joint = Joint("phase_line", name, ends, phases, not any(opened), _columns(length_m, z, b_us, phases))
+    return _as_switch(circuit, report, kind, joint, z, b_us)
 
 
 def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
@@ -64,10 +73,12 @@ def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
     return ""
 
 
-def _line_values(circuit: DssCircuit, z: NDArray[np.complex128], b_us: Any, phases: str) -> dict[str, Any]:
-    unit = _METRES.get(circuit.text("units").lower(), math.nan)
+def _length_m(circuit: DssCircuit) -> float:
+    return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
+
+
+def _columns(length_m: float, z: NDArray[Any], b_us: Any, phases: str) -> dict[str, Any]:
     matrices = {"r_ohm": z.real, "x_ohm": z.imag, "b_us": b_us}
-    length_m = rounded(circuit.figure("length") * unit)
     return {"length_m": length_m, **{key: matrix_of(value, phases) for key, value in matrices.items()}}
 
 
@@ -85,56 +96,58 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def _as_switch(circuit: DssCircuit, report: Report, line: Joint, z: Any, b_us: Any) -> Joint:
+def _as_switch(circuit: DssCircuit, report: Report, kind: str, line: Joint, z: Any, b_us: Any) -> Joint:
     """A switch in place of a line that is one, or that is open; the report says what it has lost."""
     one = z[0, 0]
     alike = np.allclose(z, one * np.eye(len(z)), rtol=0.0, atol=1e-9 * abs(one))
     bare = alike and float(np.abs(b_us).max()) < _SWITCH_B_US
-    if line.closed and not (circuit.yes("switch") and bare):
-        report.add("taken", "line", line.name, "in lines.csv")
+    if line.closed and not (bare and kind == "line" and circuit.yes("switch")):
+        report.add("taken", kind, line.name, "in lines.csv")
         return line
     mean = complex(np.diag(z).mean())
     values = {"state": "closed" if line.closed else "open", "r_ohm": rounded(mean.real), "x_ohm": rounded(mean.imag)}
     values = {key: 0.0 if isinstance(v, float) and abs(v) < _ROUNDING * abs(mean) else v for key, v in values.items()}
-    report.add("taken", "line", line.name, "in switches.csv" if bare else "open: in switches.csv, mean impedance alone")
+    report.add("taken", kind, line.name, "in switches.csv" if bare else "open: in switches.csv, mean impedance alone")
     return replace(line, kind="switch", values=values)
 
 
 def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
-    """Closed lines of different phases between the same two buses made one, since a bus is fed by one branch."""
+    """Closed lines between the same two buses made one, since a bus is fed by one branch."""
     found: dict[Any, Joint] = {}
     for k, line in enumerate(lines):
-        pair = frozenset(line.ends)
+        pair = frozenset(line.ends) if line.closed else k
         other = found.get(pair)
-        if not line.closed or (other is not None and set(other.phases) & set(line.phases)):
-            found[k] = line
-        elif other is None:
-            found[pair] = line
-        else:
-            report.add("nothing lost", "line", f"{other.name} and {line.name}", "of other phases: one row of both")
-            found[pair] = _joined(other, line)
+        if other:
+            text = "beside each other between two buses: one row that is both"
+            report.add("nothing lost", "line", f"{other.name} and {line.name}", text)
+        found[pair] = _joined(other, line) if other else line
     return list(found.values())
 
 
 def _joined(first: Joint, second: Joint) -> Joint:
-    phases = "".join(sorted(first.phases + second.phases))
+    """Two closed lines as one whose admittance is the sum of theirs."""
+    phases = "".join(sorted(set(first.phases + second.phases)))
     name = f"{first.name}+{second.name}"
-    if first.kind == second.kind == "switch" and first.values == second.values:
+    of_other_phases = len(phases) == len(first.phases + second.phases)
+    if first.kind == second.kind == "switch" and first.values == second.values and of_other_phases:
         return replace(first, name=name, phases=phases)
-    columns = [_as_columns(one) for one in (first, second)]
-    values = dict(columns[0])
-    for key in ("r_ohm", "x_ohm", "b_us"):
-        both = [np.array(one[key], float) for one in columns]
-        full = np.where(np.isnan(both[0]), np.nan_to_num(both[1]), both[0])
-        at = ["abc".index(phase) for phase in phases]
-        values[key] = matrix_of(full[np.ix_(at, at)], phases)
+    at = ["abc".index(phase) for phase in phases]
+    y, b_us = np.zeros((3, 3), np.complex128), np.zeros((3, 3))
+    for line in (first, second):
+        own = ["abc".index(phase) for phase in line.phases]
+        z, own_b_us = _matrices(line)
+        y[np.ix_(own, own)] += np.linalg.inv(z)
+        b_us[np.ix_(own, own)] += own_b_us
+    z = np.linalg.inv(y[np.ix_(at, at)])
+    values = _columns(first.values.get("length_m", math.nan), z, b_us[np.ix_(at, at)], phases)
     return replace(first, kind="phase_line", name=name, phases=phases, values=values)
 
 
-def _as_columns(line: Joint) -> dict[str, Any]:
-    """The columns of a line, also of a switch."""
-    if line.kind == "phase_line":
-        return line.values
-    one, phases = np.eye(len(line.phases)), line.phases
-    matrices = {key: matrix_of(line.values[key] * one, phases) for key in ("r_ohm", "x_ohm")}
-    return {"length_m": math.nan, **matrices, "b_us": matrix_of(0.0 * one, phases)}
+def _matrices(line: Joint) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Impedance and charging over the phases of a line or switch."""
+    size = len(line.phases)
+    if line.kind == "switch":
+        return complex(line.values["r_ohm"], line.values["x_ohm"]) * np.eye(size), np.zeros((size, size))
+    at = ["abc".index(phase) for phase in line.phases]
+    r, x, b_us = (np.array(line.values[key], float)[np.ix_(at, at)] for key in ("r_ohm", "x_ohm", "b_us"))
+    return r + 1j * x, b_us

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
-from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
+from dcgrid_env.grid.formats.opendss.dss_lines import in_series, matrix_of
 from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
@@ -76,11 +76,10 @@ def report_the_rest(circuit: DssCircuit, report: Report) -> None:
         for name in circuit.disabled(kind):
             report.add("nothing lost", kind, name, "disabled: it is not in the circuit")
         for name in circuit.names(kind) if kind not in _READ else ():
-            circuit.activate(kind, name)
-            buses = {end.bus for end in circuit.terminals()}
+            series = in_series(circuit, kind, name)
             if kind in _NO_LOSS:
                 report.add("nothing lost", kind, name, _NO_LOSS[kind])
-            elif kind not in LOSSES or (kind in ("reactor", "vccs", "fault") and len(buses) > 1):
-                report.add("refused", kind, name, "an element of this kind in series cannot be represented")
-            else:
+            elif kind not in LOSSES or (kind in ("vccs", "fault") and series):
+                report.add("refused", kind, name, "an element of this kind cannot be represented")
+            elif kind != "reactor" or not series:
                 report.add("lost", kind, name, LOSSES[kind])

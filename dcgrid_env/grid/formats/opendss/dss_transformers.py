@@ -131,18 +131,24 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
 
 
 def merged(joints: list[Joint], report: Report) -> list[Joint]:
-    """Single-phase transformers of one kind between the same two buses made one of several phases."""
+    """Transformers of one kind between the same two buses made one: of single phases, or in parallel."""
     found: dict[tuple[str, str], Joint] = {}
     for joint in joints:
         other = found.get(joint.ends)
         if other is None:
             found[joint.ends] = joint
             continue
-        each = [one.values | {"kva": one.values["kva"] / len(one.phases)} for one in (other, joint)]
-        if each[0] != each[1] or set(other.phases) & set(joint.phases):
+        phases = "".join(sorted(set(other.phases + joint.phases)))
+        kva = other.values["kva"] + joint.values["kva"]
+        parallel = other.phases == joint.phases
+        beside = len(phases) == len(other.phases + joint.phases) and math.isclose(
+            other.values["kva"] / len(other.phases), joint.values["kva"] / len(joint.phases)
+        )
+        if other.values | {"kva": 0.0} != joint.values | {"kva": 0.0} or not (parallel or beside):
             report.add("refused", "transformer", joint.name, f"it stands beside {other.name}, which is not its like")
             continue
-        phases = "".join(sorted(other.phases + joint.phases))
-        values = joint.values | {"kva": rounded(each[0]["kva"] * len(phases))}
+        text = "beside each other between two buses: one row that is both"
+        report.add("nothing lost", "transformer", f"{other.name} and {joint.name}", text)
+        values = joint.values | {"kva": rounded(kva)}
         found[joint.ends] = replace(other, name=f"{other.name}+{joint.name}", phases=phases, values=values)
     return list(found.values())

@@ -97,7 +97,10 @@ def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: C
     for loop in supply.loops:
         kind = "transformer" if loop[0].kind == "unit" else "line"
         others = ", ".join(joint.name for joint in loop[1:])
-        report.add("refused", kind, loop[0].name, f"it closes a loop with {others or 'itself'}: open one of them")
+        text = f"it closes a loop with {others or 'itself'}: open one of them"
+        if len(loop) == 2 and not set(loop[0].phases) & set(loop[1].phases):
+            text = f"it stands beside {others} for other phases: one branch must bring a bus all its phases"
+        report.add("refused", kind, loop[0].name, text)
     lines = _with_supply(lines, supply, report)
     tables = _Tables(circuit, report, supply)
     for unit in units:
@@ -125,7 +128,7 @@ def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: C
 
 
 def _unit_joints(units: Sequence[Unit]) -> Iterable[Joint]:
-    """One joint for the transformers of different phases between the same two buses."""
+    """One joint for the transformers beside each other between two buses: see ``merged``."""
     found: dict[frozenset[str] | str, Joint] = {}
     for unit in units:
         first, second = unit.windings
@@ -133,10 +136,10 @@ def _unit_joints(units: Sequence[Unit]) -> Iterable[Joint]:
         other = found.get(pair)
         if other is None:
             found[pair] = Joint("unit", unit.name, (first.bus, second.bus), unit.phases, True, {})
-        elif set(other.phases) & set(unit.phases):
+        elif set(other.phases) & set(unit.phases) and other.phases != unit.phases:
             found[unit.name] = Joint("unit", unit.name, (first.bus, second.bus), unit.phases, True, {})
         else:
-            found[pair] = replace(other, phases="".join(sorted(other.phases + unit.phases)))
+            found[pair] = replace(other, phases="".join(sorted(set(other.phases + unit.phases))))
     return found.values()
 
 

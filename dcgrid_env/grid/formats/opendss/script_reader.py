@@ -68,7 +68,7 @@ class Script:
             raise FeederError(f"{path}: scripts redirect deeper than {DEEPEST} or to more than {MOST_FILES} files")
         folder, commented = path.parent, False
         for number, text in enumerate(text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
-            line = text.strip()
+            line = text.strip(" \t\0\x1a")  # ends of text that old editors leave
             if commented or line.startswith("/*"):
                 commented = "*/" not in line
                 continue

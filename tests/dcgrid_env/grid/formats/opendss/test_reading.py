@@ -184,9 +184,13 @@ def test_exponents_and_motors_within_their_limits(master, law, limit):
     ("New Line.turn bus1=n bus2=y.2.3.1 linecode=c3", "line turn: its phases change from 1.2.3 to 2.3.1"),
     ("New Line.loop bus1=src bus2=n linecode=c3", "line l2: it closes a loop with l1, loop: open one"),
     ("Open Line.l2 1 2", "line l2: some of its phases are open"),
-    ("New Reactor.r bus1=n bus2=y", "reactor r: an element of this kind in series"),
     ("New Capacitor.s bus1=n bus2=y kv=12.47 kvar=9", "capacitor s: it is in series"),
     ("New Capacitor.r bus1=n kv=12.47 kvar=9 r=1", "capacitor r: it is in series, .* or has a resistance"),
+    (
+        "New Line.a phases=1 bus1=n.1 bus2=y.1 r1=1 x1=1\n"
+        "New Transformer.bc phases=2 buses=[n.2.3 y.2.3] kvs=[12.47 12.47] kvas=[9 9]",
+        "transformer bc: it stands beside a for other phases",
+    ),
     ("New AutoTrans.a", "autotrans a: an element"),
     ("New Load.m bus1=n kv=12.47 kw=9 model=7", "load m: model 7"),
     ("New Load.n4 bus1=n.1.4 phases=1 kv=7.2 kw=9", "load n4: its nodes 1.4 are no legs"),
@@ -270,6 +274,22 @@ def test_lines_and_switches_of_single_phases_side_by_side_are_one(master):
     assert three.network.phase_line.x_ohm[-1][2] == pytest.approx((0.0, 0.0, 4.0))
     assert apart_pu(two) < 1e-8
     assert apart_pu(three) < 1e-8
+
+
+def test_what_stands_in_parallel_or_is_a_series_reactor_is_taken(master):
+    more = (
+        "New Line.l3 bus1=m.3.2 bus2=n.3.2 phases=2 r1=1 x1=2 r0=3 x0=4 c1=9 c0=5 length=2\n"
+        "New Reactor.x bus1=n bus2=y r=0.5 x=3\nNew Line.sa bus1=y bus2=z switch=yes\n"
+        "New Line.sb bus1=y bus2=z switch=yes\n"
+        "New Transformer.t1 phases=3 buses=[z w] conns=[delta wye] kvs=[12.47 0.48] kvas=[50 50] xhl=4\n"
+        "New Transformer.t2 phases=3 buses=[z w] conns=[delta wye] kvs=[12.47 0.48] kvas=[90 90] xhl=4\n"
+        "New Load.w bus1=w kv=0.48 kw=90 kvar=30\n"
+    )
+    found = read_opendss(master(more))
+    assert found.network.phase_line.name == ("l1", "l2+l3", "sa+sb", "x")
+    assert (found.network.transformer.name, found.network.transformer.kva) == (("t1+t2",), (140.0,))
+    assert {("reactor", "x", "taken"), ("transformer", "t1 and t2", "nothing lost")} <= fates(found)
+    assert apart_pu(found) < 1e-8
 
 
 def test_a_circuit_without_base_voltages_is_refused(master):
