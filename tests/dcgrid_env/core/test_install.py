@@ -20,7 +20,7 @@ def sources():
             yield path, (ROOT / path).read_text()
 
 
-@pytest.mark.parametrize("extra", ["agents", "frameworks", "record", "bench", "video"])
+@pytest.mark.parametrize("extra", ["agents", "frameworks", "record", "bench", "video", "opendss"])
 def test_the_hint_names_an_extra_that_there_is(extra):
     assert extra in EXTRAS
     assert from_clone(extra).endswith(f"pip install -e '.[{extra}]'")
