@@ -77,7 +77,7 @@ def _length_m(circuit: DssCircuit) -> float:
     return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
 
 
-def _columns(length_m: float, z: NDArray[Any], b_us: Any, phases: str) -> dict[str, Any]:
+def _columns(length_m: float, z: Any, b_us: Any, phases: str) -> dict[str, Any]:
     matrices = {"r_ohm": z.real, "x_ohm": z.imag, "b_us": b_us}
     return {"length_m": length_m, **{key: matrix_of(value, phases) for key, value in matrices.items()}}
 
@@ -143,7 +143,7 @@ def _joined(first: Joint, second: Joint) -> Joint:
     return replace(first, kind="phase_line", name=name, phases=phases, values=values)
 
 
-def _matrices(line: Joint) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+def _matrices(line: Joint) -> tuple[NDArray[Any], NDArray[Any]]:
     """Impedance and charging over the phases of a line or switch."""
     size = len(line.phases)
     if line.kind == "switch":

@@ -67,7 +67,8 @@ def _load_rows(
     circuit: DssCircuit, name: str, bus: str, legs: list[int], size: int, delta: bool, law: Row
 ) -> list[Row]:
     engine = circuit.engine
-    share = 1.0 if circuit.text("status").lower().startswith("f") else float(engine.Solution.LoadMult())
+    scaled = circuit.text("status").lower() == "variable"  # neither fixed nor exempt
+    share = float(engine.Solution.LoadMult()) if scaled else 1.0
     p_kw, q_kvar = (rounded(share * circuit.figure(field) / size) for field in ("kw", "kvar"))
     kv = circuit.figure("kv") / (math.sqrt(3.0) if size > 1 and not delta else 1.0)
     vlow = circuit.figure("vlowpu")

@@ -37,9 +37,14 @@ class Regulation:
 def read_regulations(circuit: DssCircuit, report: Report) -> dict[str, Regulation]:
     """The control of each transformer that has one, by the transformer's name."""
     found: dict[str, Regulation] = {}
-    for name in circuit.names("regcontrol"):
+    disabled = circuit.disabled("regcontrol")
+    for name in [*circuit.names("regcontrol"), *disabled]:
         circuit.activate("regcontrol", name)
         unit = circuit.text("transformer").lower().removeprefix("transformer.")
+        if name in disabled and unit not in found:
+            report.add("nothing lost", "regcontrol", name, "disabled: the regulator is taken at its tap all the same")
+        elif name in disabled:
+            continue
         if unit in found:
             report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
             continue

@@ -110,6 +110,11 @@ def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: C
     loads = [*read_loads(circuit, report, supply), *tables.cores]
     capacitors = read_capacitors(circuit, report, supply)
     transformers = merged(tables.transformers, report)
+    for joint in transformers:
+        beside = [row["name"] for row in tables.regulators if (row["from_bus"], row["to_bus"]) == joint.ends]
+        if beside:
+            text = f"it stands beside the regulator {', '.join(beside)} without a RegControl of its own"
+            report.add("refused", "transformer", joint.name, text)
     report_the_rest(circuit, report)
     report.refuse_unless(circuit.name, allow)
     return Network(

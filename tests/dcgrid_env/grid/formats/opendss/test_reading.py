@@ -2,35 +2,17 @@
 
 import itertools
 import math
-import sys
 
 import numpy as np
 import pytest
 
-from dcgrid_env import FeederError, ThreePhaseFeeder, load_feeder
+from dcgrid_env import ThreePhaseFeeder, load_feeder
 from dcgrid_env.grid import read_opendss
-from dcgrid_env.powerflow import solve_unbalanced
+from helpers.opendss_imports import apart_pu, fates, voltages
 from helpers.opendss_text import rows, script_of
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 TABLES = ("source", "phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
-
-
-def voltages(feeder):
-    solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
-    assert solution.converged
-    return dict(zip(feeder.node_ids, solution.v_re_pu + 1j * solution.v_im_pu, strict=True))
-
-
-def apart_pu(found):
-    """Largest difference between our voltages and OpenDSS's, p.u., over the nodes that both have."""
-    ours = voltages(ThreePhaseFeeder.from_network(found.network))
-    assert found.v_pu
-    return max(abs(ours[node] - v) for node, v in found.v_pu.items())
-
-
-def fates(found):
-    return {(row.kind, name, row.fate) for row in found.findings for name in row.names}
 
 
 @pytest.fixture(scope="module", params=["ieee13-3ph", "ieee34-3ph", "ieee123-3ph"])
@@ -97,6 +79,8 @@ New Load.d2 bus1=lvd.1.2.3 phases=2 conn=delta kv=0.48 kw=20 kvar=5
 New Load.a bus1=lv.1 phases=1 kv=0.277 kw=20 pf=0.9 model=5
 New Load.b bus1=lv.2 phases=1 kv=0.277 kva=20 pf=0.9 model=2 status=fixed
 New Load.x bus1=x1.1.2 phases=2 kv=4.16 kw=30 pf=-0.9
+New Load.ex bus1=low kv=4.16 kw=30 pf=0.9 status=exempt
+New Load.xf bus1=low kv=4.16 xfkva=100 allocationfactor=0.5 pf=0.9
 New Load.e bus1=eu kv=0.48 kw=30 kvar=10 model=8 zipv=[0.2 0.3 0.5 0.1 0.1 0.8 0]
 New Monitor.m element=line.l1
 New EnergyMeter.m element=line.l1
@@ -172,98 +156,6 @@ def test_exponents_and_motors_within_their_limits(master, law, limit):
         assert apart_pu(small(master, load, pu)) < limit
 
 
-@pytest.mark.parametrize(("more", "said"), [
-    ("New Transformer.t3 phases=1 windings=3 buses=[n.1 c.1.0 c.0.2] kvs=[7.2 0.12 0.12] kvas=[5 5 5]",
-     "transformer t3: it has 3 windings"),
-    ("New Transformer.ll phases=1 buses=[n.1.2 y.1] kvs=[12.47 0.24] kvas=[5 5]", "winding 1 stands between two"),
-    ("New Transformer.yd phases=3 buses=[n y] conns=[wye delta] kvs=[12.47 0.48] kvas=[5 5]",
-     "transformer yd: it is wye_grounded / delta"),
-    ("New Transformer.un phases=3 buses=[n.1.2.3.4 y] kvs=[12.47 0.48] kvas=[5 5]", "neutral that is not at ground"),
-    ("New Transformer.tr phases=3 buses=[n y.2.3.1] conns=[delta wye] kvs=[12.47 0.48] kvas=[5 5]", "the same"),
-    ("New Line.four phases=4 bus1=n.1.2.3.4 bus2=y.1.2.3.4", "line four: a conductor is no phase"),
-    ("New Line.turn bus1=n bus2=y.2.3.1 linecode=c3", "line turn: its phases change from 1.2.3 to 2.3.1"),
-    ("New Line.loop bus1=src bus2=n linecode=c3", "line l2: it closes a loop with l1, loop: open one"),
-    ("Open Line.l2 1 2", "line l2: some of its phases are open"),
-    ("New Capacitor.s bus1=n bus2=y kv=12.47 kvar=9", "capacitor s: it is in series"),
-    ("New Capacitor.r bus1=n kv=12.47 kvar=9 r=1", "capacitor r: it is in series, .* or has a resistance"),
-    (
-        "New Line.a phases=1 bus1=n.1 bus2=y.1 r1=1 x1=1\n"
-        "New Transformer.bc phases=2 buses=[n.2.3 y.2.3] kvs=[12.47 12.47] kvas=[9 9]",
-        "transformer bc: it stands beside a for other phases",
-    ),
-    ("New AutoTrans.a", "autotrans a: an element"),
-    ("New Load.m bus1=n kv=12.47 kw=9 model=7", "load m: model 7"),
-    ("New Load.n4 bus1=n.1.4 phases=1 kv=7.2 kw=9", "load n4: its nodes 1.4 are no legs"),
-    ("New Vsource.two bus1=n basekv=12.47", "sources source, two; one can be"),
-    ("New Transformer.o phases=3 buses=[n n2] kvs=[12.47 12.47] kvas=[9 9] taps=[1 1.001]\n"
-     "New RegControl.o transformer=o winding=2", r"tap 1.001 is not 1 plus whole steps"),
-])  # fmt: skip
-def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
-    with pytest.raises(FeederError, match=said):
-        read_opendss(master(more))
-
-
-REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
-LOST = {
-    "New Fuse.f monitoredobj=line.l1": "fuse",
-    "New Recloser.f monitoredobj=line.l1": "recloser",
-    "New Relay.f monitoredobj=line.l1": "relay",
-    "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
-    "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=voltage": "capcontrol",
-    "New Generator.f bus1=n kv=12.47 kw=100 pf=1": "generator",
-    "New PVSystem.f bus1=n kv=12.47 kva=100 pmpp=100 irradiance=1": "pvsystem",
-    "New Storage.f bus1=n kv=12.47 kwrated=10": "storage",
-    "New Reactor.f bus1=n kv=12.47 kvar=100": "reactor",
-    "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
-    "New Line.f bus1=far bus2=away linecode=c3": "isolated",
-    f"{REGULATOR} winding=2 reversible=yes": "regcontrol",
-    f"{REGULATOR} winding=1": "regcontrol",
-}
-
-
-@pytest.mark.parametrize("more", LOST)
-def test_what_would_be_lost_must_be_allowed(master, more):
-    kind, path = LOST[more], master(more)
-    with pytest.raises(FeederError, match=f"would be lost: .*{kind} .*--allow {kind} accepts") as refused:
-        read_opendss(path)
-    assert "\n" not in str(refused.value)
-    found = read_opendss(path, allow=[kind.upper()])
-    assert [row.kind for row in found.findings if row.fate == "lost"] == [kind]
-    ThreePhaseFeeder.from_network(found.network)
-
-
-def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
-    found = read_opendss(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
-    assert apart_pu(found) > 1e-4
-
-
-def test_several_kinds_are_asked_for_at_once(master):
-    more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
-    with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
-        read_opendss(master(more), allow=["fuse"])
-    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among capcontrol"):
-        read_opendss(master(more), allow=["fuses"])
-
-
-def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
-    more = "New Load.off bus1=n kv=12.47 kw=9\nDisable Load.off\nNew Line.s bus1=n bus2=far switch=yes\nOpen Line.s 1"
-    found = read_opendss(master(more))
-    assert {("load", "off", "nothing lost"), ("isolated", "line s", "nothing lost")} <= fates(found)
-    assert "far" not in found.network.node.bus
-    assert apart_pu(found) < 1e-8
-
-
-def test_taps_are_those_that_the_script_leaves(master):
-    solved = master(f"{REGULATOR} winding=2 vreg=122 band=1 ptratio=60\nNew Load.r bus1=r.1 phases=1 kv=7.2 kw=90\n",
-                    end="Set VoltageBases=[12.47]\nCalcVoltageBases\nSolve\n")  # fmt: skip
-    found = read_opendss(solved)
-    [tap] = found.network.regulator.tap
-    assert tap not in (0, 16)
-    relay_v = abs(voltages(ThreePhaseFeeder.from_network(found.network))["r.a"]) * 12470 / math.sqrt(3) / 60
-    assert abs(relay_v - 122) < 0.5 + 0.4
-    assert apart_pu(found) < 1e-8
-
-
 def test_lines_and_switches_of_single_phases_side_by_side_are_one(master):
     more = "New Line.p1 phases=1 bus1=n.1 bus2=p.1 switch=yes\nNew Line.p2 phases=1 bus1=p.2 bus2=n.2 switch=yes\n"
     two = read_opendss(master(more))
@@ -292,32 +184,56 @@ def test_what_stands_in_parallel_or_is_a_series_reactor_is_taken(master):
     assert apart_pu(found) < 1e-8
 
 
-def test_a_circuit_without_base_voltages_is_refused(master):
-    with pytest.raises(FeederError, match="has no base voltage; add Set VoltageBases"):
-        read_opendss(master(end=""))
+ODD = """
+Set DefaultBaseFrequency=50
+New Circuit.odd basekv=11 pu=1.03 bus1=s isc3=5000 isc1=4000
+New WireData.w diam=0.4 gmrac=0.15 rac=0.3 runits=km gmrunits=in radunits=in
+New LineGeometry.g nconds=4 nphases=3 reduce=yes cond=1 wire=w x=-0.6 h=9 units=m
+~ cond=2 wire=w x=0 h=9 units=m
+~ cond=3 wire=w x=0.6 h=9 units=m
+~ cond=4 wire=w x=0 h=8 units=m
+New Line.g1 bus1=s bus2=a geometry=g length=3 units=km
+New LineCode.lc nphases=2 basefreq=60 r1=0.3 x1=0.4 r0=0.6 x0=1.2 c1=10 c0=6 units=km
+New Line.g2 bus1=a.3.1 bus2=b.3.1 linecode=lc length=2 units=mi phases=2
+New Transformer.kv phases=3 buses=[a c] conns=[delta wye] kvs=[11 0.4] kvas=[500 300] xhl=4 %loadloss=1.2
+~ wdg=1 tap=1.025
+New Transformer.rv phases=1 buses=[r.1 a.1] kvs=[6.35 6.35] kvas=[1000 1000] xhl=1 wdg=1 tap=1.0625
+New RegControl.rv transformer=rv winding=1 vreg=120 band=2 ptratio=53
+New Transformer.rv2 phases=1 buses=[a.3 r.3] kvs=[6.35 6.35] kvas=[1000 1000] xhl=1 wdg=2 tap=0.9625
+New RegControl.rv2 transformer=rv2 winding=2 vreg=120 band=2 ptratio=53 enabled=no
+New Load.neg bus1=c kv=0.4 kw=-30 kvar=5
+New Load.r1 bus1=r.1 kv=6.35 phases=1 kw=200 kvar=50
+New Load.r3 bus1=r.3 kv=6.35 phases=1 kw=200 kvar=50
+New Load.b bus1=b.1.3 phases=2 kv=11 kw=100 pf=0.95
+New Capacitor.b2 bus1=b.1.3 phases=2 kv=11 kvar=60
+New Capacitor.off bus1=a kv=11 kvar=60 states=0
+"""
 
 
-def test_what_opendss_refuses_names_file_and_line(master):
-    with pytest.raises(FeederError, match=r"Master.dss, line 9: OpenDSS refuses the command: .*nowhere") as refused:
-        read_opendss(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
-    assert "\n" not in str(refused.value)
-    with pytest.raises(FeederError, match="there is no file"):
-        read_opendss("nowhere.dss")
-    with pytest.raises(FeederError, match="defines 0 circuits"):
-        read_opendss(master(circuit="", end=""))
-
-
-def test_a_circuit_that_opendss_cannot_solve_has_no_voltages(master):
-    assert read_opendss(master("Edit Load.d kw=1e6 vminpu=0.002 vlowpu=0.001")).v_pu == {}
-
-
-def test_without_opendssdirect_the_extra_is_named(master, monkeypatch):
-    monkeypatch.setitem(sys.modules, "opendssdirect", None)
-    with pytest.raises(FeederError, match=r"OpenDSSDirect.py.*\[opendss\]"):
-        read_opendss(master())
+def test_fifty_hertz_geometries_and_regulators_defined_from_their_far_side(master):
+    found = read_opendss(master(circuit=ODD, end="Set VoltageBases=[11 0.4]\nCalcVoltageBases\n"))
+    assert apart_pu(found) < 1e-8
+    assert found.network.frequency_hz == 50.0
+    assert (found.network.regulator.from_bus, found.network.regulator.tap) == (("a", "a"), (10, -6))
+    assert ("regcontrol", "rv2", "nothing lost") in fates(found)
+    assert found.network.capacitor.state == ("on", "off")
 
 
 @pytest.mark.parametrize(("first", "second"), [*itertools.product(["src", "n"], repeat=2)])
 def test_lines_may_be_defined_from_either_end(master, first, second):
     more = f"New Line.a bus1={first} bus2=p linecode=c3\nNew Line.b bus1=q bus2={second} linecode=c3"
     assert apart_pu(read_opendss(master(more))) < 1e-8
+
+
+REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
+
+
+def test_taps_are_those_that_the_script_leaves(master):
+    solved = master(f"{REGULATOR} winding=2 vreg=122 band=1 ptratio=60\nNew Load.r bus1=r.1 phases=1 kv=7.2 kw=90\n",
+                    end="Set VoltageBases=[12.47]\nCalcVoltageBases\nSolve\n")  # fmt: skip
+    found = read_opendss(solved)
+    [tap] = found.network.regulator.tap
+    assert tap not in (0, 16)
+    relay_v = abs(voltages(ThreePhaseFeeder.from_network(found.network))["r.a"]) * 12470 / math.sqrt(3) / 60
+    assert abs(relay_v - 122) < 0.5 + 0.4
+    assert apart_pu(found) < 1e-8

@@ -1,0 +1,123 @@
+"""What an OpenDSS circuit holds and the tables cannot: refused, or lost where that is allowed, always by name."""
+
+import sys
+
+import pytest
+
+from dcgrid_env import FeederError, ThreePhaseFeeder
+from dcgrid_env.grid import read_opendss
+from helpers.opendss_imports import apart_pu, fates
+
+dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    ("New Transformer.t3 phases=1 windings=3 buses=[n.1 c.1.0 c.0.2] kvs=[7.2 0.12 0.12] kvas=[5 5 5]",
+     "transformer t3: it has 3 windings"),
+    ("New Transformer.ll phases=1 buses=[n.1.2 y.1] kvs=[12.47 0.24] kvas=[5 5]", "winding 1 stands between two"),
+    ("New Transformer.yd phases=3 buses=[n y] conns=[wye delta] kvs=[12.47 0.48] kvas=[5 5]",
+     "transformer yd: it is wye_grounded / delta"),
+    ("New Transformer.un phases=3 buses=[n.1.2.3.4 y] kvs=[12.47 0.48] kvas=[5 5]", "neutral that is not at ground"),
+    ("New Transformer.tr phases=3 buses=[n y.2.3.1] conns=[delta wye] kvs=[12.47 0.48] kvas=[5 5]", "the same"),
+    ("New Line.four phases=4 bus1=n.1.2.3.4 bus2=y.1.2.3.4", "line four: a conductor is no phase"),
+    ("New Line.turn bus1=n bus2=y.2.3.1 linecode=c3", "line turn: its phases change from 1.2.3 to 2.3.1"),
+    ("New Line.loop bus1=src bus2=n linecode=c3", "line l2: it closes a loop with l1, loop: open one"),
+    ("Open Line.l2 1 2", "line l2: some of its phases are open"),
+    ("New Capacitor.s bus1=n bus2=y kv=12.47 kvar=9", "capacitor s: it is in series"),
+    ("New Capacitor.r bus1=n kv=12.47 kvar=9 r=1", "capacitor r: it is in series, .* or has a resistance"),
+    (
+        "New Line.a phases=1 bus1=n.1 bus2=y.1 r1=1 x1=1\n"
+        "New Transformer.bc phases=2 buses=[n.2.3 y.2.3] kvs=[12.47 12.47] kvas=[9 9]",
+        "transformer bc: it stands beside a for other phases",
+    ),
+    (
+        "New Transformer.ra phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[9 9]\n"
+        "New RegControl.ra transformer=ra winding=2\n"
+        "New Transformer.rb phases=1 buses=[n.2 r.2] kvs=[7.2 7.2] kvas=[9 9]",
+        "transformer rb: it stands beside the regulator ra without a RegControl",
+    ),
+    ("New AutoTrans.a", "autotrans a: an element"),
+    ("New Load.m bus1=n kv=12.47 kw=9 model=7", "load m: model 7"),
+    ("New Load.n4 bus1=n.1.4 phases=1 kv=7.2 kw=9", "load n4: its nodes 1.4 are no legs"),
+    ("New Vsource.two bus1=n basekv=12.47", "sources source, two; one can be"),
+    ("New Transformer.o phases=3 buses=[n n2] kvs=[12.47 12.47] kvas=[9 9] taps=[1 1.001]\n"
+     "New RegControl.o transformer=o winding=2", r"tap 1.001 is not 1 plus whole steps"),
+])  # fmt: skip
+def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
+    with pytest.raises(FeederError, match=said):
+        read_opendss(master(more))
+
+
+REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
+LOST = {
+    "New Fuse.f monitoredobj=line.l1": "fuse",
+    "New Recloser.f monitoredobj=line.l1": "recloser",
+    "New Relay.f monitoredobj=line.l1": "relay",
+    "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
+    "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=voltage": "capcontrol",
+    "New Generator.f bus1=n kv=12.47 kw=100 pf=1": "generator",
+    "New PVSystem.f bus1=n kv=12.47 kva=100 pmpp=100 irradiance=1": "pvsystem",
+    "New Storage.f bus1=n kv=12.47 kwrated=10": "storage",
+    "New Reactor.f bus1=n kv=12.47 kvar=100": "reactor",
+    "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
+    "New Line.f bus1=far bus2=away linecode=c3": "isolated",
+    f"{REGULATOR} winding=2 reversible=yes": "regcontrol",
+    f"{REGULATOR} winding=1": "regcontrol",
+}
+
+
+@pytest.mark.parametrize("more", LOST)
+def test_what_would_be_lost_must_be_allowed(master, more):
+    kind, path = LOST[more], master(more)
+    with pytest.raises(FeederError, match=f"would be lost: .*{kind} .*--allow {kind} accepts") as refused:
+        read_opendss(path)
+    assert "\n" not in str(refused.value)
+    found = read_opendss(path, allow=[kind.upper()])
+    assert [row.kind for row in found.findings if row.fate == "lost"] == [kind]
+    ThreePhaseFeeder.from_network(found.network)
+
+
+def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
+    found = read_opendss(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
+    assert apart_pu(found) > 1e-4
+
+
+def test_several_kinds_are_asked_for_at_once(master):
+    more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
+    with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
+        read_opendss(master(more), allow=["fuse"])
+    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among capcontrol"):
+        read_opendss(master(more), allow=["fuses"])
+
+
+def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
+    more = "New Load.off bus1=n kv=12.47 kw=9\nDisable Load.off\nNew Line.s bus1=n bus2=far switch=yes\nOpen Line.s 1"
+    found = read_opendss(master(more))
+    assert {("load", "off", "nothing lost"), ("isolated", "line s", "nothing lost")} <= fates(found)
+    assert "far" not in found.network.node.bus
+    assert apart_pu(found) < 1e-8
+
+
+def test_a_circuit_without_base_voltages_is_refused(master):
+    with pytest.raises(FeederError, match="has no base voltage; add Set VoltageBases"):
+        read_opendss(master(end=""))
+
+
+def test_what_opendss_refuses_names_file_and_line(master):
+    with pytest.raises(FeederError, match=r"Master.dss, line 9: OpenDSS refuses the command: .*nowhere") as refused:
+        read_opendss(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(FeederError, match="there is no file"):
+        read_opendss("nowhere.dss")
+    with pytest.raises(FeederError, match="defines 0 circuits"):
+        read_opendss(master(circuit="", end=""))
+
+
+def test_a_circuit_that_opendss_cannot_solve_has_no_voltages(master):
+    assert read_opendss(master("Edit Load.d kw=1e6 vminpu=0.002 vlowpu=0.001")).v_pu == {}
+
+
+def test_without_opendssdirect_the_extra_is_named(master, monkeypatch):
+    monkeypatch.setitem(sys.modules, "opendssdirect", None)
+    with pytest.raises(FeederError, match=r"OpenDSSDirect.py.*\[opendss\]"):
+        read_opendss(master())
