@@ -52,3 +52,16 @@ def a_word(draw):
 @given(st.lists(a_word(), max_size=6))
 def test_words_that_are_written_are_read_again(words):
     assert words_of(" ".join(map(str, words))) == words
+
+
+@given(st.text("ab=,()[]{}\"'!/. \t|~", max_size=20))
+def test_opendss_reads_the_words_that_are_written_as_they_were_read(line):
+    dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+    try:
+        words = words_of(line)
+    except ValueError:
+        return
+    parser = dss.dss.Parser
+    parser.CmdString(" ".join(map(str, words)))
+    assert [(parser.NextParam(), parser.StrValue()) for _ in words] == [(word.name, word.text) for word in words]
+    assert (parser.NextParam(), parser.StrValue()) == ("", "")
