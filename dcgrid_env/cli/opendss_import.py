@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from dcgrid_env import ThreePhaseFeeder
-    from dcgrid_env.grid import Finding, Imported
+    from dcgrid_env.grid.formats.opendss import Finding, Imported
 
 CLOSE_PU = 1e-6
 """Voltage difference beyond which the two power flows are not of the same circuit."""
@@ -43,7 +43,7 @@ class ImportOpenDss(Command):
         """Read, compile, solve, say what became of each element, and write; nothing is written on an error."""
         from dcgrid_env import ThreePhaseFeeder
         from dcgrid_env.core.files import whole_folder
-        from dcgrid_env.grid import read_opendss
+        from dcgrid_env.grid.formats.opendss import read_opendss
 
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise ValueError(f"out: {self.out} is there and not an empty folder; choose another --out")

@@ -3,7 +3,6 @@
 from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, load_feeder
 from dcgrid_env.grid.feeder import Feeder, FeederError
 from dcgrid_env.grid.folder import AnyFeeder, read_feeder
-from dcgrid_env.grid.formats.opendss import Finding, Imported, read_opendss
 from dcgrid_env.grid.network import BusId, Network, bus_numbers, bus_text, buses_as_text
 from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
@@ -14,8 +13,6 @@ __all__ = [
     "BusId",
     "Feeder",
     "FeederError",
-    "Finding",
-    "Imported",
     "Network",
     "ThreePhaseFeeder",
     "bus_numbers",
@@ -23,5 +20,4 @@ __all__ = [
     "buses_as_text",
     "load_feeder",
     "read_feeder",
-    "read_opendss",
 ]

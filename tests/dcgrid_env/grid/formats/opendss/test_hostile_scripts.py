@@ -5,7 +5,7 @@ import os
 import pytest
 
 from dcgrid_env import FeederError
-from dcgrid_env.grid import read_opendss
+from dcgrid_env.grid.formats.opendss import read_opendss
 from dcgrid_env.grid.formats.opendss.script_rules import _DANGEROUS, _SUSPECT, BY_POSITION, HARMLESS_POSITIONS
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")

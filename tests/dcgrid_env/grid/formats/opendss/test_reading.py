@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import ThreePhaseFeeder, load_feeder
-from dcgrid_env.grid import read_opendss
+from dcgrid_env.grid.formats.opendss import read_opendss
 from helpers.opendss_imports import apart_pu, fates, voltages
 from helpers.opendss_text import rows, script_of
 

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from dcgrid_env import FeederError, ThreePhaseFeeder
-from dcgrid_env.grid import read_opendss
+from dcgrid_env.grid.formats.opendss import read_opendss
 from helpers.opendss_imports import apart_pu, fates
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
