@@ -1,0 +1,172 @@
+"""A capacitor bank's own control: on and off by the voltage at its bus, or by the reactive power into it, with a delay.
+
+    voltage: on below ``on_below_pu``, off above ``off_above_pu``, the mean of the bank's phases
+    kvar: on above ``on_above_share``, off below ``off_below_share``, what the branch brings to the bank's phases of
+    its bus, what the bank injects subtracted, as a share of the bank's rating
+
+A threshold must be passed for ``delay_s`` without a break. A bank is switched once in a step at most, however long, and
+its clock then begins anew at the step's end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import lcm
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
+from dcgrid_env.grid import ThreePhaseFeeder
+
+_SAME_TIME_S = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapacitorControl:
+    """When a bank switches itself.
+
+    The defaults of the reactive control are those of the IEEE 8500 node feeder: of 300 kvar a phase, on above 150 kvar
+    and off below -225, after 100 s.
+    """
+
+    measures: Literal["voltage", "kvar"] = choice("voltage", "kvar", default="voltage")
+    """What its control goes by."""
+    on_below_pu: float = number(0.5, 1.5, default=0.98)
+    """Voltage below which it is switched on, p.u."""
+    off_above_pu: float = number(0.5, 1.5, default=1.04)
+    """Voltage above which it is switched off, p.u.; above ``on_below_pu``."""
+    on_above_share: float = number(-10.0, 10.0, default=0.5)
+    """Reactive power into its bus above which it is switched on, as a share of its rating."""
+    off_below_share: float = number(-10.0, 10.0, default=-0.75)
+    """Reactive power below which it is switched off; more than 1 below ``on_above_share``, as the bank itself brings
+    it down by 1."""
+    delay_s: float = number(0.0, 86_400.0, default=100.0)
+    """Time for which a threshold is passed before it switches, s."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)
+        if self.off_above_pu <= self.on_below_pu:
+            raise refuse(self, "off_above_pu", f"give more than on_below_pu = {self.on_below_pu:g}")
+        if self.off_below_share >= self.on_above_share - 1.0:
+            highest = self.on_above_share - 1.0
+            raise refuse(self, "off_below_share", f"give less than on_above_share - 1 = {highest:g}, or it never rests")
+
+
+class BankSettings(NamedTuple):
+    """Where the banks of a feeder stand, in the order of their table."""
+
+    nodes: Array
+    """Nodes of each bank, a bank of fewer with each of them several times, int, (k n_capacitor,)."""
+    kvar_per_pu_a: Array
+    """Kvar of 1 p.u. of voltage and 1 A in quadrature in all phases of each bank, as a share of its rating,
+    (n_capacitor,)."""
+
+
+class BankState(NamedTuple):
+    """Capacitor banks of a feeder in the order of their table, (lane, n_capacitor) each."""
+
+    on: Array
+    """1 for a bank that is on and 0 for one that is off."""
+    v_pu: Array
+    """Mean voltage of its phases, p.u., as last measured."""
+    kvar_share: Array
+    """Reactive power that its branch brings to them, as a share of its rating, as last measured."""
+    beyond_s: Array
+    """Time for which a threshold has been passed, s."""
+    since_s: Array
+    """Time since it was last switched, or since t = 0, s."""
+    switched: Array
+    """1 where it was switched in the last step, else 0."""
+    switchings: Array
+    """Switchings since t = 0."""
+
+
+@cached_on_owner
+def bank_settings(feeder: ThreePhaseFeeder) -> BankSettings:
+    """The settings of a feeder's banks, NumPy arrays."""
+    legs, table = feeder.capacitor_legs, feeder.network.capacitor
+    ends = [(legs.node[legs.row == row], legs.other[legs.row == row]) for row in range(len(table))]
+    nodes = [np.unique(np.concatenate(of_bank)) for of_bank in ends]
+    nodes = [of_bank[of_bank >= 0] for of_bank in nodes]
+    nodes = [of_bank if len(of_bank) else np.zeros(1, np.int64) for of_bank in nodes]  # a bank of no kvar
+    k = lcm(*map(len, nodes))
+    rated = np.array([sum(kvar) for kvar in table.kvar], np.float64)
+    base_kv = np.array([feeder.base_kv_ln[feeder.node_bus[of_bank[0]]] for of_bank in nodes], np.float64)
+    tiled = [np.tile(of_bank, k // len(of_bank)) for of_bank in nodes]
+    positions = np.array(tiled, np.int64).reshape(-1)
+    phases = np.array([float(len(of_bank)) for of_bank in nodes])
+    return BankSettings(positions, np.divide(base_kv * phases, rated, out=np.zeros_like(rated), where=rated > 0.0))
+
+
+def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> BankState:
+    """The state with what each bank measures of a ``ThreePhaseSolution``."""
+    shape = (*state.on.shape, -1)
+    if not state.on.shape[-1]:
+        return state
+    of_nodes = (solution.v_pu, solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
+    if all(isinstance(a, np.ndarray) and a.ndim == 2 and a.dtype == np.float64 for a in of_nodes):
+        v_pu, kvar_share = _kernels().measured_banks(settings, *of_nodes)
+        return state._replace(v_pu=v_pu, kvar_share=kvar_share)
+    v, re, im, i_re, i_im = (take_last(values, settings.nodes).reshape(shape) for values in of_nodes)
+    kvar = im * i_re - re * i_im
+    k = v.shape[-1]
+    return state._replace(v_pu=v.sum(-1) / k, kvar_share=kvar.sum(-1) / k * settings.kvar_per_pu_a)
+
+
+def initial_banks(on: Array) -> BankState:
+    """The state at t = 0 of banks that are on or off, (lane, n_capacitor), before anything is measured."""
+    none = 0.0 * on
+    return BankState(on, none + 1.0, none, none, none, none, none)
+
+
+def control_banks(
+    control: CapacitorControl, state: BankState, dt_s: float, controlled: Array | None = None
+) -> BankState:
+    """Advance the banks by ``dt_s``, from what they measure at its beginning.
+
+    ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
+    """
+    by_voltage = control.measures == "voltage"
+    if is_rows(state.on):
+        marks = (
+            (control.on_below_pu, control.off_above_pu)
+            if by_voltage
+            else (control.on_above_share, control.off_below_share)
+        )
+        acts = np.ones(state.on.shape[-1]) if controlled is None else controlled
+        given = (*map(float, (*marks, control.delay_s)), state, float(dt_s), acts, _SAME_TIME_S)
+        on, beyond_s, since_s, switched, switchings = _kernels().control_banks(by_voltage, *given)
+        return BankState(on, state.v_pu, state.kvar_share, beyond_s, since_s, switched, switchings)
+    xp, none = namespace(state.on), 0.0 * state.on
+    if by_voltage:
+        too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
+    else:
+        too_low, too_high = state.kvar_share > control.on_above_share, state.kvar_share < control.off_below_share
+    beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))
+    if controlled is not None:
+        beyond = beyond & (controlled > 0.0)
+    waited = xp.where(beyond, state.beyond_s + dt_s, none)
+    due = beyond & (waited >= control.delay_s - _SAME_TIME_S)
+    on = xp.where(due, 1.0 - state.on, state.on)
+    switched = xp.where(due, none + 1.0, none)
+    since = xp.where(due, none, state.since_s + dt_s)
+    return state._replace(
+        on=on,
+        beyond_s=xp.where(due, none, waited),
+        since_s=since,
+        switched=switched,
+        switchings=state.switchings + switched,
+    )
+
+
+@cache
+def _kernels() -> Any:
+    """The compiled forms, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.devices.capacitor_bank import bank_kernels
+
+    return bank_kernels

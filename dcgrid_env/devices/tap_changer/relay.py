@@ -1,0 +1,124 @@
+"""What the relay of a voltage regulator measures, and which way it would have the tap go.
+
+    relay volts = |V / PT - (R + jX) I / CT|        out of band where off from ``vreg_v`` by more than half the band
+
+V is the voltage to ground of the sensed phase at the regulator's to-bus, I the current through that phase, R and X the
+settings of the line-drop compensator in volts, CT the primary rating of its current transformer in A (W. H. Kersting,
+"Distribution System Modeling and Analysis", chapter 7). Half the band is taken as half a tap at least: a relay that is
+set closer than its regulator can go would have it go to and fro for ever.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, as_like, namespace, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import ThreePhaseFeeder
+
+
+class RelaySettings(NamedTuple):
+    """The regulators' table as arrays over its rows, (n_regulator,) where no other shape is given."""
+
+    node: Array
+    """Sensed node, int."""
+    volts_per_pu: Array
+    """Relay volts at 1 p.u. of the sensed node."""
+    r_ohm: Array
+    """Relay volts a primary ampere of the line-drop compensator, in phase with the current."""
+    x_ohm: Array
+    """Those ahead of it by 90 degrees."""
+    target_v: Array
+    half_band_v: Array
+    delay_s: Array
+    """Before the first tap."""
+    tap_delay_s: Array
+    """Between further ones."""
+    lowest: Array
+    """Lowest tap."""
+    highest: Array
+    volts_per_tap: Array
+    """By how much a tap of the regulator of the row moves the relay volts of that of the column, at nominal voltage,
+    (n_regulator, n_regulator): 0 for one that it does not feed in the sensed phase."""
+
+
+@cached_on_owner
+def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
+    """The settings of a feeder's regulators, NumPy arrays."""
+    table = feeder.network.regulator
+    node = np.array(
+        [feeder.nodes_of(bus, phase)[0] for bus, phase in zip(table.to_bus, table.sensed_phase, strict=True)], np.int64
+    )
+    pt, ct, step = (np.array(column, np.float64) for column in (table.pt_ratio, table.ct_primary_a, table.tap_step))
+    nominal_v = np.array(table.kv_ln, np.float64) * 1000.0 / pt
+    volts_per_tap = _feeds(feeder, node) * step[:, None] * nominal_v
+    return RelaySettings(
+        node=node,
+        volts_per_pu=feeder.base_kv_ln[feeder.node_bus[node]] * 1000.0 / pt,
+        r_ohm=np.array(table.r_ldc_v) / ct,
+        x_ohm=np.array(table.x_ldc_v) / ct,
+        target_v=np.array(table.vreg_v, np.float64),
+        half_band_v=0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
+        delay_s=np.array(table.delay_s, np.float64),
+        tap_delay_s=np.array(table.tap_delay_s, np.float64),
+        lowest=np.array(table.tap_min, np.float64),
+        highest=np.array(table.tap_max, np.float64),
+        volts_per_tap=volts_per_tap,
+    )
+
+
+def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
+    """1 where the regulator of the row is the column's or stands between it and the source in its sensed phase."""
+    regulator, feeds = feeder.branches.regulator, np.zeros((len(node), len(node)))
+    for column, at in enumerate(node):
+        while at >= 0:
+            bus = feeder.node_bus[at]
+            row = regulator[bus, at - feeder.first_node[bus]]
+            if row >= 0:
+                feeds[row, column] = 1.0
+            at = feeder.node_parent[at]
+    return feeds
+
+
+def settings_like(settings: Any, like: Array) -> Any:
+    """Settings as arrays of the kind, precision and device of ``like``; whole numbers stay such."""
+    if isinstance(like, np.ndarray) and like.dtype == np.float64:
+        return settings
+    xp = namespace(like)
+    return type(settings)(
+        *(
+            xp.asarray(values.copy(), device=like.device) if values.dtype.kind == "i" else as_like(values.copy(), like)
+            for values in settings
+        )
+    )
+
+
+def relay_volts(settings: RelaySettings, solution: Any) -> Array:
+    """Relay volts of each regulator, (..., n_regulator), of a ``ThreePhaseSolution`` of its feeder."""
+    of_nodes = (solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
+    if all(isinstance(a, np.ndarray) and a.ndim == 2 and a.dtype == np.float64 for a in of_nodes):
+        return tap_kernels().relay_volts(settings, *of_nodes)
+    v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in of_nodes)
+    re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
+    im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re
+    return namespace(re).hypot(re, im)
+
+
+@cache
+def tap_kernels() -> Any:
+    """The compiled forms, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.devices.tap_changer import tap_kernels as kernels
+
+    return kernels
+
+
+def direction(settings: RelaySettings, relay_v: Array, tap: Array) -> Array:
+    """1 for a regulator that is to go up by a tap, -1 for one down, 0 for one in its band or at its end, as ``tap``."""
+    missing_v = settings.target_v - relay_v
+    up = (missing_v > settings.half_band_v) & (tap < settings.highest)
+    down = (missing_v < -settings.half_band_v) & (tap > settings.lowest)
+    xp = namespace(tap)
+    return xp.astype(up, tap.dtype) - xp.astype(down, tap.dtype)

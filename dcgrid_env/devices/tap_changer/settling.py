@@ -1,0 +1,126 @@
+"""Where the taps of controlled regulators come to rest under loads that stand still.
+
+Round by round the power flow is solved, and of the regulators out of band those with the shortest delay move a tap. It
+ends where nothing moves; or where taps come back that have been before, which no further round would leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, relay_settings, relay_volts, settings_like
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow import Control, solve_unbalanced
+
+MOST_ROUNDS = 1000
+Move = Callable[[RelaySettings, Array], Array]
+"""How many taps a regulator out of band makes in a round, from its settings and the volts that it lacks."""
+
+
+class SettledTaps(NamedTuple):
+    """Taps at rest, and whether they are; arrays of the loads' leading shape."""
+
+    tap: Array
+    """(lane, n_regulator)."""
+    settled: Array
+    """Whether nothing moves any more, bool, (lane,); False too where the power flow has no solution."""
+    rounds: int
+    """Power flows done, of the lane that took the most."""
+
+
+def one_tap(settings: RelaySettings, missing_v: Array) -> Array:
+    """One tap in a round, whatever is lacking."""
+    return 0.0 * missing_v + 1.0
+
+
+def settled_taps(
+    feeder: ThreePhaseFeeder,
+    p_kw: Array,
+    q_kvar: Array,
+    source_voltage_pu: Any = None,
+    control: Control | None = None,
+    tap: Array | None = None,
+    *,
+    controlled: Array | None = None,
+    move: Move = one_tap,
+) -> SettledTaps:
+    """Settle the taps of a batch of lanes, each lane by itself.
+
+    Parameters
+    ----------
+    feeder, p_kw, q_kvar, source_voltage_pu, control
+        What ``powerflow.solve_unbalanced`` takes, loads of shape (lane, n_leg); ``control.tap_ratio`` is set aside.
+    tap
+        Where they begin, (lane, n_regulator); at the base taps where it is None.
+    controlled
+        1 for a regulator that moves and 0 for one that stays where it begins, (n_regulator,); None where all move.
+    move
+        How many taps are made in a round.
+    """
+    p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
+    xp, settings = namespace(p_kw), settings_like(relay_settings(feeder), p_kw)
+    lanes = p_kw.shape[0]
+    none = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
+    taps = none + as_like(feeder.base_tap, p_kw) if tap is None else tap
+    at = xp.arange(lanes, device=p_kw.device)
+    settled = at < 0
+    before, start, rounds = [taps], None, 0
+    while len(at) and feeder.n_regulator and rounds < MOST_ROUNDS:
+        rounds += 1
+        solution = _solve(feeder, p_kw, q_kvar, source_voltage_pu, control, taps, at, start)
+        volts = relay_volts(settings, solution)
+        turn = _turns(settings, volts, taps[at], controlled) * move(settings, settings.target_v - volts)
+        turn = xp.where(solution.converged[:, None], turn, 0.0 * turn)
+        after = xp.minimum(xp.maximum(taps[at] + turn, settings.lowest + 0.0 * turn), settings.highest + 0.0 * turn)
+        rests = (turn == 0.0).all(-1)
+        settled = _put(settled, at, rests & solution.converged)
+        taps = _put(taps, at, after)
+        came_back = rests
+        for earlier in before:
+            came_back = came_back | (earlier[at] == after).all(-1)
+        before.append(taps)
+        goes_on = ~came_back
+        at, start = at[goes_on], solution.restart[goes_on]
+    return SettledTaps(taps, settled if feeder.n_regulator else ~settled, rounds)
+
+
+def _solve(
+    feeder: ThreePhaseFeeder,
+    p_kw: Array,
+    q_kvar: Array,
+    source: Any,
+    control: Control | None,
+    tap: Array,
+    at: Array,
+    start: Any,
+) -> Any:
+    """The power flow of some lanes at their taps."""
+    lanes = p_kw.shape[0]
+    shunt, capacitor = (None, None) if control is None else (control.shunt_kvar, control.capacitor_on)
+    of_lanes = [None if a is None else a[at] if a.ndim > 1 else a for a in (shunt, capacitor)]
+    source = source[at] if getattr(source, "shape", ()) == (lanes,) else source
+    changed = Control(feeder.tap_ratio(tap[at]), *of_lanes)
+    return solve_unbalanced(feeder, p_kw[at], q_kvar[at], source, changed, start)
+
+
+def _turns(settings: RelaySettings, volts: Array, tap: Array, controlled: Array | None) -> Array:
+    """Which way each regulator goes in a round: of those that would, those with the shortest delay."""
+    xp = namespace(tap)
+    wanted = direction(settings, volts, tap)
+    wanted = wanted if controlled is None else wanted * controlled
+    delay = xp.where(wanted != 0.0, settings.delay_s + 0.0 * tap, 0.0 * tap + np.inf)
+    shortest = delay.min(-1, keepdims=True) if xp is np else delay.amin(-1, keepdim=True)
+    return xp.where(delay <= shortest, wanted, 0.0 * tap)
+
+
+def _put(values: Array, at: Array, new: Array) -> Array:
+    """A copy of ``values`` with other rows at the positions ``at``."""
+    if isinstance(values, np.ndarray):
+        out = values.copy()
+        out[at] = new
+        return out
+    return values.index_copy(0, at, new)

@@ -1,0 +1,107 @@
+"""A regulator's own control over time: a delay before the first tap, a shorter one between further ones.
+
+The relay's clock runs while it is out of band and begins anew at each tap; back in band, clock and sequence are reset.
+A step may be of any length. Where several taps are due within it, the volts after each are predicted from the taps'
+size, those of regulators further down too, until all are in band or the time is used up. What a tap does in truth shows
+in the next measurement. No decision has a derivative.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace
+from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, tap_kernels
+
+MOST_EVENTS = 1000
+"""Taps at different times within one step; a step that asks for more goes on with them in the next."""
+_SAME_TIME_S = 1e-6
+
+
+class RegulatorState(NamedTuple):
+    """Regulators of a feeder in the order of their table, (lane, n_regulator) each."""
+
+    tap: Array
+    relay_v: Array
+    """Relay volts, as last measured."""
+    out_of_band_s: Array
+    """Time out of band, or since the last tap of the sequence, s; 0 in band."""
+    in_sequence: Array
+    """1 once a tap has been made that did not bring the volts back in band, else 0."""
+    since_s: Array
+    """Time since the last tap, or since t = 0, s."""
+    moved: Array
+    """Taps made in the last step, in either direction."""
+    moves: Array
+    """Taps made since t = 0."""
+
+
+def initial_regulators(tap: Array, relay_v: Array) -> RegulatorState:
+    """The state at t = 0, at given taps and relay volts, (lane, n_regulator) each."""
+    none = 0.0 * tap
+    return RegulatorState(tap, relay_v, none, none, none, none, none)
+
+
+def control_taps(
+    settings: RelaySettings, state: RegulatorState, dt_s: float, controlled: Array | None = None
+) -> RegulatorState:
+    """Advance the regulators by ``dt_s``, from the volts that their relays measure at its beginning.
+
+    Parameters
+    ----------
+    settings, state
+        Arrays of one kind.
+    dt_s
+        Length of the step, s.
+    controlled
+        1 for a regulator whose control acts and 0 for one that stays, (n_regulator,); None where all act.
+
+    Returns
+    -------
+    RegulatorState
+        With the volts as they are predicted under the new taps.
+    """
+    xp, tap, volts, since = namespace(state.tap), state.tap, state.relay_v, state.since_s
+    if not tap.shape[-1]:
+        return state
+    if is_rows(tap):
+        acts = np.ones(tap.shape[-1]) if controlled is None else controlled
+        return RegulatorState(
+            *tap_kernels().control_taps(settings, state, float(dt_s), acts, MOST_EVENTS, _SAME_TIME_S)
+        )
+    none = 0.0 * tap
+    wanted = _wanted(settings, volts, tap, controlled)
+    waited, sequence = (xp.where(wanted != 0.0, a, none) for a in (state.out_of_band_s, state.in_sequence))
+    left, moved = none[..., :1] + dt_s, none
+    for _ in range(MOST_EVENTS):
+        delay = xp.where(sequence != 0.0, settings.tap_delay_s, settings.delay_s)
+        due_in = xp.where(wanted != 0.0, xp.where(delay > waited, delay - waited, none), none + math.inf)
+        soonest = _lowest(due_in)
+        goes_on = soonest <= left + _SAME_TIME_S
+        if not bool(xp.any(goes_on)):
+            break
+        passed = xp.where(goes_on, xp.where(soonest < left, soonest, left), 0.0 * left)
+        turn = xp.where(goes_on & (due_in <= soonest + _SAME_TIME_S), wanted, none)
+        tap = tap + turn
+        volts = volts + (turn[..., None] * settings.volts_per_tap).sum(-2)
+        moved = moved + xp.abs(turn)
+        since = xp.where(turn != 0.0, none, since + passed)
+        wanted = _wanted(settings, volts, tap, controlled)
+        in_band = wanted == 0.0
+        waited = xp.where((turn != 0.0) | in_band, none, waited + passed)
+        sequence = xp.where(in_band, none, xp.where(turn != 0.0, none + 1.0, sequence))
+        left = left - passed
+    waited = xp.where(wanted != 0.0, waited + left, none)
+    return RegulatorState(tap, volts, waited, sequence, since + left, moved, state.moves + moved)
+
+
+def _wanted(settings: RelaySettings, relay_v: Array, tap: Array, controlled: Array | None) -> Array:
+    turn = direction(settings, relay_v, tap)
+    return turn if controlled is None else turn * controlled
+
+
+def _lowest(values: Array) -> Array:
+    return values.min(-1, keepdims=True) if isinstance(values, np.ndarray) else values.amin(-1, keepdim=True)

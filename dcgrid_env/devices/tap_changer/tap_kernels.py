@@ -1,0 +1,90 @@
+"""The regulators' relays and controls compiled, lane by lane, with the bits of the array forms."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+
+@numba.njit(error_model="numpy", cache=True)
+def relay_volts(settings, v_re, v_im, i_re, i_im):
+    """Relay volts, (lane, n_regulator), from voltages and currents of all nodes, (lane, n_node)."""
+    lanes, n = v_re.shape[0], len(settings.node)
+    out = np.empty((lanes, n))
+    for lane in range(lanes):
+        for r in range(n):
+            node, gain = settings.node[r], settings.volts_per_pu[r]
+            a, b = i_re[lane, node], i_im[lane, node]
+            re = v_re[lane, node] * gain - settings.r_ohm[r] * a + settings.x_ohm[r] * b
+            im = v_im[lane, node] * gain - settings.r_ohm[r] * b - settings.x_ohm[r] * a
+            out[lane, r] = math.hypot(re, im)
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _direct(settings, controlled, volts, tap, wanted):
+    """Put into ``wanted`` which way each regulator of a lane is to go; the number of those that are to go anywhere."""
+    asking = 0
+    for r in range(len(tap)):
+        missing_v = settings.target_v[r] - volts[r]
+        wanted[r] = 0.0
+        if controlled[r] != 0.0:
+            if missing_v > settings.half_band_v[r] and tap[r] < settings.highest[r]:
+                wanted[r] = 1.0
+            elif missing_v < -settings.half_band_v[r] and tap[r] > settings.lowest[r]:
+                wanted[r] = -1.0
+        asking += wanted[r] != 0.0
+    return asking
+
+
+@numba.njit(error_model="numpy", cache=True)
+def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
+    """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, lane, n_regulator)."""
+    lanes, n = state.tap.shape
+    out = np.empty((7, lanes, n))
+    wanted, due_in = np.empty(n), np.empty(n)
+    for lane in range(lanes):
+        tap, volts, waited, sequence, since, moved, moves = (
+            out[0, lane], out[1, lane], out[2, lane], out[3, lane], out[4, lane], out[5, lane], out[6, lane],
+        )  # fmt: skip
+        for r in range(n):
+            tap[r], volts[r], since[r] = state.tap[lane, r], state.relay_v[lane, r], state.since_s[lane, r]
+            moved[r] = 0.0
+        asking = _direct(settings, controlled, volts, tap, wanted)
+        for r in range(n):
+            asks = wanted[r] != 0.0
+            waited[r] = state.out_of_band_s[lane, r] if asks else 0.0
+            sequence[r] = state.in_sequence[lane, r] if asks else 0.0
+        left = dt_s
+        for _ in range(most_events if asking else 0):
+            soonest = np.inf
+            for r in range(n):
+                delay = settings.tap_delay_s[r] if sequence[r] != 0.0 else settings.delay_s[r]
+                due_in[r] = max(delay - waited[r], 0.0) if wanted[r] != 0.0 else np.inf
+                soonest = min(soonest, due_in[r])
+            if not soonest <= left + same_time_s:
+                break
+            passed = min(soonest, left)
+            for r in range(n):
+                due_in[r] = wanted[r] if due_in[r] <= soonest + same_time_s else 0.0  # now the turn of each
+                tap[r] += due_in[r]
+                moved[r] += abs(due_in[r])
+            for r in range(n):
+                change = 0.0
+                for other in range(n):
+                    change += due_in[other] * settings.volts_per_tap[other, r]
+                volts[r] += change
+            _direct(settings, controlled, volts, tap, wanted)
+            for r in range(n):
+                turned, in_band = due_in[r] != 0.0, wanted[r] == 0.0
+                since[r] = 0.0 if turned else since[r] + passed
+                waited[r] = 0.0 if turned or in_band else waited[r] + passed
+                sequence[r] = 0.0 if in_band else 1.0 if turned else sequence[r]
+            left -= passed
+        for r in range(n):
+            waited[r] = waited[r] + left if wanted[r] != 0.0 else 0.0
+            since[r] += left
+            moves[r] = state.moves[lane, r] + moved[r]
+    return out
