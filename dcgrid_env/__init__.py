@@ -1,6 +1,7 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
 from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.connections import nodes_by_bus, sensitivity_between_agents, sensitivity_to_agents
@@ -29,6 +30,7 @@ from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
+from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
@@ -46,6 +48,7 @@ __all__ = [
     "ActionError",
     "ActionLayout",
     "Background",
+    "CapacitorControl",
     "Control",
     "Cost",
     "CostWeights",
@@ -58,6 +61,7 @@ __all__ = [
     "Feeder",
     "FeederError",
     "Forecast",
+    "GridControl",
     "Inverters",
     "LinearDvfs",
     "Metric",

@@ -47,6 +47,14 @@ def positive_sqrt(array: Array) -> Array:
     return xp.where(array > 0, xp.sqrt(xp.where(array > 0, array, 1.0)), 0.0)
 
 
+def rounded(array: Array) -> Array:
+    """Nearest whole number, the even one of two, elementwise; with the derivative of the array itself (straight
+    through), so that a gradient finds its way past what is discrete."""
+    if isinstance(array, np.ndarray):
+        return np.rint(array)
+    return array + (array_namespace(array).round(array) - array).detach()
+
+
 def all_true(array: Array) -> bool:
     """Whether every entry of a one-dimensional bool array is True."""
     if not isinstance(array, np.ndarray):

@@ -19,8 +19,10 @@ DEVICE_REGISTRY = Registry("dcgrid.devices", "kind of device", Device, ENTRIES)
 
 INPUTS = ("workload", "injection", None)
 """What may drive a device from outside."""
-RESERVED = ("capacitor", "workload", "background", "sensing", "cost")
-"""Names that faults and parts of a scenario have."""
+RESERVED = (
+    "capacitor", "workload", "background", "sensing", "cost", "grid_control", "tap_changer", "capacitor_bank",
+)  # fmt: skip
+"""Names that faults, parts of a scenario and equipment of a feeder have."""
 _MEMBERS = tuple(name for name in (*Device.__annotations__, *vars(Device)) if not name.startswith("_"))
 _Kind = TypeVar("_Kind", bound=Device)
 

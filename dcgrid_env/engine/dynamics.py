@@ -11,16 +11,20 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, add_at, all_true, is_rows, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
+from dcgrid_env.engine import equipment as feeder_equipment
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import Parameters, parameters
-from dcgrid_env.engine.state import Exogenous, State, ThreePhaseState
+from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnySolution]:
-    """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power."""
+    """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power.
+
+    The taps of regulators that are controlled have settled.
+    """
     params = parameters(scenario, exogenous.p_load_kw)
     feeder = scenario.feeder
     v = 0.0 * exogenous.p_load_kw[..., : feeder.n_node] + scenario.source_voltage_pu
@@ -35,7 +39,8 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
     )
     phases = None
     if isinstance(feeder, ThreePhaseFeeder):
-        phases = ThreePhaseState(0.0 * v, 0.0 * v, agents, agents, 0.0 * v[..., : len(three_phase_nodes(feeder))])
+        none = 0.0 * v[..., : len(three_phase_nodes(feeder))]
+        phases = ThreePhaseState(0.0 * v, 0.0 * v, agents, agents, none, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
@@ -95,17 +100,20 @@ def _step(
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
     p_net, q_net = _net_loads(exogenous, p_agent, q_agent)
-    changed = changing or exogenous.capacitor_on is not None
-    control = _control(scenario, params.devices, devices, exogenous) if changed else None
+    control = _control(scenario, params.devices, devices, exogenous) if changing else None
+    equipment = None
+    if state.three_phase is not None:
+        equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
+        control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
     solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
     v, restart, phases = solution.v_pu, solution.restart, None
-    if state.three_phase is not None:
-        phases = _by_phase(scenario.feeder, solution, exogenous.nodes)
+    if equipment is not None:
+        phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
-        if phases is not None and state.three_phase is not None:
-            phases = ThreePhaseState(*(xp.where(solved, *both) for both in zip(phases, state.three_phase, strict=True)))
+        if phases is not None:
+            phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -139,7 +147,31 @@ def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: 
             shunt_kvar = add_at(none if shunt_kvar is None else shunt_kvar, nodes, _to_nodes(change.shunt_kvar, nodes))
         if change.tap_ratio is not None:
             ratios.append(change.tap_ratio)
-    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar, exogenous.capacitor_on)
+    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
+
+
+def _equipment(
+    scenario: Scenario,
+    before: Equipment | None,
+    states: Sequence[Any],
+    exogenous: Exogenous,
+    p_net: Array,
+    q_net: Array,
+    control: Control | None,
+) -> Equipment:
+    """The equipment of a three-phase feeder over the step, from that of before; None before t = 0."""
+    if before is not None:
+        return feeder_equipment.advanced(scenario, before, states)
+    shunt_kvar = None if control is None else control.shunt_kvar
+    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on)
+
+
+def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
+    """What the feeder's equipment is to the power flow, with the shunts of devices, and taps where they set them."""
+    if control is None:
+        return of_feeder
+    ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
+    return Control(ratio, control.shunt_kvar, of_feeder.capacitor_on)
 
 
 @cached_on_owner
@@ -190,12 +222,14 @@ def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
     return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
 
 
-def _by_phase(feeder: Any, solution: Any, nodes: Array) -> ThreePhaseState:
+def _by_phase(scenario: Scenario, solution: Any, nodes: Array, equipment: Equipment) -> ThreePhaseState:
     """What the state of a three-phase feeder has beside its voltages."""
+    feeder: Any = scenario.feeder
     if is_rows(solution.v_pu):
         v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
         lowest, highest, factor = step_kernels().by_phase(*v, nodes, three_phase_nodes(feeder))
     else:
         lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
         factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
-    return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor)
+    equipment = feeder_equipment.measured(scenario, equipment, solution)
+    return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor, equipment)

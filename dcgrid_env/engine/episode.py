@@ -272,7 +272,7 @@ def exogenous(
         agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
         if three_phase:
-            capacitor_on = scenario.capacitor_connected * (1.0 - capacitors)
+            capacitor_on = float(scenario.capacitors) * (1.0 - capacitors)
         else:
             q += capacitors * feeder.capacitor_kvar
     placed, compute = episode.placed, compute_share(scenario, episode, step)

@@ -15,6 +15,7 @@
 | clock_mean_pct | mean clock as a share of the top clock |
 | unbalance_mean_pct, unbalance_max_pct | voltage unbalance factor of three-phase buses over the steps 1 .. T |
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
+| tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
 
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
@@ -34,7 +35,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dcgrid_env.engine.state import field_of_devices
+from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance
@@ -56,7 +58,9 @@ class Series:
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
         self.devices = tuple(_history([s.devices[i] for s in states], lane) for i in range(len(scenario.devices)))
         """State of each device over time, from the reset on."""
-        self.three_phase = None if states[0].three_phase is None else _history([s.three_phase for s in states], lane)
+        self.three_phase: Any = (
+            None if states[0].three_phase is None else _history([s.three_phase for s in states], lane)
+        )
         """``State.three_phase`` over time, from the reset on; None on a balanced feeder."""
         self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
@@ -77,7 +81,8 @@ class Series:
         v = self.v_pu[1:, s.feeder.load_slice]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
-        ratings = np.concatenate([device.converter_kva for device in s.devices])
+        converters = [device for device in s.devices if not is_equipment(device)]  # which stand first
+        ratings = np.concatenate([device.converter_kva for device in converters])
         figures = {
             "J": self.cost_j.sum() / s.horizon,
             **{f"cost_{name}": values.sum() / s.horizon for name, values in self.costs.items()},
@@ -90,12 +95,12 @@ class Series:
             "voltage_step_mean_pu": np.abs(np.diff(self.v_pu[:, s.feeder.load_slice], axis=0)).mean(),
             "loss_mean_kw": self.loss_kw.mean(),
             "loss_energy_kwh": self.loss_kw.sum() * s.dt_s / 3600.0,
-            "q_effort_pct": 100.0 * (np.abs(self.q_kvar) / ratings).mean(),
+            "q_effort_pct": 100.0 * (np.abs(self.q_kvar[:, : len(ratings)]) / ratings).mean() if len(ratings) else 0.0,
             "steps": len(v),
             "power_flow_converged": self.converged,
         }
         if isinstance(s.feeder, ThreePhaseFeeder):
-            figures |= self._unbalance(s.feeder)
+            figures |= self._unbalance(s.feeder) | self._moves()
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self._requests() if device.input == "workload" else None
             figures |= device.metrics(history, s.dt_s, requests)
@@ -112,6 +117,11 @@ class Series:
             "nema_unbalance_max_pct": 100.0 * nema.max(initial=0.0),
         }
 
+    def _moves(self) -> dict[str, float]:
+        """Figures of the equipment of a three-phase feeder."""
+        regulators, banks = self.three_phase.equipment
+        return {"tap_moves": regulators.moved[1:].sum(), "capacitor_switchings": banks.switched[1:].sum()}
+
     def _requests(self) -> list[tuple[Any, float]] | None:
         """The requests of each site's row of trace and when the episode begins among them, s; None without any."""
         pool = trace_pool(self.scenario)
@@ -124,10 +134,7 @@ class Series:
 
 def _history(states: list[Any], lane: int) -> Any:
     """A device's states as one, with time in front of every field."""
-    first = states[0]
-    if not hasattr(first, "_fields"):
-        return first
-    return type(first)(*(np.array([getattr(s, name)[lane] for s in states]) for name in first._fields))
+    return over_arrays(lambda *over_time: np.array([values[lane] for values in over_time]), *states)
 
 
 class Recorder:

@@ -6,8 +6,9 @@
 means over buses other than the substation, and over agents. reward_t is minus its share of J times T. Three more
 terms have weight 0 by default: ``step`` is mean|V_t - V_{t-1}|, ``clock`` the mean movement of the clocks as a share of
 their range, ``loss`` the feeder's loss as a share of its base load and the data centres' ratings. On a three-phase
-feeder means are over nodes, and there is ``unbalance``, at weight 0 too: the mean over three-phase buses of the squared
-voltage unbalance factor, taken as 1 at most.
+feeder means are over nodes, and there are two more terms at weight 0: ``unbalance``, the mean over three-phase buses of
+the squared voltage unbalance factor, taken as 1 at most, and ``switching``, the mean number of taps and switchings over
+the regulators and capacitor banks that are not fixed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, all_true, as_like, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import CostTerm
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.dynamics import device_slices, step_kernels
+from dcgrid_env.engine.equipment import largest_mean_switching, mean_controlled_switching, mean_switching
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
@@ -48,8 +51,8 @@ class Costs(NamedTuple):
 VOLTAGE, VIOLATION, EFFORT, STEP, LOSS = map(Costs._fields.index, ("voltage", "violation", "effort", "step", "loss"))
 """Places of the grid's own terms, so that a step builds its costs without looking names up."""
 
-UNBALANCE = "unbalance"
-"""The term of the grid that a three-phase feeder alone has."""
+UNBALANCE, SWITCHING = OF_THREE_PHASES = ("unbalance", "switching")
+"""The terms of the grid that a three-phase feeder alone has."""
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
@@ -87,7 +90,7 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
     costs = [none] * len(t.kind._fields)
     costs[VOLTAGE] = deviation * (w.voltage / t.n_judged)
     costs[VIOLATION] = excess * (w.violation / t.n_judged)
-    costs[EFFORT] = sum_last(xp.abs(state.q_kvar) / params.converter_kva) * (w.effort / t.n_agents)
+    costs[EFFORT] = sum_last(xp.abs(state.q_kvar) / params.converter_kva) * (w.effort / t.n_converters)
     if w.step:
         change = xp.abs(state.v_pu[..., t.judged] - state.v_last_pu[..., t.judged])
         costs[STEP] = sum_last(change) * (w.step / t.n_judged)
@@ -95,6 +98,9 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
         costs[LOSS] = solution.loss_kw * (w.loss / params.p_all_kw)
     if state.three_phase is not None and w.unbalance:
         costs[t.kind._fields.index(UNBALANCE)] = _mean_unbalance(state.three_phase.unbalance) * w.unbalance
+    if state.three_phase is not None and w.switching:
+        moves = mean_switching(scenario, state.three_phase.equipment)
+        costs[t.kind._fields.index(SWITCHING)] = none + moves * w.switching
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -139,6 +145,10 @@ def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: A
     if state.three_phase is not None and w.unbalance:
         own = none + (_mean_unbalance(state.three_phase.unbalance) * w.unbalance)[..., None]
         costs = costs._replace(**{UNBALANCE: own})
+    if state.three_phase is not None and w.switching:
+        costs = costs._replace(
+            **{SWITCHING: _own_switching(scenario, state, state.three_phase.equipment, none) * w.switching}
+        )
     for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i])
@@ -147,6 +157,16 @@ def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: A
         widened = xp.concat((none[..., : cut.start], own, none[..., cut.stop :]), axis=-1)
         costs = costs._replace(**{term.name: getattr(costs, term.name) + widened})
     return costs
+
+
+def _own_switching(scenario: Scenario, state: State, equipment: Any, none: Array) -> Array:
+    """Each agent's own moves, and what the controls of equipment move, which is nobody's own, (lane, n_agent)."""
+    of_all = none + mean_controlled_switching(scenario, equipment)[..., None]
+    parts = [
+        none[..., cut] if not is_equipment(device) else getattr(own, "moved" if hasattr(own, "moved") else "switched")
+        for device, own, cut in zip(scenario.devices, state.devices, device_slices(scenario), strict=True)
+    ]
+    return of_all + namespace(none).concat(parts, axis=-1)
 
 
 class Terms(NamedTuple):
@@ -164,7 +184,8 @@ class Terms(NamedTuple):
     judged: slice
     """Nodes whose voltages are charged, and their number."""
     n_judged: int
-    n_agents: int
+    n_converters: int
+    """Number of agents with a converter, over which effort is a mean: all but equipment of the feeder."""
 
 
 @cached_on_owner
@@ -176,7 +197,7 @@ def terms(scenario: Scenario) -> Terms:
         for i, device in enumerate(scenario.devices)
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
-    of_grid = () if isinstance(scenario.feeder, Feeder) else (UNBALANCE,)
+    of_grid = () if isinstance(scenario.feeder, Feeder) else OF_THREE_PHASES
     names = (*of_grid, *(term.name for _, term, _ in own_terms))
     more = tuple(dict.fromkeys(name for name in names if name not in Costs._fields))
     kind = _costs(more)
@@ -185,7 +206,8 @@ def terms(scenario: Scenario) -> Terms:
     by_amount = groupby(charged, lambda entry: (entry[0], entry[1].amount, entry[1].team_scale))
     shares = tuple((*key, tuple((weight, term.at_end, at) for _, term, weight, at in own)) for key, own in by_amount)
     judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
-    return Terms(kind, ("backlog", "clock", "leftover", *more), charged, shares, judged, n_judged, scenario.n_agents)
+    n_converters = sum(device.count for device in scenario.devices if not is_equipment(device))
+    return Terms(kind, ("backlog", "clock", "leftover", *more), charged, shares, judged, n_judged, max(n_converters, 1))
 
 
 @cache
@@ -214,6 +236,7 @@ def largest_costs(scenario: Scenario) -> Costs:
         of_devices[term.name] += weight * term.largest
     if UNBALANCE in of_devices:
         of_devices[UNBALANCE] += w.unbalance
+        of_devices[SWITCHING] += w.switching * largest_mean_switching(scenario)
     return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
         violation=w.violation * (1.0 - scenario.band_pu),

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
+from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
 
 class Exogenous(NamedTuple):
@@ -29,8 +31,15 @@ class Exogenous(NamedTuple):
     legs: Array | None = None
     """Where each agent draws, flat positions lane * n_leg + leg, int, (lane, n_agent, k); None: the nodes."""
     capacitor_on: Array | None = None
-    """1 for a capacitor bank of a three-phase feeder that is connected and 0 for one that is not, (lane, n_capacitor);
-    None where all stand as the feeder has them."""
+    """1 for a capacitor bank of a three-phase feeder that can be on and 0 for one that is lost or disconnected,
+    (lane, n_capacitor); None where all can."""
+
+
+class Equipment(NamedTuple):
+    """The feeder's own equipment, all of it, whoever decides over it."""
+
+    regulators: RegulatorState
+    banks: BankState
 
 
 class ThreePhaseState(NamedTuple):
@@ -46,6 +55,8 @@ class ThreePhaseState(NamedTuple):
     """Voltage of its highest."""
     unbalance: Array
     """Voltage unbalance factor |V2| / |V1| of each three-phase bus, (lane, n_three_phase_bus)."""
+    equipment: Any
+    """Regulators and capacitor banks, ``Equipment``; None before t = 0."""
 
 
 class State(NamedTuple):
@@ -79,9 +90,20 @@ class State(NamedTuple):
 
     def map(self, function: Callable[[Array], Array]) -> State:
         """The state with every array put through a function."""
-        devices = tuple(type(d)(*map(function, d)) if hasattr(d, "_fields") else d for d in self.devices)
-        phases = None if self.three_phase is None else ThreePhaseState(*map(function, self.three_phase))
-        return State(*map(function, self[:-2]), devices=devices, three_phase=phases)
+        return over_arrays(function, self)
+
+
+def over_arrays(function: Callable[..., Array], first: Any, *others: Any) -> Any:
+    """A state, or a part of one, with a function of its arrays and of those of others like it in their place.
+
+    None stays None, and what the others have None for stays as it is.
+    """
+    if first is None or any(other is None for other in others):
+        return first
+    if not isinstance(first, tuple):
+        return function(first, *others)
+    parts = [over_arrays(function, *same) for same in zip(first, *others, strict=True)]
+    return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
 
 
 def field_of_devices(devices: tuple[Any, ...], name: str) -> Any:

@@ -44,8 +44,22 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     figures["voltage_min_pu"], figures["voltage_max_pu"] = extremes[0], extremes[1]
     if state.three_phase is not None:
         figures["unbalance_max_pct"] = 100.0 * np.maximum.reduce(state.three_phase.unbalance, -1, initial=0.0)
+        figures |= _of_equipment(scenario, state.three_phase.equipment)
     for i, its_state in enumerate(state.devices):
         if its_state:
             figures.update(scenario.devices[i].totals(its_state))
     figures["loss_kw"] = transition.loss_kw
+    return figures
+
+
+def _of_equipment(scenario: Scenario, equipment: Any) -> dict[str, np.ndarray]:
+    """Moves in the step, and where each regulator and capacitor bank of a three-phase feeder stands."""
+    feeder: Any = scenario.feeder
+    (regulators, banks), network = equipment, feeder.network
+    figures = {
+        "tap_moves": np.add.reduce(regulators.moved, -1),
+        "capacitor_switchings": np.add.reduce(banks.switched, -1),
+    }
+    figures.update(zip([f"tap_{name}" for name in network.regulator.name], regulators.tap.T, strict=True))
+    figures.update(zip([f"capacitor_{name}" for name in network.capacitor.name], banks.on.T, strict=True))
     return figures

@@ -14,11 +14,18 @@ from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 
-PARTS: dict[str, type[Any]] = {"workload": Workload, "background": Background, "sensing": Sensing, "cost": Cost}
+PARTS: dict[str, type[Any]] = {
+    "workload": Workload,
+    "background": Background,
+    "sensing": Sensing,
+    "cost": Cost,
+    "grid_control": GridControl,
+}
 _PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain}
 FLAT_OF = {where: name for name, where in FLAT.items()}
 """Flat name of a part's field, by part and field."""

@@ -25,6 +25,9 @@ class CostWeights(NamedTuple):
     loss: float = 0.0
     unbalance: float = 0.0
     """Weighs the mean squared voltage unbalance factor over three-phase buses, which balanced feeders do not have."""
+    switching: float = 0.0
+    """Weighs the mean number of taps and switchings in a step, over the regulators and capacitor banks that are not
+    fixed; a three-phase feeder alone has it."""
 
 
 @dataclass(frozen=True, kw_only=True)

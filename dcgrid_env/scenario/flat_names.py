@@ -8,9 +8,11 @@ from __future__ import annotations
 from typing import Any, Generic, Literal, TypeVar
 
 from dcgrid_env.devices import Dvfs
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
 from dcgrid_env.scenario.cost import CostWeights, RewardScope, VoltageCost
+from dcgrid_env.scenario.grid_control import ByBank, Decider
 from dcgrid_env.scenario.sensing import ObservationScope
 from dcgrid_env.scenario.workload import RecordingSplit, TraceWindow
 from dcgrid_env.traces import PowerTrace
@@ -79,6 +81,10 @@ class FlatNames:
     preview = Flat[bool]("sensing", "preview")
     r_model_share = Flat[float]("sensing", "r_model_share")
     x_model_share = Flat[float]("sensing", "x_model_share")
+
+    regulators = Flat[Decider | ByBank]("grid_control", "regulators")
+    capacitor_banks = Flat[Decider | ByBank]("grid_control", "capacitors")
+    capacitor_settings = Flat[CapacitorControl]("grid_control", "capacitor_settings")
 
     weights = Flat[CostWeights]("cost", "weights")
     band_pu = Flat[float]("cost", "band_pu")

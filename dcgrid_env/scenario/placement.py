@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
 from dcgrid_env.scenario.errors import ScenarioError
@@ -17,6 +18,7 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
 
     On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to.
     """
+    devices = tuple(device for device in devices if not is_equipment(device))
     taken = {0, *(feeder.index(bus) for device in devices for bus in device.buses or ())}
     if isinstance(feeder, Feeder):
         loaded = np.flatnonzero(feeder.p_load_kw > 0)
@@ -29,10 +31,10 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
 
 
 def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> None:
-    """Raise ScenarioError unless every device can have a bus of its own, not the substation."""
+    """Raise ScenarioError unless every device can have a bus of its own, not the substation; equipment takes none."""
     fixed: list[tuple[str, Any, str | None]] = []
     drawn = 0
-    for device in reversed(devices):
+    for device in reversed([device for device in devices if not is_equipment(device)]):
         if device.buses is None:
             drawn += device.count
             continue

@@ -4,7 +4,9 @@
 |---|---|---|
 | feeder | a feeder's name (shipped, or of another package), or the path of a folder | Feeder |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
-| workload, background, sensing, cost | a mapping of their fields | Workload, Background, Sensing, Cost |
+| workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
+| regulators, capacitor_banks | one of their words, or a mapping from banks to words | pairs of a bank and a word |
+| capacitor_settings | a mapping of fields | CapacitorControl |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
 | dvfs, clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
@@ -26,12 +28,15 @@ import numpy as np
 
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
@@ -44,8 +49,11 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Fault):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
-    if isinstance(value, Workload | Background | Sensing | Cost):
+    if isinstance(value, Workload | Background | Sensing | Cost | CapacitorControl):
         return _fields_to_plain(value)
+    if isinstance(value, GridControl):
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {key: to_plain(dict(given) if isinstance(given, tuple) else given) for key, given in fields.items()}
     if isinstance(value, Device) and is_known(type(value)):
         return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
@@ -57,7 +65,7 @@ def to_plain(value: Any) -> Any:
     if type(value) in CLOCK_LAWS.values():
         return plain_law(value)
     if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
+        return [to_plain(item) for item in value if not is_equipment(item)]
     if isinstance(value, Mapping):
         return {key: to_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -15,6 +15,7 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, refuse, settle
 from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.grid import AnyFeeder, Feeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
@@ -23,6 +24,7 @@ from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
+from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
@@ -45,11 +47,13 @@ class Scenario(PickledByFields, FlatNames):
     source_voltage_pu: float = number(0.5, 1.5)
     """Voltage at the substation, p.u."""
     devices: tuple[Device, ...]
-    """Groups of devices; agents are numbered through them in this order."""
+    """Groups of devices; agents are numbered through them in this order. Equipment of the feeder that is to be agents
+    (``grid_control``) stands last, and is not given."""
     workload: Workload
     background: Background
     sensing: Sensing
     cost: Cost
+    grid_control: GridControl
     faults: tuple[Fault, ...] = ()
     """Devices lost in an episode, see :class:`Fault`."""
     horizon: int = count(1, 100_000_000, default=120)
@@ -84,6 +88,11 @@ class Scenario(PickledByFields, FlatNames):
             methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
             kind = "balanced" if balanced else "three-phase"
             raise refuse(self, "power_flow", f"give {methods} for the {kind} feeder {self.feeder.name!r}")
+        with located(
+            self.name, "grid_control", {field: name for name, (part, field) in FLAT.items() if part == "grid_control"}
+        ):
+            check_grid_control(self.grid_control, self.feeder, self.capacitors)
+        object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         for device in self.devices:
@@ -92,14 +101,16 @@ class Scenario(PickledByFields, FlatNames):
                 device.check_episode(self.horizon)
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
             raise refuse(self, "faults", "give a tuple of Fault, () for none")
-        kinds = (*(device.kind for device in self.devices), CAPACITOR)
+        can_be_lost = [device for device in self.devices if not is_equipment(device)]
+        kinds = (*(device.kind for device in can_be_lost), CAPACITOR)
+        agents = self.agents[: sum(device.count for device in can_be_lost)]
         for fault in self.faults:
             for among in fault.among:
-                if among not in kinds and among not in self.agents:
-                    there = (*(device.kind for device in self.devices if device.count), CAPACITOR)
+                if among not in kinds and among not in agents:
+                    there = (*(device.kind for device in can_be_lost if device.count), CAPACITOR)
                     raise ScenarioError(
                         f"scenario {self.name!r}: a fault among {among!r}; choose {', '.join(there)} or an agent, "
-                        f"{', '.join(self.agents)}"
+                        f"{', '.join(agents)}"
                     )
         for fault, targets in zip(self.faults, self.fault_targets, strict=True):
             if not len(targets):
@@ -284,4 +295,4 @@ def _alike(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(_alike, a, b))
     if dataclasses.is_dataclass(a):
         return all(_alike(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
-    return a == b
+    return a == b or (a != a and b != b)  # a figure that is not known is NaN

@@ -80,8 +80,10 @@ def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Any) -> Ar
 
 
 def _by_lane(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, width: int) -> Array:
-    array = like_loads(name, figures(feeder, name, values), like)
     lead = tuple(like.shape[:-1])
+    if type(values) is type(like) is np.ndarray and values.dtype == like.dtype and values.shape == (*lead, width):
+        return values
+    array = like_loads(name, figures(feeder, name, values), like)
     if tuple(array.shape) not in ((width,), (*lead, width)):
         raise PowerFlowError(
             f"feeder {feeder.name!r}: {name} has shape {tuple(array.shape)}; give ({width},) or {(*lead, width)}"

@@ -176,7 +176,8 @@ def test_past_the_collapse_the_episode_ends_and_nothing_is_nan():
     ended = [t for t in transitions if t.terminated.all()]
     assert ended
     for t in transitions:
-        arrays = [t.reward, t.observation, t.cost_j, t.state.v_pu, t.loss_kw, *t.costs, *t.state.three_phase]
+        *phases, (regulators, banks) = t.state.three_phase
+        arrays = [t.reward, t.observation, t.cost_j, t.state.v_pu, t.loss_kw, *t.costs, *phases, *regulators, *banks]
         assert all(np.isfinite(a).all() for a in arrays)
 
 

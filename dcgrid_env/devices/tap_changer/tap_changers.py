@@ -1,0 +1,123 @@
+"""Regulators as agents: each sets the tap that it would have, and its drive goes there one tap after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, namespace, rounded
+from dcgrid_env.devices.device import Channel, Field
+from dcgrid_env.devices.grid_equipment import GridEquipment
+from dcgrid_env.grid import ThreePhaseFeeder
+
+_SHORTEST_S = 1e-3
+_ROUNDING = 1e-9  # of a tap
+
+
+class TapChangerParams(NamedTuple):
+    """Settings of the regulators, (slot,) each."""
+
+    base: Array
+    tap_delay_s: Array
+    """Time that the drive needs for a tap, s."""
+
+
+class TapChangerState(NamedTuple):
+    """Regulators that are agents, (lane, slot) each."""
+
+    tap: Array
+    since_s: Array
+    """Time since the last tap, s; at t = 0 a drive is ready."""
+    moved: Array
+    """Taps made in the last step, in either direction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TapChangers(GridEquipment):
+    """The regulators of a feeder that are agents, an agent for each tap.
+
+    The channel ``tap`` is the tap that is asked for, rounded to a whole one. The drive makes a tap in the
+    ``tap_delay_s`` of the regulators' table, whoever commands it: in a step of dt_s the tap goes that far at most.
+    """
+
+    kind: ClassVar[str] = "tap_changer"
+    prefix: ClassVar[str] = "reg"
+    levels: ClassVar[tuple[str, ...]] = ("tap", "since_s")
+
+    names: tuple[str, ...]
+    """Names in the regulators' table."""
+    rows: tuple[int, ...]
+    """Their rows there."""
+    buses: tuple[str, ...]
+    """The buses that they feed, where their agents measure the voltage."""
+    phases: tuple[str, ...]
+    base: tuple[float, ...]
+    """Tap at rest."""
+    lowest: tuple[float, ...]
+    highest: tuple[float, ...]
+    tap_delay_s: tuple[float, ...]
+
+    @classmethod
+    def of_feeder(cls, feeder: ThreePhaseFeeder, rows: tuple[int, ...]) -> TapChangers:
+        """The regulators that stand in some rows of a feeder's table."""
+        table = feeder.network.regulator
+
+        def numbers(column: Any) -> tuple[float, ...]:
+            return tuple(float(column[row]) for row in rows)
+
+        return cls(
+            names=tuple(table.name[row] for row in rows),
+            rows=rows,
+            buses=tuple(table.to_bus[row] for row in rows),
+            phases=tuple(table.phases[row] for row in rows),
+            base=numbers(table.tap),
+            lowest=numbers(table.tap_min),
+            highest=numbers(table.tap_max),
+            tap_delay_s=numbers(table.tap_delay_s),
+        )
+
+    @cached_property
+    def parameters(self) -> TapChangerParams:
+        """Settings as arrays over the agents."""
+        return TapChangerParams(np.array(self.base), np.maximum(np.array(self.tap_delay_s), _SHORTEST_S))
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """The tap that is asked for."""
+        return (Channel("tap", "taps", np.array(self.lowest), np.array(self.highest), rest=np.array(self.base)),)
+
+    def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """The tap as a share of the farthest one, and the time since the last move as a share of the episode."""
+        farthest = np.maximum(np.maximum(np.abs(self.lowest), np.abs(self.highest)), 1.0)
+        return (
+            Field("tap", "taps", -1.0, 1.0, farthest),
+            Field("since_tap", "s", 0.0, 1.0, np.full(self.count, horizon * dt_s)),
+        )
+
+    def initial(self, parameters: TapChangerParams, zero: Array) -> TapChangerState:
+        """At the base tap, with the drive ready."""
+        return TapChangerState(zero + parameters.base, zero + parameters.tap_delay_s, zero)
+
+    def step(
+        self,
+        parameters: TapChangerParams,
+        state: TapChangerState,
+        setpoints: tuple[Array, ...],
+        given: Any,
+        dt_s: float,
+    ) -> tuple[TapChangerState, Array]:
+        """Go towards the tap that is asked for, as far as the drive does in ``dt_s``."""
+        xp, delay_s = namespace(state.tap), parameters.tap_delay_s
+        ready_s = xp.minimum(state.since_s, delay_s + 0.0 * state.since_s) + dt_s
+        most = xp.floor(ready_s / delay_s + _ROUNDING)
+        tap = xp.minimum(xp.maximum(rounded(setpoints[0]), state.tap - most), state.tap + most)
+        moved = xp.abs(tap - state.tap)
+        since_s = xp.where(moved > 0.0, ready_s - moved * delay_s, state.since_s + dt_s)
+        return TapChangerState(tap, since_s, moved), 0.0 * tap
+
+    def observe(self, parameters: TapChangerParams, state: TapChangerState, given_next: Any) -> tuple[Array, ...]:
+        """Tap and time since the last move, see ``fields``."""
+        return state.tap, state.since_s

@@ -1,0 +1,121 @@
+"""Who decides over the feeder's own equipment: the taps of its regulators and the switches of its capacitor banks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from dcgrid_env.core.checked import FieldError, refuse, settle
+from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
+from dcgrid_env.grid import ThreePhaseFeeder
+
+Decider = Literal["fixed", "controlled", "agent"]
+"""A piece of equipment stays as the feeder's tables have it, follows a control of its own, or is an agent."""
+ByBank = tuple[tuple[str, Decider], ...]
+"""Pairs of a bank and who decides over it; banks that are not named keep the default."""
+DECIDERS: tuple[Decider, ...] = get_args(Decider)
+REGULATORS: Decider = "controlled"
+CAPACITORS: Decider = "fixed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridControl:
+    """Who decides over regulators and capacitor banks: one word for all, or a mapping from banks to words.
+
+    A bank of regulators is known by the column ``bank`` of its table, a capacitor bank by its name. Each tap of a bank
+    of regulators that is an agent is an agent of its own. A balanced feeder has neither, and takes the defaults alone.
+    """
+
+    regulators: Decider | ByBank = REGULATORS
+    """Banks that a mapping does not name are controlled."""
+    capacitors: Decider | ByBank = CAPACITORS
+    """Banks that a mapping does not name are fixed."""
+    capacitor_settings: CapacitorControl = field(default_factory=CapacitorControl)
+    """When the banks that are controlled switch themselves; a mapping leaves what it does not name at its default."""
+
+    def __post_init__(self) -> None:
+        settle(self, regulators=_pairs, capacitors=_pairs, capacitor_settings=_settings)
+        for name in ("regulators", "capacitors"):
+            value = getattr(self, name)
+            pairs = value if isinstance(value, tuple) else ((None, value),)
+            if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in pairs):
+                raise refuse(self, name, f"give one of {', '.join(DECIDERS)}, or a mapping from banks to these")
+        if not isinstance(self.capacitor_settings, CapacitorControl):
+            raise refuse(self, "capacitor_settings", "give CapacitorControl(...) or a mapping of its fields")
+
+
+def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
+    """Who decides over each regulator, in the order of its table."""
+    return _by_row(control.regulators, feeder.network.regulator.bank, REGULATORS)
+
+
+def capacitor_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
+    """Who decides over each capacitor bank, in the order of its table."""
+    return _by_row(control.capacitors, feeder.network.capacitor.name, CAPACITORS)
+
+
+def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: Any) -> tuple[Any, ...]:
+    """The groups of devices, those of equipment that is agents last; others of such a kind are taken away."""
+    groups = tuple(device for device in devices if not is_equipment(device))
+    if not isinstance(feeder, ThreePhaseFeeder):
+        return groups
+    for kind, deciders in ((TapChangers, regulator_deciders), (CapacitorBanks, capacitor_deciders)):
+        rows = tuple(row for row, decider in enumerate(deciders(control, feeder)) if decider == "agent")
+        groups += (kind.of_feeder(feeder, rows),) if rows else ()
+    return groups
+
+
+def check_grid_control(control: GridControl, feeder: Any, connected: bool) -> None:
+    """Raise FieldError for a bank that the feeder lacks, or capacitors that are not ``connected`` but to switch."""
+    fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
+    for name, default in fixed.items():
+        value = getattr(control, name)
+        if value == default:
+            continue
+        if not isinstance(feeder, ThreePhaseFeeder):
+            raise refuse(control, name, f"the balanced feeder {feeder.name!r} has none that acts; leave it out")
+        table = feeder.network
+        there = dict.fromkeys(table.regulator.bank if name == "regulators" else table.capacitor.name)
+        asked = [bank for bank, _ in value] if isinstance(value, tuple) else list(there)
+        for bank in asked:
+            if bank not in there:
+                raise refuse(
+                    control, name, f"feeder {feeder.name!r} has no bank {bank!r}; there are {', '.join(there)}"
+                )
+        if not there:
+            raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
+        if name == "capacitors" and not connected:
+            raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
+
+
+def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
+    if isinstance(value, str):
+        return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the three words, checked)
+    named = dict(value)
+    return tuple(named.get(bank, default) for bank in banks)
+
+
+def _pairs(value: Any) -> Any:
+    """Pairs of a bank and a word from a mapping, or from what JSON makes of pairs; anything else as it is."""
+    if isinstance(value, Mapping):
+        return tuple(value.items())
+    if isinstance(value, list | tuple):
+        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
+    return value
+
+
+def _settings(value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        return value
+    for key in value:
+        if key not in CapacitorControl.__dataclass_fields__:
+            there = ", ".join(CapacitorControl.__dataclass_fields__)
+            raise FieldError("GridControl", f"capacitor_settings.{key}", ..., f"is no field; there are {there}")
+    try:
+        return CapacitorControl(**value)
+    except FieldError as error:
+        raise FieldError("GridControl", f"capacitor_settings.{error.name}", error.value, error.remedy) from None

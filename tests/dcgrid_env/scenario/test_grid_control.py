@@ -1,0 +1,89 @@
+"""Who decides over regulators and capacitor banks: given in any way, kept in files, refused by name."""
+
+import pickle
+
+import pytest
+
+from dcgrid_env import ScenarioError, make_scenario, scenario_hash
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.scenario.grid_control import GridControl, capacitor_deciders, regulator_deciders
+from helpers.three_phase import ieee13, ieee123
+
+GIVEN = {
+    "agents": {"regulators": "agent", "capacitor_banks": "agent"},
+    "by bank": {"regulators": {"reg4": "agent", "reg1a": "fixed"}, "capacitor_banks": {"c83": "controlled"}},
+    "settings": {"capacitor_banks": "controlled", "capacitor_settings": {"measures": "kvar", "delay_s": 30.0}},
+}
+
+
+def test_defaults_change_nothing():
+    scenario = ieee123()
+    assert scenario.grid_control == GridControl()
+    assert set(regulator_deciders(scenario.grid_control, scenario.feeder)) == {"controlled"}
+    assert set(capacitor_deciders(scenario.grid_control, scenario.feeder)) == {"fixed"}
+    assert [device.kind for device in scenario.devices] == ["datacenter", "inverter"]
+    assert scenario_hash(scenario.replace(grid_control=GridControl())) == scenario_hash(scenario)
+    assert scenario_hash(scenario.replace(regulators="fixed")) != scenario_hash(scenario)
+
+
+@pytest.mark.parametrize("name", GIVEN)
+def test_flat_names_mappings_and_files_are_one_thing(name, tmp_path):
+    flat = ieee123().replace(**GIVEN[name])
+    names = {"capacitor_banks": "capacitors"}
+    by_mapping = ieee123().replace(grid_control={names.get(key, key): value for key, value in GIVEN[name].items()})
+    assert by_mapping.difference(flat) is None
+    assert flat.difference(ieee123()) is not None
+    assert pickle.loads(pickle.dumps(flat)).difference(flat) is None
+    flat.to_toml(tmp_path / "mine.toml")
+    read = make_scenario(str(tmp_path / "mine.toml"))
+    assert read.replace(name=flat.name).difference(flat) is None
+    assert scenario_hash(read.replace(name=flat.name)) == scenario_hash(flat) != scenario_hash(ieee123())
+    assert "tap_changer" not in (tmp_path / "mine.toml").read_text()
+
+
+def test_agents_come_and_go_with_the_decision():
+    scenario = ieee123().replace(regulators={"reg4": "agent"})
+    assert [device.kind for device in scenario.devices] == ["datacenter", "inverter", "tap_changer"]
+    assert scenario.agents[-3:] == ("reg_0", "reg_1", "reg_2")
+    assert scenario.devices[-1].phases == ("a", "b", "c")
+    ganged = ieee123().replace(regulators={"reg1a": "agent"}).devices[-1]
+    assert (ganged.buses, ganged.phases) == (("150r",), ("abc",))
+    assert scenario.replace(devices=scenario.devices).difference(scenario) is None
+    assert scenario.replace(regulators="controlled").difference(ieee123()) is None
+    assert len(scenario.candidates) == len(ieee123().candidates)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"regulators": "on"}, "regulators is 'on'; give one of fixed, controlled, agent"),
+        (
+            {"regulators": {"reg9": "agent"}},
+            "feeder 'ieee123-3ph' has no bank 'reg9'; there are reg1a, reg2, reg3, reg4",
+        ),
+        ({"capacitor_banks": {"c83": "off"}}, "capacitor_banks is .*give one of fixed, controlled, agent"),
+        ({"capacitor_banks": "agent", "capacitors": False}, "the background has its capacitors disconnected"),
+        ({"capacitor_settings": {"delay": 1.0}}, "capacitor_settings.delay is no field; there are measures"),
+        ({"capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
+        ({"capacitor_settings": 3}, r"capacitor_settings is 3; give CapacitorControl\(...\)"),
+        (
+            {"regulators": "agent", "faults": [{"among": ["tap_changer"], "begin_s": [1, 2]}]},
+            "a fault among 'tap_changer'",
+        ),
+        ({"regulators": "agent", "faults": [{"among": ["reg_0"], "begin_s": [1, 2]}]}, "a fault among 'reg_0'"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(given, message):
+    with pytest.raises(ScenarioError, match=message):
+        ieee123().replace(**given)
+
+
+@pytest.mark.parametrize("given", [{"regulators": "fixed"}, {"capacitor_banks": "agent"}])
+def test_a_balanced_feeder_has_nothing_to_control(given):
+    with pytest.raises(ScenarioError, match="the balanced feeder 'ieee123' has none that acts; leave it out"):
+        make_scenario("ieee123", **given)
+
+
+def test_settings_of_capacitors_are_an_object_too():
+    settings = CapacitorControl(measures="kvar")
+    assert ieee13().replace(capacitor_settings=settings).capacitor_settings is settings
