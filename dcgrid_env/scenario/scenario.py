@@ -17,12 +17,13 @@ from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ratings import read_only
-from dcgrid_env.grid import AnyFeeder, Feeder
+from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.errors import ScenarioError, located
+from dcgrid_env.scenario.feeder_kind import check_feeder_kind
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
@@ -81,13 +82,7 @@ class Scenario(PickledByFields, FlatNames):
             self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.feeder, AnyFeeder):
-            raise refuse(self, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder)")
-        balanced = isinstance(self.feeder, Feeder)
-        if balanced == (self.power_flow == "sweep"):
-            methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
-            kind = "balanced" if balanced else "three-phase"
-            raise refuse(self, "power_flow", f"give {methods} for the {kind} feeder {self.feeder.name!r}")
+        check_feeder_kind(self)
         with located(
             self.name, "grid_control", {field: name for name, (part, field) in FLAT.items() if part == "grid_control"}
         ):

@@ -4,16 +4,25 @@ import pytest
 
 from dcgrid_env import METRICS, Metric, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
+from helpers.three_phase import ieee13
+
+OF_REQUESTS = {name for name in METRICS if name.startswith(("requests", "ttft", "e2e"))}
+OF_THREE_PHASES = {"cost_unbalance", "cost_switching", "unbalance_mean_pct", "unbalance_max_pct"}
+OF_THREE_PHASES |= {"nema_unbalance_max_pct", "tap_moves", "capacitor_switchings"}
 
 
-@pytest.mark.parametrize("trace", ["inference", "deepseek-v3"])
-def test_every_metric_of_an_episode_is_listed_and_none_besides(trace):
-    if trace == "inference":
-        own = rollout(make_scenario("toy6", horizon=3), NoControl(), [0]).metrics()[0]
-        assert set(own) == {name for name in METRICS if not name.startswith(("requests", "ttft", "e2e"))}
-    else:
-        own = rollout(make_scenario("ieee33", horizon=3, trace=trace), NoControl(), [0]).metrics()[0]
-        assert set(own) == set(METRICS)
+@pytest.mark.parametrize(
+    ("scenario", "without"),
+    [
+        (make_scenario("toy6", horizon=3), OF_REQUESTS | OF_THREE_PHASES),
+        (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), OF_THREE_PHASES),
+        (ieee13().replace(horizon=3), OF_REQUESTS),
+    ],
+    ids=["balanced", "requests", "three phases"],
+)
+def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, without):
+    own = rollout(scenario, NoControl(), [0]).metrics()[0]
+    assert set(own) == set(METRICS) - without
     for name, metric in METRICS.items():
         assert metric.name == name
 

@@ -110,7 +110,7 @@ def test_every_weight_scales_its_own_term_and_no_other():
     base = CostWeights(*[1.0] * 8)
     one = figures(team_costs(make_scenario("toy6", weights=base), state, solution, LAST))
     assert all(value > 0 for value in one.values())
-    for name in CostWeights._fields:
+    for name in Costs._fields:
         scenario = make_scenario("toy6", weights=base._replace(**{name: 3.0}))
         found = figures(team_costs(scenario, state, solution, LAST))
         assert found == pytest.approx({**one, name: 3.0 * one[name]})

@@ -24,6 +24,8 @@ def lane_of(value: Any, lane: int) -> Any:
     """One lane of a tuple of arrays over lanes."""
     if isinstance(value, np.ndarray):
         return value[lane]
+    if value is None:
+        return None
     parts = [lane_of(part, lane) for part in value]
     return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
 

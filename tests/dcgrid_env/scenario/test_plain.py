@@ -28,6 +28,7 @@ from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.scenario.plain import to_plain
 from dcgrid_env.traces import PowerTrace, generate_inference
+from helpers.three_phase import ieee13
 
 FAULT = {"among": ["inverter", "dc_0"], "begin_s": [1.0, 2.0], "duration_s": [3.0, float("inf")]}
 PLAIN = {
@@ -73,6 +74,14 @@ PLAIN = {
     "x_model_share": 1.1,
 }
 """A plain value of every field, other than that of ieee33-weak."""
+OF_THREE_PHASES = {
+    "datacenter_phases": ["abc", "ab"],
+    "inverter_phases": ["b", "abc", "c", "a"],
+    "regulators": {"reg1": "agent"},
+    "capacitor_banks": {"cap2": "controlled"},
+    "capacitor_settings": {"on_below_pu": 0.96},
+}
+"""A plain value of every field that a three-phase feeder alone has, other than that of ``ieee13``."""
 WITH = {
     "n_datacenters": {"datacenter_buses": None},
     "feeder": {"datacenter_buses": [27, 65, 35]},
@@ -83,7 +92,17 @@ WITH = {
 
 def test_every_field_has_its_plain_value_here():
     own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
-    assert set(PLAIN) == own | set(FLAT)
+    assert set(PLAIN) | set(OF_THREE_PHASES) == own | set(FLAT)
+
+
+@pytest.mark.parametrize("name", OF_THREE_PHASES)
+def test_a_field_of_three_phases_goes_through_json_and_back(name):
+    base, overrides = ieee13(), {name: OF_THREE_PHASES[name]}
+    scenario = base.replace(**overrides)
+    assert scenario.difference(base) is not None
+    assert scenario.difference(base.replace(**json.loads(json.dumps(overrides)))) is None
+    again = json.loads(json.dumps({name: to_plain(getattr(scenario, name))}))
+    assert scenario.difference(base.replace(**again)) is None
 
 
 @pytest.mark.parametrize("name", PLAIN)

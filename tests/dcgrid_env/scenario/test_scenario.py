@@ -49,8 +49,10 @@ def test_defaults_are_the_designs():
     assert (s.load_sigma, s.load_rho, s.band_pu) == (0.05, 0.9, 0.05)
     assert (s.voltage_cost, s.reward, s.observe, s.preview) == ("l1", "shared", "local", True)
     assert (s.voltage_noise_pu, s.measurement_delay, s.capacitors) == (0.0, 0, True)
-    assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0)
-    assert s.weights._fields == ("voltage", "violation", "backlog", "effort", "leftover", "clock", "step", "loss")
+    assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert s.weights._fields[:5] == ("voltage", "violation", "backlog", "effort", "leftover")
+    assert s.weights._fields[5:] == ("clock", "step", "loss", "unbalance", "switching")
+    assert (s.datacenter_phases, s.inverter_phases) == (None, None)
     assert isinstance(s.dvfs, LinearDvfs)
     assert s.work_classes == 1
     assert (s.boost_share, s.site_correlation, s.compute_share, s.recording_split) == (1.0, 0.0, 1.0, "time")
@@ -225,7 +227,7 @@ def test_a_numpy_integer_is_a_count():
 @pytest.mark.parametrize(
     ("field", "choices"),
     [
-        ("power_flow", ["distflow", "lindistflow"]),
+        ("power_flow", ["distflow", "lindistflow", "sweep"]),
         ("voltage_cost", ["l1", "l2", "bowl", "courant_beltrami", "bump"]),
         ("reward", ["shared", "local"]),
         ("observe", ["local", "neighbours", "feeder"]),
@@ -235,7 +237,7 @@ def test_a_numpy_integer_is_a_count():
     ],
 )
 def test_an_unknown_choice_lists_those_there_are(field, choices):
-    for choice in choices:
+    for choice in [choice for choice in choices if choice != "sweep"]:  # of three-phase feeders
         assert getattr(scenario_of_ones_own(**{field: choice}), field) == choice
     for value in ("other", None, 1):
         wanted = rf"scenario 'mine': {field} is {value!r}; choose one of {', '.join(choices)}$"
@@ -248,6 +250,14 @@ def test_an_unknown_choice_lists_those_there_are(field, choices):
 def test_a_weight_that_cannot_be_is_refused(field, value):
     with pytest.raises(ScenarioError, match=rf"'mine': weights\.{field} is {value!r}; give a finite number >= 0"):
         scenario_of_ones_own(weights=CostWeights()._replace(**{field: value}))
+
+
+@pytest.mark.parametrize("name", ["unbalance", "switching"])
+def test_a_term_that_a_balanced_feeder_does_not_have_is_refused(name):
+    with pytest.raises(
+        ScenarioError, match=rf"'mine': weights\.{name} is 2\.0; set it to 0: the balanced feeder 'toy6'"
+    ):
+        scenario_of_ones_own(weights={name: 2.0})
 
 
 @pytest.mark.parametrize("field", ["p_rated_kw", "inverter_s_kva"])
@@ -308,7 +318,7 @@ def test_clock_laws_are_told_apart():
 
 
 def test_a_feeder_must_be_one():
-    with pytest.raises(ScenarioError, match=r"'mine': feeder is 6; give a Feeder \(load_feeder"):
+    with pytest.raises(ScenarioError, match=r"'mine': feeder is 6; give a feeder, load_feeder\(name\)"):
         scenario_of_ones_own(feeder=6)
     with pytest.raises(FeederError, match=r"unknown feeder 'no/such'; there are toy6, .*; or give a folder"):
         scenario_of_ones_own(feeder="no/such")

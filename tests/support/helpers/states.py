@@ -14,8 +14,8 @@ def state_of(fields: dict[str, Any]) -> State:
 
 
 def fields_of(state: State) -> dict[str, Any]:
-    """Every array of a state by its name."""
-    found = {name: getattr(state, name) for name in State._fields if name != "devices"}
+    """Every array of a balanced feeder's state by its name."""
+    found = {name: getattr(state, name) for name in State._fields if name not in ("devices", "three_phase")}
     for device in state.devices:
         found |= device._asdict() if hasattr(device, "_asdict") else {}
     return found

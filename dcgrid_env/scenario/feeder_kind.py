@@ -1,0 +1,28 @@
+"""What a scenario may ask for on the kind of feeder that it has, balanced or three-phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcgrid_env.core.checked import FieldError, refuse
+from dcgrid_env.grid import AnyFeeder, Feeder
+
+_OF_THREE_PHASES = ("unbalance", "switching")
+"""Weights of cost terms that a three-phase feeder alone has."""
+
+
+def check_feeder_kind(scenario: Any) -> None:
+    """Raise FieldError for what is no feeder, another kind's power flow, or a cost term that the kind does not have."""
+    feeder, weights = scenario.feeder, scenario.weights
+    if not isinstance(feeder, AnyFeeder):
+        raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder)")
+    balanced = isinstance(feeder, Feeder)
+    if balanced == (scenario.power_flow == "sweep"):
+        methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
+        kind = "balanced" if balanced else "three-phase"
+        raise refuse(scenario, "power_flow", f"give {methods} for the {kind} feeder {feeder.name!r}")
+    for name in _OF_THREE_PHASES:
+        weight = getattr(weights, name)
+        if balanced and weight:
+            remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
+            raise FieldError("Cost", f"weights.{name}", weight, remedy)
