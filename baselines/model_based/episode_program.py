@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from dcgrid_env import Control, Forecast, Scenario, action_layout, nodes_by_bus, solver_for
+from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, nodes_by_bus, solver_for
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -53,6 +53,7 @@ class EpisodeProgram:
         n_bus = len(s.feeder.load_nodes)
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
+        self._acting: Control | None = None
         self.same = [self._band(), self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
 
     def solve(self) -> tuple[float, np.ndarray]:
@@ -73,7 +74,21 @@ class EpisodeProgram:
         unknowns = self._by_unknown(result.x)
         self.served_kw = unknowns["d"].reshape(s.horizon, -1)
         self.q_kvar = unknowns["q"].reshape(s.horizon, -1)
-        return float(result.fun), self._actions()
+        return float(result.fun), self.actions()
+
+    def follow(self, replayed: Recorder) -> None:
+        """Take the taps and switches of regulators and capacitor banks as they were in a replay; none elsewhere."""
+        phases = replayed.lane(0).three_phase
+        if phases is None:
+            return
+        missing = self.scenario.horizon + 1 - len(phases.equipment.regulators.tap)  # the replay ended in a collapse
+        taps, on = (
+            np.concatenate((rows[1:], np.repeat(rows[-1:], missing, axis=0)))
+            for rows in (phases.equipment.regulators.tap, phases.equipment.banks.on)
+        )
+        if self.episode.capacitor_on is not None:
+            on = on * self.episode.capacitor_on
+        self._acting = Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
     def _optimum(self, limits: Limits, prices: np.ndarray, inf_w: bool) -> Any:
         rows, bounds = zip(*limits, strict=True)
@@ -144,9 +159,10 @@ class EpisodeProgram:
         return shares
 
     def _control(self, copies: int) -> Control | None:
-        """What the episode changes of the grid, for each of its steps and as many copies of them."""
-        on = self.episode.capacitor_on
-        return None if on is None else Control(capacitor_on=np.tile(on, (copies, 1)))
+        """Taps and switches in each step of the episode, and as many copies of them."""
+        if self._acting is None:
+            return None
+        return Control(*(None if rows is None else np.tile(rows, (copies, 1)) for rows in self._acting))
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""
@@ -224,7 +240,7 @@ class EpisodeProgram:
         columns = [parts.get(name, sparse.csr_matrix((n, size))) for name, size in self.sizes.items()]
         return sparse.hstack(columns, format="csr")
 
-    def _actions(self) -> np.ndarray:
+    def actions(self) -> np.ndarray:
         """(T, n_action) in [-1, 1]: the clock whose ceiling is the work served, and shares of the reactive limit."""
         s, dc = self.scenario, self.scenario.datacenter
         ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)

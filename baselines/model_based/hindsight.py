@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import CostWeights, DcgridVectorEnv, LinearDvfs, Recorder, Scenario, forecast
+from dcgrid_env import CostWeights, DcgridVectorEnv, LinearDvfs, Recorder, Scenario, ThreePhaseFeeder, forecast
 from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
+from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
 
 ROUNDS = 6
 """Linear programs for an episode at most."""
@@ -28,7 +29,8 @@ class Hindsight(NamedTuple):
     J: float
     """Cost of the actions, replayed in the environment."""
     bound: float
-    """Optimum of the last linear program, around a trajectory like theirs."""
+    """Optimum of the last linear program, around a trajectory like theirs. Where regulators or capacitor banks act it
+    takes their taps and switches as they were in the replay before, and so is no bound on what else they might do."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -68,10 +70,13 @@ def hindsight(
     """
     _check(scenario)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band)
+    if isinstance(scenario.feeder, ThreePhaseFeeder):
+        program.follow(replay(scenario, program.actions(), seed))
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
+        program.follow(recorder)
         cost = recorder.metrics()[0]["J"]
         replayed = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
@@ -103,6 +108,6 @@ def _check(scenario: Scenario) -> None:
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":
         raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.voltage_cost!r}")
-    priced = [name for name in ("clock", "step", "loss") if getattr(scenario.weights, name)]
+    priced = [name for name in NOT_PRICED if getattr(scenario.weights, name)]
     if priced:
         raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")

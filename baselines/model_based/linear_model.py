@@ -29,6 +29,8 @@ import numpy as np
 from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity, sensitivity_to_agents
 from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
 
+NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching")
+"""Weights of cost terms that controllers with a model do not minimise, and hindsight neither."""
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
 _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are
 
@@ -98,7 +100,7 @@ class ModelController(LocalController):
             )
         if s.voltage_cost != "l1":
             raise ValueError(f"{self.name}: voltage_cost is {s.voltage_cost!r}; make the scenario with 'l1'")
-        priced = [name for name in ("clock", "step", "loss") if getattr(s.weights, name)]
+        priced = [name for name in NOT_PRICED if getattr(s.weights, name)]
         if priced:
             weight = getattr(s.weights, priced[0])
             raise ValueError(f"{self.name}: weights.{priced[0]} is {weight:g}, which it does not minimise; set it to 0")
