@@ -70,13 +70,15 @@ def hindsight(
     """
     _check(scenario)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band)
-    if isinstance(scenario.feeder, ThreePhaseFeeder):
+    has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
+    if has_equipment:
         program.follow(replay(scenario, program.actions(), seed))
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
-        program.follow(recorder)
+        if has_equipment:
+            program.follow(recorder)
         cost = recorder.metrics()[0]["J"]
         replayed = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
