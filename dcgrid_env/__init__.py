@@ -4,7 +4,12 @@ from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, Prefi
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
-from dcgrid_env.engine.connections import nodes_by_bus, sensitivity_between_agents, sensitivity_to_agents
+from dcgrid_env.engine.connections import (
+    believed_sensitivity,
+    nodes_by_bus,
+    sensitivity_between_agents,
+    sensitivity_to_agents,
+)
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
@@ -80,6 +85,7 @@ __all__ = [
     "Workload",
     "__version__",
     "action_layout",
+    "believed_sensitivity",
     "distflow",
     "env",
     "episode_hash",

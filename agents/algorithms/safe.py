@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env import Scenario, field_names, sensitivity_between_agents
+from dcgrid_env import Feeder, Scenario, field_names, sensitivity_between_agents
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
 from dcgrid_env.agents.training.run_folder import torch
@@ -49,6 +49,7 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     The smallest over ``PLACEMENTS`` placements that the scenario draws; infinite where there are no agents of the kind.
     """
     index, n_dc = scenario.feeder.index, scenario.n_datacenters
+    largest = _eigenvalue if isinstance(scenario.feeder, Feeder) else _singular_value
     q_mvar = scenario.q_scale_kvar / 1e3
     # Half the range of actions moves half the power between the slowest clock and the top.
     p_mw = 0.5 * (1.0 - scenario.f_min_mhz / scenario.f_max_mhz) * scenario.datacenter.p_dynamic_kw / 1e3
@@ -59,10 +60,20 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
         r, x = (by[0] / (scenario.band_pu or 1.0) for by in sensitivity_between_agents(scenario, at))
         x_scaled = np.sqrt(q_mvar)[:, None] * x * np.sqrt(q_mvar)
         r_scaled = np.sqrt(p_mw)[:, None] * r[:n_dc, :n_dc] * np.sqrt(p_mw)
-        of_clock = 0.5 / np.linalg.eigvalsh(r_scaled)[-1] if n_dc else np.inf
-        slopes.append((2.0 * late / np.linalg.eigvalsh(x_scaled)[-1], of_clock))
+        of_clock = 0.5 / largest(r_scaled) if n_dc else np.inf
+        slopes.append((2.0 * late / largest(x_scaled), of_clock))
     reactive, clock = np.min(slopes, axis=0)
     return float(reactive), float(clock)
+
+
+def _eigenvalue(matrix: np.ndarray) -> float:
+    """Largest eigenvalue of a balanced feeder's sensitivities, which are symmetric."""
+    return np.linalg.eigvalsh(matrix)[-1]
+
+
+def _singular_value(matrix: np.ndarray) -> float:
+    """Largest singular value, no less than any eigenvalue: a three-phase feeder's sensitivities are not symmetric."""
+    return np.linalg.norm(matrix, 2)
 
 
 class SafeLearner(Learner):

@@ -26,7 +26,8 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     buses, at half to twice their rating each; the substation is held up to 0.01 p.u. higher or lower.
     """
     feeder, n_inv = scenario.feeder, scenario.n_inverters
-    loaded = [bus for bus, p_kw in zip(feeder.bus_ids, feeder.p_load_kw, strict=True) if p_kw > 0][1:]
+    load_kw = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
+    loaded = [bus for i, bus in enumerate(feeder.bus_ids) if load_kw[i] > 0 and _has_phases(scenario, i)][1:]
     at = rng.choice(len(loaded), n_inv, replace=False)
     return scenario.replace(
         datacenter_buses=None,
@@ -35,3 +36,9 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
         inverter_s_kva=tuple(scenario.inverter.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
         v0_pu=float(scenario.v0_pu + rng.uniform(-0.01, 0.01)),
     )
+
+
+def _has_phases(scenario: Scenario, position: int) -> bool:
+    """Whether the bus at a position has all phases that inverters of the scenario are connected to."""
+    needed = {phase for phases in scenario.inverter_phases or () for phase in phases}
+    return not needed or needed <= set(scenario.feeder.bus_phases[position])

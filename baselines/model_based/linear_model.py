@@ -4,7 +4,8 @@
 
 R and X are LinDistFlow's (M. E. Baran and F. F. Wu 1989) of ``Scenario.model``, the feeder as controllers believe it;
 on a three-phase feeder the derivatives of its nodes' voltages around the base case, across phases.
-LinDistFlow is linear in V^2, so a bus's slopes are divided by its voltage; p is drawn, q injected. Only changes are
+LinDistFlow is linear in V^2, so a bus's slopes are divided by its voltage, which those of a three-phase feeder already
+are; p is drawn, q injected. Only changes are
 predicted: what the other loads, the losses and an error of R and X do stands in the measurement, so that none of it is
 left in a steady state (offset-free, as with the disturbance model of J. B. Rawlings, D. Q. Mayne and M. Diehl, "Model
 predictive control: theory, computation, and design", 2017, section 1.5).
@@ -26,7 +27,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import LinearDvfs, Scenario, field_names, sensitivity, sensitivity_to_agents
+from dcgrid_env import Feeder, LinearDvfs, Scenario, believed_sensitivity, field_names, sensitivity_to_agents
 from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
 
 NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching")
@@ -143,7 +144,11 @@ class ModelController(LocalController):
     def _estimate(self, local: Local) -> Estimate:
         """Voltages now, of a measurement that may be old and noisy."""
         s, v = self.scenario, self._v_measured_pu
-        by_p, by_q = (by / np.maximum(v, _V_LEAST_PU)[:, None] for by in self._placed_slopes(len(v)))
+        by_p, by_q = self._placed_slopes(len(v))
+        if isinstance(s.feeder, Feeder):
+            by_p, by_q = (by / np.maximum(v, _V_LEAST_PU)[:, None] for by in (by_p, by_q))
+        else:
+            by_p, by_q = (np.broadcast_to(by, (len(v), *by.shape[1:])) for by in (by_p, by_q))
         powers = np.stack((local.p_kw, local.q_kvar))
         # Powers from the step before the measured one until now.
         past = [*(self._past or [powers] * (s.measurement_delay + 1)), powers]
@@ -181,7 +186,7 @@ def _gain(scenario: Scenario) -> float:
     s, sigma_v = scenario, scenario.voltage_noise_pu
     if sigma_v == 0.0:
         return 1.0
-    r, x = sensitivity(s.model)
+    r, x = believed_sensitivity(s)
     p_kw, q_kvar = (np.bincount(s.feeder.leg_node, load) for load in (s.feeder.p_load_kw, s.feeder.q_load_kvar))
     drop = (r * p_kw + x * q_kvar)[s.feeder.load_slice] / 1000.0
     step = 2.0 * (1.0 - s.load_rho**s.dt_s) * s.load_sigma**2

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, nodes_by_bus, sensitivity
+from dcgrid_env import Scenario, believed_sensitivity, nodes_by_bus
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -92,7 +92,7 @@ def _distances(scenario: Scenario) -> np.ndarray:
         first += device.count
     agents, at = np.array(rows).T
     nodes = nodes_by_bus(scenario)[agents, at]
-    own = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in sensitivity(scenario.model))
+    own = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in believed_sensitivity(scenario))
     return np.stack(list(own), axis=-1)
 
 

@@ -125,8 +125,10 @@ def grid_difference(scenario: Scenario, other: Scenario) -> str | None:
 def _grid(scenario: Scenario) -> Scenario:
     """A scenario with the same grid and all else as by default; a number is a float, a rating one for each device."""
     plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
-    parts = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
+    parts: dict[str, Any] = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
     parts["background"] = Background(capacitors=scenario.capacitors)
+    if scenario.power_flow == "sweep":
+        parts["power_flow"] = "sweep"
     numbers = {name: float(getattr(scenario, name)) for name in NUMBERS}
     p_rated_kw, s_kva = (tuple(of.tolist()) for of in (scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
     ratings = {"p_rated_kw": p_rated_kw, "inverter_s_kva": s_kva, "inverter_trace": None}

@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
-from dcgrid_env.powerflow import Sensitivity, own_sensitivity, sensitivity
+from dcgrid_env.powerflow import Control, Sensitivity, linearise, own_sensitivity, sensitivity
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -44,13 +44,37 @@ def own_distance(scenario: Scenario) -> np.ndarray:
 
     How far the agent's voltage rises with the power that it injects, as the scenario's model of the feeder has it.
     """
-    model = scenario.model
-    if isinstance(model, Feeder):
-        own = np.stack(own_sensitivity(model), axis=-1)
+    if isinstance(scenario.feeder, Feeder):
+        own = np.stack(own_sensitivity(scenario.model), axis=-1)
         return np.broadcast_to(own, (scenario.n_agents, *own.shape))
     nodes = nodes_by_bus(scenario)
     by_pair = partial(_mean_of_pairs, nodes[..., :, None], nodes[..., None, :])
-    return np.stack([by_pair(matrix) for matrix in sensitivity(model)], axis=-1)
+    return np.stack([by_pair(matrix) for matrix in believed_sensitivity(scenario)], axis=-1)
+
+
+def believed_sensitivity(scenario: Scenario) -> Sensitivity:
+    """Derivative of the voltage at every node by the power injected at every node, as agents and controllers know it.
+
+    On a balanced feeder that of ``Scenario.model``. On a three-phase feeder that of its base load at the scenario's
+    source voltage and capacitors, with ``r_model_share`` of the one by active and ``x_model_share`` of the one by
+    reactive power. P.u. per MW and per Mvar, (n_node, n_node).
+    """
+    if isinstance(scenario.feeder, Feeder):
+        return sensitivity(scenario.model)
+    by_p, by_q = true_sensitivity(scenario)
+    return Sensitivity(scenario.r_model_share * by_p, scenario.x_model_share * by_q)
+
+
+@cached_on_owner
+def true_sensitivity(scenario: Scenario) -> Sensitivity:
+    """What :func:`believed_sensitivity` is of, without the error of the model."""
+    feeder = scenario.feeder
+    if isinstance(feeder, Feeder):
+        return sensitivity(feeder)
+    control = Control(capacitor_on=scenario.capacitor_connected)
+    return Sensitivity(
+        *linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control)[:2]
+    )
 
 
 def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
@@ -59,7 +83,7 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
     Parameters
     ----------
     scenario
-        Gives the feeder as it is believed, ``Scenario.model``, and what the agents are connected to.
+        Gives the feeder as it is believed, and what the agents are connected to.
     buses
         Position of each agent's bus in ``bus_ids``, (lane, n_agent).
 
@@ -68,11 +92,11 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
     Sensitivity
         P.u. per MW and per Mvar, (lane, n_agent, n_node).
     """
-    model = scenario.model
-    if isinstance(model, Feeder):
-        return Sensitivity(*(matrix[buses] for matrix in sensitivity(model)))
+    believed = believed_sensitivity(scenario)
+    if isinstance(scenario.feeder, Feeder):
+        return Sensitivity(*(matrix[buses] for matrix in believed))
     nodes = agent_nodes(scenario, buses)
-    return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in sensitivity(model)))
+    return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in believed))
 
 
 def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
@@ -83,7 +107,7 @@ def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensiti
     """
     nodes = agent_nodes(scenario, buses)
     rows, columns = nodes[:, :, None, :, None], nodes[:, None, :, None, :]
-    return Sensitivity(*(_mean_of_pairs(rows, columns, matrix) for matrix in sensitivity(scenario.feeder)))
+    return Sensitivity(*(_mean_of_pairs(rows, columns, matrix) for matrix in true_sensitivity(scenario)))
 
 
 def agent_nodes(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
@@ -96,12 +120,12 @@ def _mean_of_pairs(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) ->
 
 
 @cached_on_owner
-def between_buses(feeder: AnyFeeder) -> np.ndarray:
+def between_buses(scenario: Scenario) -> np.ndarray:
     """Impedance magnitude of the path between any two buses, p.u. per MVA, (n_bus, n_bus).
 
     On a three-phase feeder that of the mean voltages under power that is shared equally among a bus's phases.
     """
-    by_bus = sensitivity(feeder)
+    feeder, by_bus = scenario.feeder, believed_sensitivity(scenario)
     if not isinstance(feeder, Feeder):
         share = np.zeros((feeder.n_bus, feeder.n_node))
         share[feeder.node_bus, np.arange(feeder.n_node)] = 1.0 / np.bincount(feeder.node_bus)[feeder.node_bus]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, add_at, all_true, is_rows, namespace, take_at, take_last
+from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, is_rows, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine import equipment as feeder_equipment
@@ -25,6 +25,7 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
 
     The taps of regulators that are controlled have settled.
     """
+    xp = namespace(exogenous.p_load_kw)
     params = parameters(scenario, exogenous.p_load_kw)
     feeder = scenario.feeder
     v = 0.0 * exogenous.p_load_kw[..., : feeder.n_node] + scenario.source_voltage_pu
@@ -40,7 +41,9 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
     phases = None
     if isinstance(feeder, ThreePhaseFeeder):
         none = 0.0 * v[..., : len(three_phase_nodes(feeder))]
-        phases = ThreePhaseState(0.0 * v, 0.0 * v, agents, agents, none, None)
+        angle = as_like(np.deg2rad(feeder.source_angle_deg[feeder.node_phase - 1]), v)
+        at_agents = agents + scenario.source_voltage_pu
+        phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, none, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution

@@ -3,9 +3,9 @@
 | metric | meaning |
 |---|---|
 | J | the cost of the episode, see ``reward``; also split into its terms, ``cost_*``, which add up to it |
-| voltage_deviation_mean_pu, _std_pu | of abs(V - 1) over buses other than the substation and steps 1 .. T |
-| outside_bus_seconds_pct | share of those bus-steps beyond the band |
-| outside_buses_pct | share of buses ever beyond it |
+| voltage_deviation_mean_pu, _std_pu | of abs(V - 1) over nodes but the substation's and steps 1 .. T (b) |
+| outside_bus_seconds_pct | share of those nodes and steps beyond the band |
+| outside_buses_pct | share of nodes ever beyond it |
 | voltage_min_pu, voltage_max_pu | over the same |
 | voltage_step_mean_pu | mean of abs(V_t - V_{t-1}), over one step of dt |
 | delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served in each class, weighted by work |
@@ -17,6 +17,8 @@
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+
+(b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
 
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
 ``devices.datacenter.request_delay``:

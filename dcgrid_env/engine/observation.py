@@ -13,7 +13,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | v_lowest, v_highest | all on a three-phase feeder | lowest and highest of its phases, as v_deviation | the same |
 | device fields | as each device says (``Device.fields``) | | |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
-| bus fields | `feeder` | v_deviation of every bus but the substation, as in bus_ids | as above |
+| bus fields | `feeder` | v_deviation of every node but the substation's, as in node_ids | as above |
 
 * Under a clock law that tells two work classes of work apart.
 """
@@ -184,7 +184,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
-        apart = between_buses(scenario.model)[buses[:, :, None], buses[:, None, :]]
+        apart = between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent

@@ -128,8 +128,8 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
     def state(self) -> np.ndarray:
         """Global state, float32.
 
-        In turn: (V - 1) / band of every bus but the substation; draw and reactive injection of every agent as shares of
-        its rating and limit; the fields of every device, each over its slots, the preview among them whether or not
+        In turn: (V - 1) / band of every node but the substation's; draw and reactive injection of every agent as shares
+        of its rating and limit; the fields of every device, each over its slots, the preview among them whether or not
         agents are granted it (a data centre's p_ref over the coming interval and backlog, as shares of its rating and
         in seconds at it; under a clock law of two work classes the compute-bound parts of both); the share of the
         episode that has passed.

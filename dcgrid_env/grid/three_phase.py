@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -95,15 +95,6 @@ class ThreePhaseFeeder(PhaseNodes):
     def source_angle_deg(self) -> FloatArray:
         """Angles of the ideal source's phases a, b, c, shape (3,)."""
         return read_only(self.network.source.angle_deg[0] - np.array([0.0, 120.0, 240.0]))
-
-    def scaled(self, r_share: float, x_share: float) -> ThreePhaseFeeder:
-        """This feeder with every line's resistances and reactances times a share."""
-        line = self.network.phase_line
-        r_ohm, x_ohm = (
-            tuple(tuple(tuple(share * z for z in row) for row in matrix) for matrix in matrices)
-            for share, matrices in ((r_share, line.r_ohm), (x_share, line.x_ohm))
-        )
-        return self.from_network(replace(self.network, phase_line=replace(line, r_ohm=r_ohm, x_ohm=x_ohm)))
 
     @cached_property
     def branches(self) -> Branches:

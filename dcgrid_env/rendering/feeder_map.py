@@ -149,13 +149,22 @@ class FeederMap:
         """Which voltages, p.u., are outside the band; one held exactly at the limit, give or take rounding, is not."""
         return np.abs(np.asarray(v_pu) - 1.0) > self.band_pu + 1e-6
 
-    def update(self, v_pu: ArrayLike, clock_share: ArrayLike | None = None, backlog_s: ArrayLike | None = None) -> None:
-        """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,)."""
+    def update(
+        self,
+        v_pu: ArrayLike,
+        clock_share: ArrayLike | None = None,
+        backlog_s: ArrayLike | None = None,
+        outside: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,).
+
+        ``outside`` says which buses are ringed, (n_bus,); by default those whose shown voltage is outside the band.
+        """
         v = np.asarray(v_pu, dtype=np.float64)
         self.dots.set_array(v[1:])
         self.substation.set_array(v[:1])
         self.triangles.set_array(v[self.others])
-        outside = self.outside(v)
+        outside = self.outside(v) if outside is None else outside
         self.rings.set_offsets(self.xy[outside])
         self.rings.set_sizes(self._ring_areas[outside])
         share = np.clip(np.ones(len(self.dc)) if clock_share is None else np.asarray(clock_share, np.float64), 0.0, 1.0)

@@ -95,7 +95,8 @@ class MapPart:
         by_bus = history.bus_v_pu(step)
         dc = s.datacenter
         share = history.f_mhz[step] / dc.f_max_mhz
-        self.feeder.update(by_bus, share, history.backlog_kws[step] / dc.p_rated_kw)
+        ringed = np.bincount(s.feeder.node_bus, self.feeder.outside(v)) > 0  # where any phase is outside
+        self.feeder.update(by_bus, share, history.backlog_kws[step] / dc.p_rated_kw, ringed)
         scale, unit = self.time_unit
         t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
         self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")

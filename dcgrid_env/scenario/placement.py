@@ -77,9 +77,13 @@ def _position(name: str, feeder: AnyFeeder, where: str, bus: Any, phases: str | 
         raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")
     try:
         at = feeder.index(bus)
-        feeder.nodes_at(at, phases)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {error}") from None
+    try:
+        feeder.nodes_at(at, phases)
+    except FeederError as error:
+        field = where.replace("buses", "phases")
+        raise ScenarioError(f"scenario {name!r}: {field} has {phases!r}, but {error}") from None
     if at == 0:
         raise ScenarioError(
             f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"

@@ -237,8 +237,12 @@ class Scenario(PickledByFields, FlatNames):
 
     @cached_property
     def model(self) -> Any:
-        """The feeder as agents and controllers know it; the power flow is that of ``feeder``."""
-        if self.r_model_share == 1.0 and self.x_model_share == 1.0:
+        """The balanced feeder as agents and controllers know it; the power flow is that of ``feeder``.
+
+        A three-phase feeder as it is: there the shares are those of its derivatives, see ``believed_sensitivity``.
+        """
+        exact = self.r_model_share == 1.0 and self.x_model_share == 1.0
+        if exact or not isinstance(self.feeder, Feeder):
             return self.feeder
         return self.feeder.scaled(self.r_model_share, self.x_model_share)
 

@@ -119,7 +119,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise FeederError(f"{path} is missing; a feeder is feeder.toml, buses.csv and branches.csv") from None
+        raise FeederError(f"{path} is missing; a balanced feeder is feeder.toml, buses.csv and branches.csv") from None
     except UnicodeDecodeError as error:
         raise FeederError(f"{path}: {error}; save it as UTF-8") from None
     except OSError as error:

@@ -5,6 +5,7 @@ import pytest
 
 from dcgrid_env import DcgridVectorEnv, ScenarioError, scenario_hash
 from dcgrid_env.agents.training.variants import scenarios, variant
+from helpers.three_phase import SCENARIOS
 
 
 def test_names_are_separated_by_commas():
@@ -46,3 +47,14 @@ def test_a_variant_has_other_places_and_ratings_and_the_same_widths(name):
     _, rewards, *_ = env.step(np.zeros(env.action_space.shape or (), np.float32))
     assert np.isfinite(seen).all()
     assert np.isfinite(rewards).all()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_variants_of_three_phase_feeders_have_the_phases_that_inverters_need(name):
+    base = SCENARIOS[name]()
+    made = variant(base, np.random.default_rng(0))
+    assert made.n_inverters == base.n_inverters
+    single = base.replace(inverter_buses=base.inverter_buses[:1], inverter_s_kva=50.0, inverter_phases="b")
+    for seed in range(5):
+        (bus,) = variant(single, np.random.default_rng(seed)).inverter_buses
+        assert "b" in base.feeder.bus_phases[base.feeder.index(bus)]

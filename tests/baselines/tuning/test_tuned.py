@@ -7,6 +7,7 @@ import pytest
 from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, load_feeder, make_scenario, scenario_hash
 from dcgrid_env.baselines import Droop, make_controller
 from dcgrid_env.baselines.tuning.tuned import GRID, OWN, grid_difference, grid_hash, identity, tuned_parameters
+from helpers.three_phase import ieee13, ieee34
 
 
 @pytest.fixture(autouse=True)
@@ -136,3 +137,11 @@ def test_a_damaged_file_is_named():
     OWN.write_text("{")
     with pytest.raises(ValueError, match=r"results/tuned\.json is no file that dcgrid dev tune wrote; name another"):
         make_controller("droop-tuned", make_scenario("toy6", name="mine"))
+
+
+def test_a_three_phase_grid_is_told_from_another():
+    base = ieee13()
+    assert grid_difference(base, base.replace(horizon=7, trace="chat", weights={"unbalance": 3.0})) is None
+    assert grid_difference(base, ieee34()) == "feeder"
+    assert grid_hash(base) == grid_hash(base.replace(observe="feeder"))
+    assert grid_hash(base) != grid_hash(base.replace(inverter_phases=("a", "abc", "c", "a")))

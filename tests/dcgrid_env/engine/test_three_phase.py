@@ -11,7 +11,7 @@ from dcgrid_env.engine import connections, dynamics, episode, observation
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.metrics import Recorder
 from dcgrid_env.engine.simulation import Simulation
-from dcgrid_env.powerflow import nema_unbalance, sensitivity, solver_for, unbalance_factor
+from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_for, unbalance_factor
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
@@ -118,6 +118,39 @@ def test_own_distance_is_the_derivative_of_the_own_voltage():
         rise = (v[0] - v[1]) / (2.0 * h) * 1000.0
         assert placed.distance[0, agent] == pytest.approx(rise / scenario.band_pu, rel=1e-3)
     assert sensitivity(feeder).by_p_pu_per_mw.shape == (feeder.n_node, feeder.n_node)
+
+
+@pytest.mark.parametrize(
+    "overrides", [{"capacitors": False}, {"source_voltage_pu": 0.95}, {"r_model_share": 0.5, "x_model_share": 2.0}]
+)
+def test_distances_are_those_of_the_scenario_and_its_error(overrides):
+    scenario = ieee13().replace(**overrides)
+    feeder, solve = scenario.feeder, solver_for(scenario.feeder, "sweep")
+    drawn = episode.draw(scenario, np.arange(1, dtype=np.uint64), np.zeros(1, np.uint64))
+    control = Control(capacitor_on=scenario.capacitor_connected)
+    n = scenario.n_agents
+    for agent in range(n):
+        at, legs = drawn.placed.nodes[0, agent], drawn.placed.legs[0, agent]
+        load = np.tile(feeder.q_load_kvar, (2, 1))
+        np.add.at(load[0], legs, -1.0 / len(legs))
+        np.add.at(load[1], legs, 1.0 / len(legs))
+        given = (np.tile(feeder.p_load_kw, (2, 1)), load, scenario.source_voltage_pu, control)
+        v = solve(feeder, *given).v_pu[:, at].mean(-1)
+        rise = (v[0] - v[1]) * 500.0 * scenario.x_model_share / scenario.band_pu
+        assert drawn.placed.distance[0, n + agent] == pytest.approx(rise, rel=1e-3)
+    far = scenario.replace(r_model_share=10.0, x_model_share=10.0)
+    assert np.isfinite(play(far, steps=1)[1][-1].observation).all()
+
+
+def test_without_a_solution_at_the_reset_every_voltage_is_the_sources():
+    scenario = ieee13().replace(p_rated_kw=1e6, regulators="fixed", trace="step", trace_window="start")
+    scenario = scenario.replace(source_voltage_pu=0.5)
+    _, (begun, *_) = play(scenario, steps=0)
+    assert not begun.converged.any()
+    state = begun.state
+    for seen in (state.v_pu, state.three_phase.v_agent_lowest_pu, state.three_phase.v_agent_highest_pu):
+        np.testing.assert_allclose(seen, 0.5)
+    np.testing.assert_allclose(np.hypot(state.three_phase.v_re_pu, state.three_phase.v_im_pu), 0.5)
 
 
 @pytest.mark.parametrize("observe", ["local", "neighbours", "feeder"])
