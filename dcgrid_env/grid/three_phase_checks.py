@@ -17,6 +17,8 @@ NUMBER = {"a": 1, "b": 2, "c": 3}
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
 TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
 _SAME_BASE = 1e-9  # relative
+_FAR = 10.0
+"""A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
 
 
 def check_three_phase(network: Network) -> None:
@@ -37,6 +39,7 @@ def check_three_phase(network: Network) -> None:
     for kind in TABLES[:4]:
         _check_ends(network, kind, buses)
     _check_branches(network)
+    _check_windings(network, buses)
     _check_regulators(network)
     _check_loads(network, buses)
     _check_capacitors(network, buses)
@@ -201,6 +204,26 @@ def _check_regulators(network: Network) -> None:
             raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {table.phases[k]}")
 
 
+def _near(kv: float, base_kv_ln: float) -> bool:
+    return 1.0 / _FAR < kv / base_kv_ln < _FAR
+
+
+def _check_voltage(network: Network, what: str, field: str, kv: float, base_kv_ln: float) -> None:
+    """Raise FeederError for a rated voltage that is far from its bus's base, line to neutral."""
+    if not _near(kv, base_kv_ln):
+        raise _refuse(network, what, field, kv, f"far from the {base_kv_ln:g} kV (line to neutral) of its bus; give kV")
+
+
+def _check_windings(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    table = network.transformer
+    for k, one in enumerate(table.name):
+        from_kv, to_kv = (buses[bus][1] for bus in (table.from_bus[k], table.to_bus[k]))
+        if _near(table.kv_ll_from[k], to_kv) and _near(table.kv_ll_to[k], from_kv):
+            continue  # it stands the wrong way round, which is said where the tree is made
+        for bus, field in ((table.from_bus[k], "kv_ll_from"), (table.to_bus[k], "kv_ll_to")):
+            _check_voltage(network, f"transformer {one}", field, getattr(table, field)[k], buses[bus][1])
+
+
 def legs_of(connection: str) -> tuple[str, str, str]:
     """The phases that the three legs of a connection join: one, to ground, or two."""
     return ("a", "b", "c") if connection == "wye" else ("ab", "bc", "ca")
@@ -212,6 +235,7 @@ def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[
         what = f"{_words(kind)} {one}"
         if table.bus[k] not in buses:
             raise _refuse(network, what, "bus", table.bus[k], "no such bus; add it to the nodes")
+        _check_voltage(network, what, "leg_kv", table.leg_kv[k], buses[table.bus[k]][1])
         for field in fields:
             values = getattr(table, field)[k]
             if not isinstance(values, tuple) or len(values) != 3:

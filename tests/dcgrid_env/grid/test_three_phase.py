@@ -116,6 +116,8 @@ BROKEN = {
     "two figures": ("phase_load", {"q_kvar": {4: (5.0, 0.0)}},
          r"load 645: q_kvar is \(5\.0, 0\.0\); give one figure for each"),
     "leg kV": ("phase_load", {"leg_kv": {0: -4.16}}, r"load 671: leg_kv is -4\.16; it must be > 0"),
+    "volts for kV": ("phase_load", {"leg_kv": {0: 4160.0}}, r"load 671: leg_kv is 4160\.0; far from the 2\.40178 kV"),
+    "a winding": ("transformer", {"kv_ll_from": {0: 1.0}}, r"transformer sub: kv_ll_from is 1\.0; far from the 66\.3953"),
     "limits": ("phase_load", {"vmin_pu": {0: 1.2}}, r"load 671: vlow_pu, vmin_pu, vmax_pu is .*they must rise"),
     "shares": ("phase_load", {"model": {0: "ZIP"}, "zip": {0: (0.5, 0.5, 0.5, 1.0, 0.0, 0.0)}},
          r"load 671: zip is .*add up to 1"),

@@ -70,11 +70,18 @@ class DssCircuit:
 
     def figure(self, field: str) -> float:
         """A property that is one figure."""
-        return float(self.text(field))
+        return self._number(field, self.text(field))
 
     def figures(self, field: str) -> list[float]:
         """A property that is several figures."""
-        return [float(word) for word in self.text(field).strip("[]()").replace(",", " ").split()]
+        return [self._number(field, word) for word in self.text(field).strip("[]()").replace(",", " ").split()]
+
+    def _number(self, field: str, text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            name = self.engine.CktElement.Name().lower()
+            raise FeederError(f"{name}: {field} is {text!r}, no finite number; give one") from None
 
     def yes(self, field: str) -> bool:
         """Whether a property is yes or true."""
