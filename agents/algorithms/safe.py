@@ -73,7 +73,7 @@ def _eigenvalue(matrix: np.ndarray) -> float:
 
 def _singular_value(matrix: np.ndarray) -> float:
     """Largest singular value, no less than any eigenvalue: a three-phase feeder's sensitivities are not symmetric."""
-    return np.linalg.norm(matrix, 2)
+    return float(np.linalg.norm(matrix, 2))
 
 
 class SafeLearner(Learner):

@@ -36,6 +36,7 @@ def test_hindsight_follows_regulators_that_act():
 def test_hindsight_knows_of_a_lost_capacitor():
     scenario = ieee13().replace(faults=(Fault(("capacitor",), begin_s=(3.0, 3.0), duration_s=(6.0, 6.0)),))
     on = forecast(scenario, 0).capacitor_on
+    assert on is not None
     assert on.shape == (20, 2)
     assert on.sum(axis=1).tolist() == [2.0] * 3 + [1.0] * 6 + [2.0] * 11
     found = hindsight(scenario, 0)
@@ -56,14 +57,13 @@ def test_sensitivities_of_agents_agree_with_each_other(name):
     scenario = SCENARIOS[name]()
     feeder = scenario.feeder
     buses = np.array([[feeder.index(bus) for bus in placements(scenario, 1)[0]]])
-    for to_nodes, between in zip(
-        sensitivity_to_agents(scenario, buses), sensitivity_between_agents(scenario, buses), strict=True
-    ):
+    of_nodes, of_agents = sensitivity_to_agents(scenario, buses), sensitivity_between_agents(scenario, buses)
+    for to_nodes, between in zip(of_nodes, of_agents, strict=True):
         assert to_nodes.shape == (1, scenario.n_agents, feeder.n_node)
         for agent, bus in enumerate(buses[0]):
             seen = to_nodes[0][:, list(feeder.nodes_at(bus))].mean(-1)
             np.testing.assert_allclose(between[0, agent], seen, rtol=1e-12)
-    assert (np.diagonal(between[0]) > 0).all()
+        assert (np.diagonal(between[0]) > 0).all()
 
 
 def test_the_stable_gain_is_that_of_the_sensitivities():

@@ -52,7 +52,6 @@ def test_a_bank_is_switched_at_once():
 
 @pytest.mark.parametrize("device", [TAPS, BANKS], ids=["taps", "banks"])
 def test_they_are_devices_without_power(device):
-    assert isinstance(device, Device)
     assert device.count == len(device.buses) == len(device.phases) == 2
     assert (device.q_limit_kvar == 0.0).all()
     assert device.cost_terms(10, 1.0) == ()
@@ -63,6 +62,7 @@ def test_they_are_devices_without_power(device):
     assert (channel.rest == device.parameters.base).all()
     with pytest.raises(KeyError, match="moved"):
         device.amount("moved", device.parameters, None)
+    assert isinstance(device, Device)
 
 
 def test_rounding_has_the_derivative_of_what_is_rounded():

@@ -1,5 +1,7 @@
 """Regulators and capacitor banks over an episode: settled, controlled, commanded by agents, charged and shown."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -20,7 +22,7 @@ HEAVY = {"p_rated_kw": 1500.0, "trace": "step", "trace_window": "start", "load_s
 AGENTS = {"regulators": "agent", "capacitor_banks": "agent"}
 
 
-def play(scenario, lanes=2, steps=None, action=None):
+def play(scenario, lanes=2, steps=None, action=None) -> Any:
     """The transitions of a batch from the reset on, under the same joint action in every step."""
     simulation = Simulation(scenario, lanes)
     transitions = [simulation.reset(list(range(lanes)))]
@@ -46,7 +48,7 @@ def commanded(scenario, **channels):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_an_episode_begins_in_band_and_every_lane_as_it_would_alone(name):
     scenario = SCENARIOS[name]().replace(start_hour="random")
-    together = Simulation(scenario, 6).reset(list(range(6))).state
+    together: Any = Simulation(scenario, 6).reset(list(range(6))).state
     regulators = together.three_phase.equipment.regulators
     assert (direction(relay_settings(scenario.feeder), regulators.relay_v, regulators.tap) == 0.0).all()
     for lane in (0, 5):
@@ -100,7 +102,7 @@ def test_moves_and_positions_stand_in_info():
     scenario = ieee13().replace(**AGENTS)
     env = parallel_env(scenario)
     env.reset(seed=0)
-    actions = {agent: np.ones(env.action_space(agent).shape, np.float32) for agent in env.agents}
+    actions = {agent: np.ones(env.action_space(agent).shape or (), np.float32) for agent in env.agents}
     actions["cap_1"] = -actions["cap_1"]
     *_, infos = env.step(actions)
     info = infos["dc_0"]
@@ -167,7 +169,7 @@ def test_switching_is_charged_to_the_team_and_to_who_moves():
     free = play(scenario.replace(reward="local", cost={"weights": CostWeights()}), steps=1, action=action)[1]
     np.testing.assert_allclose((free.reward - own.reward)[0, -4:], [2.0, 0.0, 0.0, 2.0], atol=1e-9)
     assert largest_mean_switching(scenario) == (3 * 32 + 1) / 4
-    assert reward.largest_costs(scenario).switching == 2.0 * 97 / 4
+    assert reward.largest_costs(scenario)._asdict()["switching"] == 2.0 * 97 / 4
 
 
 def test_controlled_moves_are_charged_to_all_alike():
@@ -190,7 +192,7 @@ def test_tensors_take_the_same_steps(who):
     scenario = ieee13().replace(**HEAVY | {"horizon": 45}, regulators=who, capacitor_banks="agent")
     joint = commanded(scenario, tap=0.3, on=-1.0)
     ours = play(scenario, action=joint)[-1].state
-    env = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
+    env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
     env.reset([0, 1])
     for _ in range(scenario.horizon):
         env.step(torch.tensor(np.tile(joint, (2, 1))))
@@ -206,11 +208,12 @@ def test_the_gradient_passes_the_rounded_tap():
     scenario = ieee13().replace(regulators="agent", load_sigma=0.0)
     base = scenario.feeder.base_tap
     joint = torch.tensor(commanded(scenario, tap=base / 16.0)[None], requires_grad=True)
-    env = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
+    env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
     env.reset([0])
     state = env.step(joint).state
     node = scenario.feeder.nodes_of("rg60", "a")[0]
     state.v_pu[0, node].backward()
+    assert joint.grad is not None
     found = joint.grad[0, torch.tensor(action_layout(scenario).is_channel("tap"))].numpy()
     assert found[0] == pytest.approx(16 * 0.00625, rel=0.1)
     assert np.abs(found[1:]).max() < 0.1 * found[0]
@@ -218,9 +221,9 @@ def test_the_gradient_passes_the_rounded_tap():
 
 def test_same_bits_in_any_lane():
     scenario = ieee13().replace(**HEAVY | {"load_sigma": 0.05}, capacitor_banks="agent")
-    batch = DcgridVectorEnv(5, scenario)
+    batch: Any = DcgridVectorEnv(5, scenario)
     batch.reset(seed=3)
-    one = DcgridVectorEnv(1, scenario)
+    one: Any = DcgridVectorEnv(1, scenario)
     one.reset(seed=[3 + 4])
     for _ in range(40):
         for env, lanes in ((batch, 5), (one, 1)):

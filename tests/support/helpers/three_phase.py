@@ -1,12 +1,13 @@
 """Scenarios on the three-phase feeders that ship: devices of one and of three phases, given and drawn buses."""
 
 from functools import cache
+from typing import Any
 
 from dcgrid_env import Scenario, load_feeder
 
 
 @cache
-def ieee13():
+def ieee13() -> Any:
     """Two sites and four inverters on the IEEE 13 node feeder, two of them on one phase."""
     return Scenario(
         name="ieee13-three-phase",
@@ -26,7 +27,7 @@ def ieee13():
 
 
 @cache
-def ieee34():
+def ieee34() -> Any:
     """Two sites and five inverters on the IEEE 34 node feeder, which is long and weak."""
     return Scenario(
         name="ieee34-three-phase",
@@ -46,7 +47,7 @@ def ieee34():
 
 
 @cache
-def ieee123():
+def ieee123() -> Any:
     """The paper's study on the IEEE 123 node feeder itself: five sites at random, seven inverters."""
     return Scenario(
         name="ieee123-three-phase",

@@ -1,5 +1,7 @@
 """Settled taps: OpenDSS's static control to the tap, one tap a round, lanes by themselves, cycles."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from helpers.opendss_points import published_point, rows
 from helpers.places import SHARED_THREE_PHASE, require
 
 
-def nominal(feeder, lanes=1, multiplier=1.0):
+def nominal(feeder, lanes=1, multiplier=1.0) -> Any:
     return tuple(np.tile(multiplier * load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
 
 
