@@ -111,12 +111,12 @@ class ThreePhaseFeeder(PhaseNodes):
         """The legs of the capacitors, each of a row of their table."""
         return _frozen(capacitor_legs(self.network, self._nodes_by_phase, self._bases))
 
-    @property
+    @cached_property
     def first_device_leg(self) -> int:
         """Number of legs of loads; leg ``first_device_leg + node`` is where a device at that node draws and injects."""
         return len(self.load_legs.bus)
 
-    @property
+    @cached_property
     def n_leg(self) -> int:
         """Number of legs: those of the loads, then one for each node."""
         return self.first_device_leg + self.n_node
@@ -141,7 +141,7 @@ class ThreePhaseFeeder(PhaseNodes):
         """Reactive power of each leg at its rated voltage in the base case, kvar, shape (n_leg,)."""
         return read_only(np.concatenate((self.load_legs.q_kvar, np.zeros(self.n_node))))
 
-    @property
+    @cached_property
     def n_regulator(self) -> int:
         """Number of taps: one for each row of the regulators' table."""
         return len(self.network.regulator)
@@ -151,14 +151,18 @@ class ThreePhaseFeeder(PhaseNodes):
         """Tap of each regulator in the base case, shape (n_regulator,)."""
         return read_only(self.network.regulator.tap)
 
+    @cached_property
+    def _tap_step(self) -> FloatArray:
+        return read_only(self.network.regulator.tap_step)
+
     def tap_ratio(self, tap: Any) -> Any:
         """Voltage ratio of each regulator at the given taps, shape (..., n_regulator), an array of the given kind."""
-        step: Any = np.array(self.network.regulator.tap_step)
+        step: Any = self._tap_step
         if not isinstance(tap, np.ndarray | Sequence) and hasattr(tap, "new_tensor"):
-            step = tap.new_tensor(step)
+            step = tap.new_tensor(np.array(step))  # a copy: tensors cannot share read-only memory
         return 1.0 + step * tap
 
-    @property
+    @cached_property
     def n_capacitor(self) -> int:
         """Number of capacitor banks, each switched as one: the rows of the capacitors' table."""
         return len(self.network.capacitor)

@@ -99,7 +99,7 @@ def _widened(values: Array, lead: tuple[int, ...], like: Array) -> Array:
 
 
 def _check_ratios(feeder: ThreePhaseFeeder, ratio: Array) -> None:
-    low, high = _ratio_limits(feeder, str(ratio.dtype).endswith("float32"))
+    low, high = _ratio_limits(feeder, ratio.dtype.itemsize == 4)
     _check_range(feeder, "regulator", "tap_ratio", ratio, low, high)
 
 
