@@ -127,9 +127,10 @@ class EpisodeProgram:
         s, episode, n_dc = self.scenario, self.episode, self.scenario.n_datacenters
         p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw), axis=1) * episode.available
         p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
-        moved = _SPAN * self._shares()
-        p_kw += p_agent @ moved / _SPAN
-        q_kvar -= self.q_kvar @ moved / _SPAN
+        shares = self._shares()
+        p_kw += p_agent @ shares
+        q_kvar -= self.q_kvar @ shares
+        moved = _SPAN * shares
         none = np.zeros((1, s.feeder.n_leg))
         by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved))[:, None]
         by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved))[:, None]

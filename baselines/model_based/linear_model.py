@@ -3,12 +3,11 @@
     V_i(t+1) = V_i(t) - (sum_a R_ia (p_a(t+1) - p_a(t)) - X_ia (q_a(t+1) - q_a(t))) / V_i(t)
 
 R and X are LinDistFlow's (M. E. Baran and F. F. Wu 1989) of ``Scenario.model``, the feeder as controllers believe it;
-on a three-phase feeder the derivatives of its nodes' voltages around the base case, across phases.
-LinDistFlow is linear in V^2, so a bus's slopes are divided by its voltage, which those of a three-phase feeder already
-are; p is drawn, q injected. Only changes are
-predicted: what the other loads, the losses and an error of R and X do stands in the measurement, so that none of it is
-left in a steady state (offset-free, as with the disturbance model of J. B. Rawlings, D. Q. Mayne and M. Diehl, "Model
-predictive control: theory, computation, and design", 2017, section 1.5).
+on a three-phase feeder the derivatives of its nodes' voltages around the base case, across phases. LinDistFlow is
+linear in V^2, so a bus's slopes are divided by its voltage, which those of a three-phase feeder already are; p is
+drawn, q injected. Only changes are predicted: what the other loads, the losses and an error of R and X do stands in the
+measurement, so that none of it is left in a steady state (offset-free, as with the disturbance model of J. B. Rawlings,
+D. Q. Mayne and M. Diehl, "Model predictive control: theory, computation, and design", 2017, section 1.5).
 
 A measurement that is k steps old is of the agents' powers k steps ago, which they know: the model adds what they have
 done since. Where it is noisy, the part of it that is not the agents' is smoothed,

@@ -28,7 +28,7 @@ class Forecast(NamedTuple):
     available: np.ndarray
     """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
     capacitor_on: np.ndarray | None = None
-    """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all stand as the feeder has them."""
+    """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all can be on."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:

@@ -40,12 +40,13 @@ def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Arr
 
     ``nodes`` are those of the agents, see ``Exogenous``; (lane, 2 n_agent), None on a balanced feeder.
     """
-    balanced, n = isinstance(scenario.feeder, Feeder), scenario.n_agents
-    if scenario.observe == "feeder":
-        lowest, highest = (None, None) if balanced else extremes_of_nodes(measured_pu, nodes)
-        by_phase = None if balanced else namespace(measured_pu).concat((lowest, highest), axis=-1)
-        return from_nodes(measured_pu, nodes), by_phase
-    return (measured_pu, None) if balanced else (measured_pu[:, :n], measured_pu[:, n:])
+    whole, n = scenario.observe == "feeder", scenario.n_agents
+    if isinstance(scenario.feeder, Feeder):
+        return from_nodes(measured_pu, nodes) if whole else measured_pu, None
+    if not whole:
+        return measured_pu[:, :n], measured_pu[:, n:]
+    extremes = extremes_of_nodes(measured_pu, nodes)
+    return from_nodes(measured_pu, nodes), namespace(measured_pu).concat(extremes, axis=-1)
 
 
 def remembered(scenario: Scenario) -> int:

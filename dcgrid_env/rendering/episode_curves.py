@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dcgrid_env.rendering.feeder_map import INK, agent_colour
-from dcgrid_env.rendering.history import History
+from dcgrid_env.rendering.history import History, node_words
 from dcgrid_env.rendering.map_panel import MIDDLE, Panel, other_kinds, time_unit
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -124,7 +124,7 @@ class Curves:
     def _draw_keys(self) -> list[Artist]:
         n = self.scenario.n_sites
         entries: list[tuple[Any, str]] = [
-            (Patch(facecolor="#D5D5D5"), "all buses"),
+            (Patch(facecolor="#D5D5D5"), f"all {node_words(self.scenario.feeder)[1]}"),
             (Line2D([], [], color="black", linewidth=1.4), "mean"),
             (Line2D([], [], **_LIMIT), "limits"),
         ]

@@ -69,6 +69,11 @@ def bus_means(feeder: AnyFeeder, by_node: np.ndarray) -> np.ndarray:
     return np.add.reduceat(by_node, first, axis=-1) / np.bincount(feeder.node_bus).astype(by_node.dtype)
 
 
+def node_words(feeder: AnyFeeder) -> tuple[str, str]:
+    """What a picture calls one node of a feeder, and several: a balanced feeder's are its buses."""
+    return ("bus", "buses") if feeder.n_node == feeder.n_bus else ("node", "nodes")
+
+
 def sites_first(scenario: Scenario) -> np.ndarray:
     """Positions of the agents as a picture has them, sites of work before other devices, (n_agent,)."""
     is_site = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]

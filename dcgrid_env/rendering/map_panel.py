@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, voltage_norm
-from dcgrid_env.rendering.history import History, sites_first
+from dcgrid_env.rendering.history import History, node_words, sites_first
 from dcgrid_env.rendering.lettering import Lettering
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -102,7 +102,7 @@ class MapPart:
         self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")
         lowest = int(np.argmin(v))
         outside, nodes = self.feeder.outside(v)[s.feeder.load_slice].sum(), len(s.feeder.load_nodes)
-        one, many = ("bus", "buses") if s.feeder.n_node == s.feeder.n_bus else ("node", "nodes")
+        one, many = node_words(s.feeder)
         self.subtitle.set_text(
             f"lowest voltage {v[lowest]:.4f} p.u. at {one} {s.feeder.node_ids[lowest]};   "
             f"{outside} of {nodes} {many} outside {_band(s)} p.u."

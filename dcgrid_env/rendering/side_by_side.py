@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.rendering.feeder_map import agent_colour
+from dcgrid_env.rendering.history import node_words
 from dcgrid_env.scenario.scenario import Scenario
 
 MOST_NAMED = 10
@@ -49,15 +50,16 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
 
 def _voltages(ax, scenario: Scenario, run: Series, t: np.ndarray) -> None:
     feeder = scenario.feeder
+    one, many = node_words(feeder)
     v = run.v_pu[:, feeder.load_slice]
     for share, alpha in ((0, 0.16), (10, 0.22), (25, 0.30)):
         low, high = np.percentile(v, [share, 100 - share], axis=1)
-        label = {0: "all buses", 25: "middle half"}.get(share)
+        label = {0: f"all {many}", 25: "middle half"}.get(share)
         ax.fill_between(t, low, high, color="#0072B2", alpha=alpha, linewidth=0, label=label)
-    ax.plot(t, np.median(v, axis=1), color="#003f63", linewidth=1.4, label="median bus")
+    ax.plot(t, np.median(v, axis=1), color="#003f63", linewidth=1.4, label=f"median {one}")
     worst = int(np.argmin(v.min(axis=0)))
     lowest = feeder.node_ids[feeder.load_nodes[worst]]
-    ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: bus {lowest}")
+    ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: {one} {lowest}")
     for edge in (1.0 - scenario.band_pu, 1.0 + scenario.band_pu):
         ax.axhline(edge, color="black", linestyle="--", linewidth=0.9)
     ax.axhline(1.0, color="black", linewidth=0.5, alpha=0.5)
