@@ -17,6 +17,7 @@ from multiprocessing.context import SpawnProcess
 from typing import TypeVar
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
+SECONDS_TO_END = 10.0
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -41,7 +42,7 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
         return
     waiting = list(reversed(tasks))
     busy: dict[Connection, tuple[SpawnProcess, Task]] = {}
-    started: list[SpawnProcess] = []
+    started: list[tuple[SpawnProcess, Connection]] = []
     try:
         for _ in range(jobs):
             _give(_start(work, started), waiting, busy)
@@ -59,20 +60,33 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> It
                 if isinstance(result, BaseException):
                     raise result
                 yield task, result
-    finally:
-        for process, _ in busy.values():
+    except BaseException:
+        for process, _ in started:  # an interrupt may have come between two tasks of a process: all, not the busy ones
             process.terminate()
-        for process in started:
+        raise
+    finally:
+        _end_all(started)
+
+
+def _end_all(started: Sequence[tuple[SpawnProcess, Connection]]) -> None:
+    for _, pipe in started:
+        pipe.close()
+    for process, _ in started:
+        process.join(SECONDS_TO_END)
+        if process.is_alive():  # the exception that SIGTERM raises was lost in code that lets none through
+            process.kill()
             process.join()
 
 
-def _start(work: Callable[[Task], Result], started: list[SpawnProcess]) -> tuple[SpawnProcess, Connection]:
+def _start(
+    work: Callable[[Task], Result], started: list[tuple[SpawnProcess, Connection]]
+) -> tuple[SpawnProcess, Connection]:
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe()
     with _settings_of_a_child():
         process = spawn.Process(target=_serve, args=(work, theirs), daemon=True)
         process.start()
-    started.append(process)
+        started.append((process, ours))
     theirs.close()
     return process, ours
 
@@ -130,14 +144,33 @@ class _Terminated(BaseException):
 def _settings_of_a_child() -> Iterator[None]:
     """What a process is started with: one thread for libraries as they are loaded, and no Ctrl-C from the first on."""
     before = {name: os.environ.get(name) for name in THREADS}
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
-        yield
+        with _held_back_interrupt():
+            yield
     finally:
-        signal.signal(signal.SIGINT, handler or signal.SIG_DFL)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextlib.contextmanager
+def _held_back_interrupt() -> Iterator[None]:
+    """Keep Ctrl-C from a child from its first moment on; where signals can be blocked, this process has it later."""
+    if hasattr(signal, "pthread_sigmask"):
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # its own start would unblock the signal
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler or signal.SIG_DFL)

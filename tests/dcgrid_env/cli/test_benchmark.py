@@ -356,14 +356,18 @@ def _is_one_line(stopped, capsys, message):
 def test_ctrl_c_with_two_processes_loses_nothing_that_was_done(tmp_path):
     arguments = ["benchmark", "--scenarios", "ieee123", "--controllers", "none,droop,droop-q,inverters", "--jobs", "2"]
     command = [sys.executable, "-m", "dcgrid_env.cli.main", *arguments, "--out", str(tmp_path / "out")]
-    started = subprocess.Popen(
+    with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
-    until = time.monotonic() + 60.0
-    while not list(tmp_path.rglob("out/units/ieee123/*/*.json")) and time.monotonic() < until:
-        time.sleep(0.02)
-    os.killpg(started.pid, signal.SIGINT)
-    said = started.communicate(timeout=60)[0]
+    ) as started:
+        until = time.monotonic() + 60.0
+        while not list(tmp_path.glob("out/units/ieee123/*/*.json")) and time.monotonic() < until:
+            time.sleep(0.02)
+        os.killpg(started.pid, signal.SIGINT)
+        try:
+            said = started.communicate(timeout=60)[0]
+        except subprocess.TimeoutExpired:
+            os.killpg(started.pid, signal.SIGKILL)
+            raise
     assert started.returncode == 130, said
     assert "interrupted with" in said
     assert "Traceback" not in said

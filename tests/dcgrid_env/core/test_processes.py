@@ -1,12 +1,15 @@
 """Tasks over processes: results, deaths, errors, and what a process is started with."""
 
+import contextlib
 import math
 import os
 import signal
+import time
 from multiprocessing import active_children
 
 import pytest
 
+from dcgrid_env.core import processes
 from dcgrid_env.core.processes import THREADS, Died, each
 
 
@@ -46,3 +49,48 @@ def test_leaving_early_ends_the_processes():
     assert active_children()
     results.close()  # pyright: ignore[reportAttributeAccessIssue]
     assert not active_children()
+
+
+@pytest.mark.parametrize("at", range(2, 6))
+def test_an_interrupt_between_two_tasks_of_a_process_ends_it(at, monkeypatch):
+    """The process that had just done its task is no longer busy and has no other: it is to end nevertheless."""
+    give, calls = processes._give, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == at:
+            raise KeyboardInterrupt
+        give(*arguments)
+
+    monkeypatch.setattr(processes, "_give", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(each(math.sqrt, [float(i) for i in range(10)], 2))
+    assert not active_children()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+def test_an_interrupt_while_a_process_starts_comes_afterwards():
+    def interrupted_while_starting():
+        with processes._held_back_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            pending.extend(signal.sigpending())
+
+    pending: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_while_starting()
+    assert pending == [signal.SIGINT]
+
+
+def test_a_process_that_lets_no_exception_through_is_killed(monkeypatch):
+    monkeypatch.setattr(processes, "SECONDS_TO_END", 0.2)
+    results = each(_deaf, ["quick", "deaf", "deaf"], 2)
+    next(results)
+    results.close()  # pyright: ignore[reportAttributeAccessIssue]
+    assert not active_children()
+
+
+def _deaf(task):
+    until = time.monotonic() + (60.0 if task == "deaf" else 0.0)
+    while time.monotonic() < until:
+        with contextlib.suppress(BaseException):
+            time.sleep(0.1)
