@@ -146,6 +146,53 @@ def _scale_32() -> Scenario:
     )
 
 
+def _ieee13_3ph() -> Scenario:
+    return Scenario(
+        name="ieee13-3ph",
+        feeder=load_feeder("ieee13-3ph"),
+        source_voltage_pu=1.0001,
+        power_flow="sweep",
+        n_datacenters=2,
+        datacenter_buses=("671", "680"),
+        p_rated_kw=500.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=("633", "675", "611", "652"),
+        inverter_s_kva=(150.0, 200.0, 60.0, 60.0),
+    )
+
+
+def _ieee34_3ph() -> Scenario:
+    return Scenario(
+        name="ieee34-3ph",
+        feeder=load_feeder("ieee34-3ph"),
+        source_voltage_pu=1.05,
+        power_flow="sweep",
+        n_datacenters=2,
+        datacenter_buses=("840", "860"),
+        p_rated_kw=250.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=("816", "834", "848", "822", "838"),
+        inverter_s_kva=(100.0, 100.0, 100.0, 30.0, 30.0),
+    )
+
+
+def _ieee123_3ph() -> Scenario:
+    return Scenario(
+        name="ieee123-3ph",
+        feeder=load_feeder("ieee123-3ph"),
+        source_voltage_pu=1.0,
+        power_flow="sweep",
+        n_datacenters=5,
+        p_rated_kw=280.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=("2", "11", "40", "54", "87", "92", "103"),
+        inverter_s_kva=50.0,
+    )
+
+
 class Preset(NamedTuple):
     """A scenario that ships. This is the one place where it is registered."""
 
@@ -220,6 +267,24 @@ TABLE = (
         "dcgrid/Scale32-v0",
         "khodr141 with 32 data centres of 500 kW at random and 8 inverters",
         _scale_32,
+    ),
+    Preset(
+        "ieee13-3ph",
+        "dcgrid/IEEE13ThreePhase-v0",
+        "IEEE 13 node feeder with its phases, 2 data centres of 500 kW, 4 inverters of one to three phases",
+        _ieee13_3ph,
+    ),
+    Preset(
+        "ieee34-3ph",
+        "dcgrid/IEEE34ThreePhase-v0",
+        "IEEE 34 node feeder with its phases, long and weak, 2 data centres of 250 kW, 5 inverters",
+        _ieee34_3ph,
+    ),
+    Preset(
+        "ieee123-3ph",
+        "dcgrid/IEEE123ThreePhase-v0",
+        "IEEE 123 node feeder with its phases and regulators that act: the paper's study on the true feeder",
+        _ieee123_3ph,
     ),
 )
 """All presets, in the order in which they are listed."""
