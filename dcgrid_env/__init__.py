@@ -3,6 +3,7 @@
 from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.engine.acting_relays import ActingRelays, acting_relays
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.connections import (
     believed_sensitivity,
@@ -50,6 +51,7 @@ __all__ = [
     "METRICS",
     "PRESETS",
     "SCENARIO_REGISTRY",
+    "ActingRelays",
     "ActionError",
     "ActionLayout",
     "Background",
@@ -84,6 +86,7 @@ __all__ = [
     "ThreePhaseFeeder",
     "Workload",
     "__version__",
+    "acting_relays",
     "action_layout",
     "believed_sensitivity",
     "distflow",

@@ -9,9 +9,9 @@ On the power flow linearised around a trajectory:
     with      |v_t + J_p (d_t - d0_t) + J_q (q_t - q0_t) - 1| <= e_t,  w_t >= e_t - band,
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
-so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Solved
-with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming
-Computation 10, 2018).
+so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Where
+regulators follow a control of their own, ``keep_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu
+and J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming Computation 10, 2018).
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, nodes_by_bus, solver_for
+from dcgrid_env import Control, Forecast, Recorder, Scenario, acting_relays, action_layout, nodes_by_bus, solver_for
+from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -35,10 +36,10 @@ _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 class EpisodeProgram:
     """The linear program of an episode, around the trajectory of its last solution.
 
-    Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation).
+    Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation), z (relays).
     """
 
-    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool) -> None:
+    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, keep_taps: bool = False) -> None:
         s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
         self.scenario, self.episode, self.keep_band = s, episode, keep_band
         self.base_kw = np.minimum(episode.p_ref_kw, dc.p_idle_kw)
@@ -53,20 +54,25 @@ class EpisodeProgram:
         n_bus = len(s.feeder.load_nodes)
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
+        relays = acting_relays(s) if keep_taps else None
+        self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
+        self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
         self._acting: Control | None = None
+        self._tap = np.zeros((s.horizon, 0))
         self.same = [self._band(), self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
 
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
-        v_pu, by_p, by_q = self._slopes()
-        at_zero = v_pu - np.einsum("tnd,td->tn", by_p, self.served_kw) - np.einsum("tna,ta->tn", by_q, self.q_kvar)
+        solution = self._around()
+        at_zero, by_p, by_q = self._linear(solution.v_pu[..., s.feeder.load_slice])
         p_part, q_part = (sparse.block_diag(list(slopes), format="csr") for slopes in (by_p, by_q))
         apart, minus = (at_zero - 1.0).ravel(), -sparse.identity(at_zero.size, format="csr")
         limits = [
             (self._rows(d=p_part, q=q_part, e=minus), -apart),
             (self._rows(d=-p_part, q=-q_part, e=minus), apart),
             *self.same,
+            *self._kept_taps(solution),
         ]
         result = self._optimum(limits, self._prices(), inf_w=not self.keep_band)
         if result.status != 0:
@@ -86,7 +92,7 @@ class EpisodeProgram:
         )
         if self.episode.capacitor_on is not None:
             on = on * self.episode.capacitor_on
-        self._acting = Control(self.scenario.feeder.tap_ratio(taps), None, on)
+        self._tap, self._acting = taps, Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
     def _optimum(self, limits: Limits, prices: np.ndarray, inf_w: bool) -> Any:
         rows, bounds = zip(*limits, strict=True)
@@ -119,11 +125,8 @@ class EpisodeProgram:
             "the load"
         )
 
-    def _slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Voltages (T, n), p.u., of the buses but the substation around the trajectory, and their slopes.
-
-        By work served, (T, n, n_dc), and by reactive injection, (T, n, n_agent).
-        """
+    def _around(self) -> Any:
+        """Power flows (1 + n_dc + n_agent, T), flattened: of the trajectory, and with each power moved by itself."""
         s, episode, n_dc = self.scenario, self.episode, self.scenario.n_datacenters
         p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw), axis=1) * episode.available
         p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
@@ -134,20 +137,38 @@ class EpisodeProgram:
         none = np.zeros((1, s.feeder.n_leg))
         by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved))[:, None]
         by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved))[:, None]
-        shape = (1 + n_dc + s.n_agents, s.horizon)
         loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
-        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(shape[0]))
-        unsolved = np.flatnonzero(~solution.converged.reshape(shape).all(axis=0))
+        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(1 + n_dc + s.n_agents))
+        unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))
         if unsolved.size:
             raise ValueError(
                 f"hindsight of scenario {s.name!r}: the power flow around the trajectory has no solution at step "
                 f"{unsolved[0] + 1}; give the feeder less load"
             )
-        v_pu = solution.v_pu.reshape(*shape, -1)[..., s.feeder.load_slice]
+        return solution
+
+    def _linear(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q.
+
+        Its value where they are 0, (T, n), and slopes by work served, (T, n, n_dc), and by reactive injection, (T, n,
+        n_agent).
+        """
+        s, n_dc = self.scenario, self.scenario.n_datacenters
+        values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
-        drawn = np.concatenate((episode.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
-        slopes = np.moveaxis(v_pu[1:] - v_pu[0], 0, -1) / _SPAN * drawn[:, None]
-        return v_pu[0], slopes[..., :n_dc], slopes[..., n_dc:]
+        drawn = np.concatenate((self.episode.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
+        slopes = np.moveaxis(values[1:] - values[0], 0, -1) / _SPAN * drawn[:, None]
+        by_p, by_q = slopes[..., :n_dc], slopes[..., n_dc:]
+        moved = np.einsum("tnd,td->tn", by_p, self.served_kw) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
+        return values[0] - moved, by_p, by_q
+
+    def _kept_taps(self, solution: Any) -> Limits:
+        """The rows of ``relay_rows`` where taps are to be kept."""
+        if self.relay_rows is None:
+            return []
+        linear = self._linear(self.relay_rows.relays.volts(solution))
+        rows = self.relay_rows.limits(self._tap, *linear)
+        return [(self._rows(d=by_d, q=by_q, z=by_z), most) for by_d, by_q, by_z, most in rows]
 
     def _shares(self) -> np.ndarray:
         """Share of each agent's power that each leg draws, (n_agent, n_leg)."""
@@ -172,6 +193,7 @@ class EpisodeProgram:
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
         n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
+        prices["z"] = PRICE * s.horizon
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
             / s.horizon

@@ -1,13 +1,23 @@
 """Controllers that know a three-phase feeder, and hindsight: slopes across phases, taps that move, capacitors lost."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from dcgrid_env import Fault, forecast, sensitivity_between_agents, sensitivity_to_agents
+from dcgrid_env import (
+    Fault,
+    acting_relays,
+    forecast,
+    make_scenario,
+    sensitivity_between_agents,
+    sensitivity_to_agents,
+)
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.laws.stability import placements, spectral_radius
-from dcgrid_env.baselines.model_based.hindsight import hindsight
-from helpers.three_phase import SCENARIOS, ieee13, ieee34
+from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
+from dcgrid_env.baselines.model_based.hindsight import _settled, hindsight
+from helpers.three_phase import SCENARIOS, ieee13, ieee34, ieee123
 
 
 def cost(scenario, name):
@@ -25,12 +35,48 @@ def test_the_more_is_known_the_less_it_costs(name):
     assert abs(best.gap) < 1e-4 * best.J
 
 
-def test_hindsight_follows_regulators_that_act():
+def test_hindsight_follows_regulators_that_act_or_keeps_them_from_it():
     scenario = ieee34().replace(horizon=40)
-    found = hindsight(scenario, 0)
-    assert found.recorder.metrics()[0]["tap_moves"] > 0
-    assert abs(found.gap) < 1e-3 * found.J
-    assert cost(scenario, "droop") > found.J
+    follows, keeps = (
+        _settled(EpisodeProgram(scenario, forecast(scenario, 0), False, keep_taps), 0, 6, 2e-5)
+        for keep_taps in (False, True)
+    )
+    assert follows.recorder.metrics()[0]["tap_moves"] > 0
+    assert keeps.recorder.metrics()[0]["tap_moves"] == 0
+    for found in (follows, keeps):
+        assert abs(found.gap) < 1e-3 * found.J
+    best = hindsight(scenario, 0)
+    assert min(follows.J, keeps.J) == best.J < cost(scenario, "droop")
+    assert best.rounds == follows.rounds + keeps.rounds
+
+
+def test_kept_taps_wait_out_of_band_for_less_than_their_delay():
+    scenario = ieee123().replace(horizon=35)
+    relays = acting_relays(scenario)
+    assert relays is not None
+    assert relays.steps.tolist() == [15, 30, 30, 30, 30, 30, 30]
+    program = EpisodeProgram(scenario, forecast(scenario, 0), False, keep_taps=True)
+    kept = _settled(program, 0, 6, 2e-5)
+    three_phase: Any = kept.recorder.lane(0).three_phase
+    regulators = three_phase.equipment.regulators
+    assert (regulators.tap == regulators.tap[0]).all()
+    low, high = relays.rest_volts(regulators.tap)
+    out = (regulators.relay_v < low) | (regulators.relay_v > high)
+    assert 0.5 < out.mean(axis=0).max() < 1.0  # it pays to be out of band nearly always
+    assert abs(kept.gap) < 2e-3 * kept.J
+
+
+def test_relays_that_act_are_those_with_a_control_of_their_own():
+    scenario = ieee13()
+    assert acting_relays(scenario.replace(regulators="fixed")) is None
+    assert acting_relays(make_scenario("toy6")) is None
+    relays = acting_relays(scenario.replace(dt_s=60.0))
+    assert relays is not None
+    assert relays.steps.tolist() == [1, 1, 1]
+    low, high = relays.rest_volts(np.array([[16.0, 0.0, -16.0]]))
+    assert np.isneginf(low).tolist() == [[True, False, False]]
+    assert np.isposinf(high).tolist() == [[False, False, True]]
+    np.testing.assert_allclose((low + high)[0, 1], 2.0 * 122.0)
 
 
 def test_hindsight_knows_of_a_lost_capacitor():
