@@ -9,9 +9,10 @@ On the power flow linearised around a trajectory:
     with      |v_t + J_p (d_t - d0_t) + J_q (q_t - q0_t) - 1| <= e_t,  w_t >= e_t - band,
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
-so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Where
-regulators follow a control of their own, ``keep_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu
-and J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming Computation 10, 2018).
+so nothing is served before it arrives, and what is left at the end is charged as the environment charges it.
+``voltage_rows`` leaves out the e and w that are not needed; where regulators follow a control of their own,
+``keep_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
+revised simplex method", Mathematical Programming Computation 10, 2018).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy.optimize import linprog
 
 from dcgrid_env import Control, Forecast, Recorder, Scenario, acting_relays, action_layout, nodes_by_bus, solver_for
 from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
+from dcgrid_env.baselines.model_based.voltage_rows import Linear, voltage_rows
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -59,28 +61,26 @@ class EpisodeProgram:
         self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
         self._acting: Control | None = None
         self._tap = np.zeros((s.horizon, 0))
-        self.same = [self._band(), self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
+        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
 
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
-        solution = self._around()
-        at_zero, by_p, by_q = self._linear(solution.v_pu[..., s.feeder.load_slice])
-        p_part, q_part = (sparse.block_diag(list(slopes), format="csr") for slopes in (by_p, by_q))
-        apart, minus = (at_zero - 1.0).ravel(), -sparse.identity(at_zero.size, format="csr")
-        limits = [
-            (self._rows(d=p_part, q=q_part, e=minus), -apart),
-            (self._rows(d=-p_part, q=-q_part, e=minus), apart),
-            *self.same,
-            *self._kept_taps(solution),
-        ]
-        result = self._optimum(limits, self._prices(), inf_w=not self.keep_band)
+        solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
+        d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
+        voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.band_pu)
+        limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._kept_taps(solution))]
+        prices = self._prices()
+        price = self._part(prices, "e")[0]
+        self._part(prices, "d")[:] += price * voltages.by_d
+        self._part(prices, "q")[:] += price * voltages.by_q
+        limits += self.same
+        result = self._optimum(limits, prices, ranges)
         if result.status != 0:
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
-        unknowns = self._by_unknown(result.x)
-        self.served_kw = unknowns["d"].reshape(s.horizon, -1)
-        self.q_kvar = unknowns["q"].reshape(s.horizon, -1)
-        return float(result.fun), self.actions()
+        self.served_kw = self._part(result.x, "d").reshape(s.horizon, -1)
+        self.q_kvar = self._part(result.x, "q").reshape(s.horizon, -1)
+        return float(result.fun + price * voltages.at_zero), self.actions()
 
     def follow(self, replayed: Recorder) -> None:
         """Take the taps and switches of a three-phase feeder's equipment as they were in a replay."""
@@ -94,7 +94,7 @@ class EpisodeProgram:
             on = on * self.episode.capacitor_on
         self._tap, self._acting = taps, Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
-    def _optimum(self, limits: Limits, prices: np.ndarray, inf_w: bool) -> Any:
+    def _optimum(self, limits: Limits, prices: np.ndarray, ranges: np.ndarray) -> Any:
         rows, bounds = zip(*limits, strict=True)
         conserved, amount = self._conservation()
         return linprog(
@@ -103,20 +103,22 @@ class EpisodeProgram:
             b_ub=np.concatenate(bounds),
             A_eq=conserved,
             b_eq=amount,
-            bounds=self._ranges(inf_w),
+            bounds=ranges,
             method="highs-ds",
         )
 
-    def _by_unknown(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        return dict(zip(self.sizes, np.split(x, np.cumsum(list(self.sizes.values()))[:-1]), strict=True))
+    def _part(self, values: np.ndarray, name: str) -> np.ndarray:
+        """The rows of an array over all unknowns that are those of one, as a view."""
+        ends = dict(zip(self.sizes, np.cumsum(list(self.sizes.values())), strict=True))
+        return values[ends[name] - self.sizes[name] : ends[name]]
 
     def _unmet(self, limits: Limits, result: Any) -> str:
         """Which constraint cannot be met and when: only the band can be asked for in vain."""
         if not self.keep_band:
             return result.message
         excess_only = np.concatenate([np.full(size, float(name == "w")) for name, size in self.sizes.items()])
-        least = self._by_unknown(self._optimum(limits, excess_only, inf_w=True).x)
-        excess = least["w"].reshape(self.scenario.horizon, -1)
+        least = self._optimum(limits, excess_only, self._ranges(inf_w=True)).x
+        excess = self._part(least, "w").reshape(self.scenario.horizon, -1)
         feeder = self.scenario.feeder
         step, bus = np.unravel_index(np.argmax(excess), excess.shape)
         return (
@@ -147,28 +149,22 @@ class EpisodeProgram:
             )
         return solution
 
-    def _linear(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q.
-
-        Its value where they are 0, (T, n), and slopes by work served, (T, n, n_dc), and by reactive injection, (T, n,
-        n_agent).
-        """
+    def _linear(self, values: np.ndarray) -> Linear:
+        """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q."""
         s, n_dc = self.scenario, self.scenario.n_datacenters
         values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
         drawn = np.concatenate((self.episode.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
         slopes = np.moveaxis(values[1:] - values[0], 0, -1) / _SPAN * drawn[:, None]
-        by_p, by_q = slopes[..., :n_dc], slopes[..., n_dc:]
-        moved = np.einsum("tnd,td->tn", by_p, self.served_kw) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
-        return values[0] - moved, by_p, by_q
+        by_d, by_q = slopes[..., :n_dc], slopes[..., n_dc:]
+        moved = np.einsum("tnd,td->tn", by_d, self.served_kw) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
+        return Linear(values[0] - moved, by_d, by_q)
 
-    def _kept_taps(self, solution: Any) -> Limits:
+    def _kept_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
         """The rows of ``relay_rows`` where taps are to be kept."""
         if self.relay_rows is None:
             return []
-        linear = self._linear(self.relay_rows.relays.volts(solution))
-        rows = self.relay_rows.limits(self._tap, *linear)
-        return [(self._rows(d=by_d, q=by_q, z=by_z), most) for by_d, by_q, by_z, most in rows]
+        return self.relay_rows.limits(self._tap, self._linear(self.relay_rows.relays.volts(solution)))
 
     def _shares(self) -> np.ndarray:
         """Share of each agent's power that each leg draws, (n_agent, n_leg)."""
@@ -227,11 +223,6 @@ class EpisodeProgram:
         n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.n_datacenters
         step = sparse.identity(n, format="csr") - sparse.eye(n, k=-n_dc, format="csr")
         return self._rows(d=dt_s * sparse.identity(n, format="csr"), b=step), self.arrived_kw.ravel() * dt_s
-
-    def _band(self) -> tuple[Sparse, np.ndarray]:
-        """e - w <= band."""
-        one = sparse.identity(self.sizes["e"], format="csr")
-        return self._rows(e=one, w=-one), np.full(self.sizes["e"], self.scenario.band_pu)
 
     def _magnitude(self, sign: float) -> tuple[Sparse, np.ndarray]:
         """sign q - g <= 0."""

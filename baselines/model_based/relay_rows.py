@@ -16,6 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from dcgrid_env import ActingRelays
+from dcgrid_env.baselines.model_based.voltage_rows import Linear
 
 PRICE = 1.0
 """Share of J that a volt beyond the band costs in one step; a tap is some 0.1 of J, and 0.75 V."""
@@ -33,22 +34,17 @@ class RelayRows:
         self.count = int(self.in_band.sum())
         """Unknowns z."""
 
-    def limits(self, tap: np.ndarray, at_zero: np.ndarray, by_p: np.ndarray, by_q: np.ndarray) -> list[tuple[Any, ...]]:
-        """Parts for d, q and z of the rows, and what each row is at most.
+    def limits(self, tap: np.ndarray, volts: Linear) -> list[tuple[dict[str, Any], np.ndarray]]:
+        """Parts of the rows by their unknowns d, q and z, and what each row is at most.
 
-        Parameters
-        ----------
-        tap
-            Taps of all regulators in the trajectory, (T, n_regulator).
-        at_zero, by_p, by_q
-            Relay volts where d and q are 0, (T, n), and slopes, (T, n, n_dc) and (T, n, n_agent).
+        From the taps of all regulators in the trajectory, (T, n_regulator), and the relay volts around it.
         """
-        keep, beyond = self.in_band, -sparse.identity(self.count, format="csr")
-        parts = [sparse.block_diag(list(slopes), format="csr")[keep] for slopes in (by_p, by_q)]
-        low, high = (a.ravel()[keep] for a in self.relays.rest_volts(tap[:, self.relays.rows]))
-        volts = at_zero.ravel()[keep]
-        rows = []
-        for sign, room in ((1.0, high - volts), (-1.0, volts - low)):
-            limited = np.flatnonzero(np.isfinite(room))  # a tap at its end goes no further
-            rows.append((*(sign * part[limited] for part in parts), beyond[limited], room[limited] - _MARGIN_V))
-        return rows
+        low, high = (side.ravel() for side in self.relays.rest_volts(tap[:, self.relays.rows]))
+        at_zero, beyond = volts.at_zero.ravel(), sparse.csr_array(sparse.identity(len(self.in_band)))
+        limits = []
+        for sign, room in ((1.0, high - at_zero), (-1.0, at_zero - low)):
+            limited = self.in_band & np.isfinite(room)  # a tap at its end goes no further
+            by_d, by_q = volts.rows(limited, sign)
+            by_z = -beyond[limited][:, self.in_band]
+            limits.append(({"d": by_d, "q": by_q, "z": by_z}, room[limited] - _MARGIN_V))
+        return limits

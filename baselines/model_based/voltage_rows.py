@@ -1,0 +1,70 @@
+"""What deviations of voltages cost in the linear program of an episode, with as few rows and unknowns as do.
+
+A voltage that stays on one side of 1 p.u. whatever the unknowns d and q are within their ranges costs in proportion to
+them, and needs no unknown e for its magnitude; one that stays within the band needs no unknown w for its excess. On a
+feeder with many nodes that leaves some half of the rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+
+class Linear(NamedTuple):
+    """Quantities of every step as linear functions of d and q."""
+
+    at_zero: np.ndarray
+    """Their values where d and q are 0, (T, n)."""
+    by_d: np.ndarray
+    """Slopes by d, (T, n, n_dc)."""
+    by_q: np.ndarray
+    """Slopes by q, (T, n, n_agent)."""
+
+    def rows(self, where: np.ndarray, sign: np.ndarray | float = 1.0) -> tuple[Any, Any]:
+        """Parts for d and q of a program's rows, those of the mask ``where`` (T n,), each times its sign."""
+        signs = sparse.diags_array(np.broadcast_to(sign, where.shape)[where], format="csr")
+        by_d, by_q = (sparse.block_diag(list(slopes), format="csr")[where] for slopes in (self.by_d, self.by_q))
+        return signs @ by_d, signs @ by_q
+
+    def reach(self, d: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest values, (T, n), for d and q within ranges (T, n_dc, 2) and (T, n_agent, 2)."""
+        slopes, ranges = np.concatenate((self.by_d, self.by_q), axis=2), np.concatenate((d, q), axis=1)[:, None]
+        ends = slopes[..., None] * ranges
+        return self.at_zero + ends.min(axis=-1).sum(axis=-1), self.at_zero + ends.max(axis=-1).sum(axis=-1)
+
+
+class VoltageRows(NamedTuple):
+    """Rows of the program, and what is to be priced without one."""
+
+    limits: list[tuple[dict[str, Any], np.ndarray]]
+    """Parts of rows by their unknowns d, q, e and w, and what each row is at most."""
+    by_d: np.ndarray
+    """Sum of the deviations of known sign by d, (T n_dc,)."""
+    by_q: np.ndarray
+    """Their sum by q, (T n_agent,)."""
+    at_zero: float
+    """Their sum where d and q are 0, p.u."""
+
+
+def voltage_rows(v_pu: Linear, d: np.ndarray, q: np.ndarray, band_pu: float) -> VoltageRows:
+    """The rows for voltages, with d and q within ranges as ``Linear.reach`` takes them."""
+    low, high = (side.ravel() - 1.0 for side in v_pu.reach(d, q))
+    apart = v_pu.at_zero.ravel() - 1.0
+    sign = (low >= 0.0).astype(float) - (high <= 0.0)
+    either, may_leave = sign == 0.0, np.maximum(-low, high) > band_pu
+    one = sparse.csr_array(sparse.identity(apart.size))
+    limits = []
+    for side in (1.0, -1.0):
+        by_d, by_q = v_pu.rows(either, side)
+        limits.append(({"d": by_d, "q": by_q, "e": -one[either]}, -side * apart[either]))
+    at = either & may_leave
+    limits.append(({"e": one[at], "w": -one[at]}, np.full(at.sum(), band_pu)))
+    at = ~either & may_leave
+    by_d, by_q = v_pu.rows(at, sign)
+    limits.append(({"d": by_d, "q": by_q, "w": -one[at]}, (band_pu - sign * apart)[at]))
+    signs = sign.reshape(v_pu.at_zero.shape)
+    by_d, by_q = (np.einsum("tn,tnu->tu", signs, slopes).ravel() for slopes in (v_pu.by_d, v_pu.by_q))
+    return VoltageRows(limits, by_d, by_q, float((sign * apart).sum()))
