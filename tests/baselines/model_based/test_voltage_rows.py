@@ -63,8 +63,7 @@ def test_the_optimum_is_that_of_all_rows(seed, level):
 
 def test_a_feeder_above_nominal_needs_no_row():
     v_pu, d, q, _ = _drawn(0, 0.0)
-    above = voltage_rows(
-        v_pu._replace(at_zero=v_pu.at_zero + 0.04, by_q=0.01 * v_pu.by_q, by_d=0.01 * v_pu.by_d), d, q, BAND
-    )
+    v_pu = Linear(v_pu.at_zero + 0.04, 0.01 * v_pu.by_d, 0.01 * v_pu.by_q)
+    above = voltage_rows(v_pu, d, q, BAND)
     assert sum(len(most) for _, most in above.limits) == 0
     assert above.at_zero == pytest.approx((v_pu.at_zero - 1.0).sum())
