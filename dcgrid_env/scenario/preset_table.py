@@ -151,7 +151,7 @@ def _ieee13_3ph() -> Scenario:
         s_rated_share=1.1,
         q_max_share=0.33,
         inverter_buses=("633", "675", "611", "652"),
-        inverter_s_kva=(150.0, 200.0, 60.0, 60.0),
+        inverter_s_kva=(300.0, 400.0, 120.0, 120.0),
     )
 
 
