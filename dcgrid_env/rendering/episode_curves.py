@@ -79,6 +79,8 @@ class Curves:
     """Signs in a line of the key."""
     gap = 0.16
     """Space between axes next to their mean height."""
+    most_marks = 8.0
+    """Marks on an axis of voltages at most."""
     rest_ratio = 1.0
     """Height of the axes below the voltages' next to the ratios above."""
     names_at = 0.913
@@ -179,8 +181,8 @@ class Curves:
     def _legend(self, entries: list[tuple[Any, str]], y: float, columns: int = 5) -> Any:
         return self.figure.legend(
             [handle for handle, _ in entries], [name for _, name in entries], loc="lower center", fontsize=9,
-            bbox_to_anchor=(0.777, y), ncols=columns, frameon=False, handlelength=1.0, handletextpad=0.4, columnspacing=1.0,
-            labelspacing=0.3, borderpad=0.0, borderaxespad=0.0,
+            bbox_to_anchor=(0.777, y), ncols=columns, frameon=False, handlelength=1.0, handletextpad=0.4,
+            columnspacing=1.0, labelspacing=0.3, borderpad=0.0, borderaxespad=0.0,
         )  # fmt: skip
 
     def update(self, history: History) -> list[Panel]:
@@ -222,7 +224,7 @@ class Curves:
             for text, (i, bus) in zip(self.names, enumerate(settled["names"]), strict=True):
                 text.set_text(f"dc_{i} (bus {s.feeder.bus_ids[bus]})")
         if "voltage" in changed:
-            every = np.ceil((above - below) / 8.0)
+            every = np.ceil((above - below) / self.most_marks)
             marks = np.arange(np.ceil(below / every), np.floor(above / every) + 1)
             for ax in self.heads[: len(self.voltages)]:
                 ax.set_ylim(1.0 + unit * below, 1.0 + unit * above)

@@ -18,7 +18,7 @@ BANK_COLOURS = ("#6A3D9A", "#A6561C", "#1A1A1A", "#7A7A00")
 """Colours of regulator banks on the map and in the curves of their taps; they repeat after four."""
 CAPACITOR = "#1F5F4A"
 SIZE_PT = 7.0
-_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0)
+_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0, 55.0, 75.0, 100.0)
 """How far off a label may stand: clear of the ring of the largest unbalance, and a line leads to its bus."""
 
 
@@ -73,7 +73,7 @@ class EquipmentLabels:
         label = ax.annotate(
             "", (0.0, 0.0), (0.0, 0.0), textcoords="offset points", ha="center", va="center", bbox=look, arrowprops=line
         )
-        label.set(fontsize=SIZE_PT, color=colour, zorder=7)
+        label.set(fontsize=SIZE_PT, color=colour, zorder=6.5)  # the names above it keep clear of its line
         return label
 
     def place(self, xy: FloatArray, room: Room, radius_pt: float) -> None:
@@ -83,18 +83,24 @@ class EquipmentLabels:
             label.xy = tuple(xy[bus])
             letters, height = max(map(len, lines)) + 1, 1.2 * len(lines) + 0.6  # with the frame around it
             label.set_position(tuple(room.take(bus, letters, SIZE_PT, height, _REACHES)))
-            label.arrow_patch.shrinkB = radius_pt
+            line: Any = label.arrow_patch
+            line.shrinkB = radius_pt
 
     def show(self, tap: np.ndarray, on: np.ndarray, lost: np.ndarray) -> bool:
-        """Say the taps, (n_regulator,), and which banks are on and which lost, (n_capacitor,); whether a text changes."""
-        states = ["lost" if gone else "on" if o > 0.5 and self.connected else "off" for o, gone in zip(on, lost, strict=True)]
+        """Say the taps, (n_regulator,), and which banks are on and which lost, (n_capacitor,).
+
+        Returns whether that changes a text.
+        """
+        runs = (on > 0.5) & self.connected
+        states = ["lost" if gone else "on" if runs_now else "off" for runs_now, gone in zip(runs, lost, strict=True)]
         texts = self._texts(tap, states)
         if texts == [label.get_text() for label in self.labels]:
             return False
         for label, text in zip(self.labels, texts, strict=True):
             label.set_text(text)
         for label, state in zip(self.labels[len(self.banks) :], states, strict=True):
-            label.get_bbox_patch().set_facecolor(CAPACITOR if state == "on" else "white")
+            chip: Any = label.get_bbox_patch()
+            chip.set_facecolor(CAPACITOR if state == "on" else "white")
             label.set_color("white" if state == "on" else CAPACITOR)
         return True
 

@@ -204,11 +204,12 @@ class Room:
         self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
 
     def take(
-        self, i: int, n_letters: int, size: float, lines: float = 1.0, reaches: tuple[float, ...] = _REACHES
+        self, i: int, n_letters: int, size: float, n_lines: float = 1.0, reaches: tuple[float, ...] = _REACHES
     ) -> FloatArray:
         """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,)."""
-        half = np.array([0.33 * size * n_letters, 0.5 * size * lines])
-        ways, reach = np.tile(_WAYS, (len(reaches), 1)), np.repeat(reaches, len(_WAYS))
+        half = np.array([0.33 * size * n_letters, 0.5 * size * n_lines])
+        ways = np.tile(_WAYS, (len(reaches), 1))
+        reach = np.repeat(np.array(reaches), len(_WAYS))
         # As far out along each way as brings the name's box clear of the bus.
         clear = np.min(half / np.maximum(np.abs(ways), 1e-9), axis=1)
         offset = ways * (self.radius[i] + reach + clear)[:, None]

@@ -50,7 +50,7 @@ class History:
             self.backlog_kws[step] = state.backlog_kws[lane]
         self.p_kw[step] = state.p_kw[lane, self.order]
         self.q_kvar[step] = state.q_kvar[lane, self.order]
-        if self.phases is not None:
+        if self.phases is not None and state.three_phase is not None:
             self.phases.add(state.three_phase, lane, step)
         self.solved = snapshot.transition.converged[lane]
 
@@ -62,7 +62,6 @@ class History:
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
         return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
-
 
     def lost_banks(self, scenario: Scenario) -> np.ndarray:
         """Which capacitor banks a fault has taken in the last step, bool, (n_capacitor,)."""

@@ -1,4 +1,4 @@
-"""The right half of the picture of a three-phase feeder: the spread of each phase, the unbalance and the taps over time."""
+"""The right half of the picture of a three-phase feeder: its phases' spread, its unbalance and taps over time."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator
 
 from dcgrid_env.engine.connections import agent_nodes
 from dcgrid_env.powerflow import three_phase_nodes
-from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.episode_curves import Bundle, Curves, Spread, round_up
+from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.history import History, sites_first
 from dcgrid_env.rendering.map_panel import Panel, by_rows
 from dcgrid_env.scenario.grid_control import regulator_deciders
@@ -49,6 +49,7 @@ class PhaseCurves(Curves):
 
     columns = 6
     gap = 0.21
+    most_marks = 4.0
     rest_ratio = 0.8
     names_at = 0.938
 
@@ -90,7 +91,9 @@ class PhaseCurves(Curves):
     def _signs(self) -> list[tuple[Any, str]]:
         signs = super()._signs()
         feeder: Any = self.scenario.feeder
-        kinds = {of_tap if len(of_tap) == 1 else "" for of_tap in feeder.network.regulator.phases} if self.has_taps else {}
+        kinds = (
+            {of_tap if len(of_tap) == 1 else "" for of_tap in feeder.network.regulator.phases} if self.has_taps else {}
+        )
         look = {"color": "#1A1A1A", "linewidth": 1.3}
         taps = [(Line2D([], [], **look, linestyle=TAP_STYLES[kind]), f"tap {kind}") for kind in sorted(kinds)]
         if "" in kinds:
@@ -110,7 +113,7 @@ class PhaseCurves(Curves):
             factor = 100.0 * phases.unbalance[span]
             self.largest.set_data(t, factor.max(axis=1))
             self.mean_unbalance.set_data(t, factor.mean(axis=1))
-            top = float(np.nanmax(factor, initial=0.0))
+            top = float(np.fmax.reduce(factor, axis=None, initial=0.0))
             changed = changed + self._settle_head(self.unbalance_axes, (0.0, round_up(max(1.05 * top, 0.5))))
         if self.has_taps:
             taps = phases.tap[span]
@@ -135,7 +138,7 @@ class PhaseCurves(Curves):
             at = nodes_of_agents[name]
             self.by_phase[name].show(t, np.where(at < 0, np.nan, v[:, at]))
         judged = v[:, self.scenario.feeder.load_slice]
-        return float(judged.min()), float(judged.max())
+        return float(np.fmin.reduce(judged, axis=None)), float(np.fmax.reduce(judged, axis=None))
 
     def _agents_nodes(self, history: History) -> dict[str, np.ndarray]:
         """Node of each agent in the picture at each phase, -1 where it is not connected to it, (n_agent,) each."""

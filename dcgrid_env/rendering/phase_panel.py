@@ -20,12 +20,14 @@ from dcgrid_env.rendering.map_panel import MapPart, Panel, by_rows, mark
 from dcgrid_env.rendering.phase_map import WORST, PhaseMap, rim, sector
 from dcgrid_env.scenario.scenario import Scenario
 
-
 _ORDER = (
     "a top, b right, c left", "data centre; arc: clock", "halo: backlog", "substation",
     "outside limits", "largest unbalance", "regulator: taps", "capacitor on",
 )  # fmt: skip
 """Signs in the order of the key; kinds of devices, which are named as they are, after those of its first row."""
+
+_NO_UNBALANCE = 1e-6
+"""Factor below which there is none but rounding."""
 
 
 class PhaseMapPart(MapPart):
@@ -75,13 +77,14 @@ class PhaseMapPart(MapPart):
 
     def _unbalance(self, factor: np.ndarray) -> list[str]:
         """Mark the bus where the unbalance is largest, and say how large."""
-        worst = None
-        if np.isfinite(factor).any():
-            k = int(np.nanargmax(factor))
-            worst = int(self.three_phase_buses[k])
+        if not len(factor):
+            self.feeder.mark_worst(None)
+            return ["no three-phase bus"]
+        k = int(np.argmax(np.nan_to_num(factor)))
+        worst = int(self.three_phase_buses[k]) if factor[k] > _NO_UNBALANCE else None
         self.feeder.mark_worst(worst)
         if worst is None:
-            return []
+            return ["no unbalance"]
         return [f"largest unbalance {100.0 * factor[k]:.2f} % at bus {self.scenario.feeder.bus_ids[worst]}"]
 
     def _moves(self, moves: np.ndarray) -> list[str]:
