@@ -18,8 +18,6 @@ BANK_COLOURS = ("#6A3D9A", "#A6561C", "#1A1A1A", "#7A7A00")
 """Colours of regulator banks on the map and in the curves of their taps; they repeat after four."""
 CAPACITOR = "#1F5F4A"
 SIZE_PT = 7.0
-_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0, 55.0, 75.0, 100.0)
-"""How far off a label may stand: clear of the ring of the largest unbalance, and a line leads to its bus."""
 
 
 class Bank(NamedTuple):
@@ -82,7 +80,7 @@ class EquipmentLabels:
             lines = text.split("\n")
             label.xy = tuple(xy[bus])
             letters, height = max(map(len, lines)) + 1, 1.2 * len(lines) + 0.6  # with the frame around it
-            label.set_position(tuple(room.take(bus, letters, SIZE_PT, height, _REACHES)))
+            label.set_position(tuple(room.take(bus, letters, SIZE_PT, height, led=True)))
             line: Any = label.arrow_patch
             line.shrinkB = radius_pt
 

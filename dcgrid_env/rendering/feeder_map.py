@@ -30,6 +30,8 @@ _WAYS = np.array([(np.cos(turn), np.sin(turn)) for turn in 2.0 * np.pi * (np.ara
 """Directions in which a name may stand from its bus."""
 _REACHES = (1.0, 6.0, 14.0)
 """How far off a name may stand from the rim of its bus, points."""
+_LED_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0, 55.0, 75.0, 100.0)
+"""How far off it may stand where a line leads to the bus: clear of the ring of the largest unbalance."""
 _HALO_S, _HALO_AREA = 30.0, 3600.0
 """Backlog in s of rated power at which the halo is largest, and its area then, square points."""
 
@@ -203,10 +205,12 @@ class Room:
         self.lines = (bus[parent] * (1.0 - along) + bus[1:] * along).reshape(-1, 2)
         self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
 
-    def take(
-        self, i: int, n_letters: int, size: float, n_lines: float = 1.0, reaches: tuple[float, ...] = _REACHES
-    ) -> FloatArray:
-        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,)."""
+    def take(self, i: int, n_letters: int, size: float, n_lines: float = 1.0, led: bool = False) -> FloatArray:
+        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,).
+
+        One that is ``led``, a line joins it to its bus, may stand farther off, where the line crosses few names.
+        """
+        reaches = _LED_REACHES if led else _REACHES
         half = np.array([0.33 * size * n_letters, 0.5 * size * n_lines])
         ways = np.tile(_WAYS, (len(reaches), 1))
         reach = np.repeat(np.array(reaches), len(_WAYS))
@@ -225,6 +229,10 @@ class Room:
         crowd += 20.0 * covered(self.bus[counted], self.radius[counted, None])
         crowd += 40.0 * covered(self.centres, self.halves)
         crowd += 40.0 * np.any((centre - half < self.frame[0]) | (centre + half > self.frame[1]), axis=1)
+        if led:
+            line = self.bus[i] + offset[:, None] * np.linspace(0.0, 1.0, 13)[1:, None]
+            crosses = np.all(np.abs(line[:, :, None] - self.centres) < self.halves + 1.0, axis=3)
+            crowd += 10.0 * crosses.sum(axis=(1, 2))
         best = int(np.argmin(crowd))
         self.centres = np.vstack((self.centres, centre[best]))
         self.halves = np.vstack((self.halves, half))

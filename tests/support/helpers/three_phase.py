@@ -63,8 +63,8 @@ def one_phase() -> Any:
         phase_line=PhaseLineTable(["l", "m"], ["0", "1"], ["1", "2"], ["b"] * 2, [1.0] * 2, [r] * 2, [x] * 2, [b] * 2),
     )
     return Scenario(
-        name="one phase", feeder=ThreePhaseFeeder.from_network(network), power_flow="sweep", source_voltage_pu=1.0, horizon=20,
-        n_datacenters=1, datacenter_buses=("1",), datacenter_phases=("b",), p_rated_kw=50.0,
+        name="one phase", feeder=ThreePhaseFeeder.from_network(network), power_flow="sweep", source_voltage_pu=1.0,
+        horizon=20, n_datacenters=1, datacenter_buses=("1",), datacenter_phases=("b",), p_rated_kw=50.0,
         inverter_buses=("2",), inverter_s_kva=20.0, s_rated_share=1.1, q_max_share=0.33,
     )  # fmt: skip
 
