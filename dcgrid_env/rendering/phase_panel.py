@@ -16,7 +16,7 @@ from dcgrid_env.rendering.equipment_labels import CAPACITOR, EquipmentLabels
 from dcgrid_env.rendering.feeder_map import INK
 from dcgrid_env.rendering.history import History
 from dcgrid_env.rendering.lettering import Lettering
-from dcgrid_env.rendering.map_panel import MapPart, Panel, by_rows, mark
+from dcgrid_env.rendering.map_panel import MIDDLE, MapPart, Panel, by_rows, mark
 from dcgrid_env.rendering.phase_map import WORST, PhaseMap, rim, sector
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -26,6 +26,8 @@ _ORDER = (
 )  # fmt: skip
 """Signs in the order of the key; kinds of devices, which are named as they are, after those of its first row."""
 
+_SPLIT = 0.165
+"""Where the map ends and its colour bar begins, a share of the height."""
 _NO_UNBALANCE = 1e-6
 """Factor below which there is none but rounding."""
 
@@ -45,6 +47,9 @@ class PhaseMapPart(MapPart):
         self.title.xy, self.subtitle.xy = (0.015, 0.965), (0.015, 0.932)
         self.more = Lettering(figure, (0.015, 0.905), FontProperties(family="DejaVu Sans", size=10), INK)
         self.moving.append(self.more)
+        drawn, *below = self.panels[0].still
+        # Taps may move in every frame: the colour bar and the key need not be drawn anew with them.
+        self.panels = [Panel((0.0, _SPLIT, MIDDLE, 1.0), [drawn]), Panel((0.0, 0.0, MIDDLE, _SPLIT), below)]
 
     def _map(self, ax: Axes, names: tuple[list[str], list[str]]) -> PhaseMap:
         s = self.scenario
@@ -73,7 +78,7 @@ class PhaseMapPart(MapPart):
         step = history.last
         said = self.equipment.show(phases.tap[step], phases.on[step], history.lost_banks(self.scenario))
         self.more.set_text(";   ".join((*self._unbalance(phases.unbalance[step]), *self._moves(phases.moves[step]))))
-        return self.panels if changed or said else []
+        return self.panels[:1] if changed or said else []
 
     def _unbalance(self, factor: np.ndarray) -> list[str]:
         """Mark the bus where the unbalance is largest, and say how large."""
