@@ -1,4 +1,4 @@
-"""Draw the README's picture: python docs/picture.py PATH."""
+"""Draw a picture of the documents: python docs/picture.py PATH [SCENARIO], the README's unless a scenario is given."""
 
 import sys
 
@@ -7,7 +7,7 @@ import matplotlib.image
 from dcgrid_env import DcgridEnv
 from dcgrid_env.baselines import Droop
 
-env = DcgridEnv("ieee123", split="test", render_mode="rgb_array")
+env = DcgridEnv(sys.argv[2] if len(sys.argv) > 2 else "ieee123", split="test", render_mode="rgb_array")
 controller = Droop()
 observation, _ = env.reset(seed=0)
 controller.reset(env.scenario)

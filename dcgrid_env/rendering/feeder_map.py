@@ -26,6 +26,12 @@ _MARGIN_PT = 28.0
 _FEW_BUSES = 40
 """Feeders up to this size have their bus numbers written on the map."""
 _ARC = np.linspace(0.0, 1.0, 49)
+_WAYS = np.array([(np.cos(turn), np.sin(turn)) for turn in 2.0 * np.pi * (np.arange(16) / 16 + 0.25)])
+"""Directions in which a name may stand from its bus."""
+_REACHES = (1.0, 6.0, 14.0)
+"""How far off a name may stand from the rim of its bus, points."""
+_LED_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0, 55.0, 75.0, 100.0)
+"""How far off it may stand where a line leads to the bus: clear of the ring of the largest unbalance."""
 _HALO_S, _HALO_AREA = 30.0, 3600.0
 """Backlog in s of rated power at which the halo is largest, and its area then, square points."""
 
@@ -46,6 +52,9 @@ class FeederMap:
 
     See :func:`draw_feeder`; ``names`` are those of the data centres and of the other devices.
     """
+
+    clear_of_own = False
+    """Whether a name beside its bus avoids that bus's box, and not its middle alone."""
 
     def __init__(
         self, ax: Axes, feeder: AnyFeeder, xy: FloatArray, band_pu: float, names: tuple[Sequence[str], Sequence[str]]
@@ -81,13 +90,17 @@ class FeederMap:
         width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
         segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
         ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
+        self._draw_buses()
+        self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
+
+    def _draw_buses(self) -> None:
+        ax, feeder, xy = self.ax, self.feeder, self.xy
         look = {"cmap": VOLTAGE_CMAP, "norm": voltage_norm(self.band_pu), "edgecolors": INK, "linewidths": 0.6}
         ones = np.ones(feeder.n_bus)
         self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=self._bus_area, c=ones[1:], zorder=4, **look)
         self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=ones[:1], zorder=4, **look)
         self.triangles = ax.scatter([], [], s=75, marker="^", c=[], zorder=5, **look)
         self.rings = ax.scatter([], [], facecolors="none", edgecolors="black", linewidths=1.6, zorder=6)
-        self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
 
     def _draw_devices(self, sites: Sequence[str], others: Sequence[str]) -> None:
         ax, colours = self.ax, [agent_colour(i) for i in range(len(sites))]
@@ -119,29 +132,37 @@ class FeederMap:
         self.tracks.set_data(at[:, 0], at[:, 1])
         self.clocks.set_offsets(at)
         self.triangles.set_offsets(self.xy[self.others])
+        self._size_buses()
+        self._place_labels()
+
+    def _size_buses(self) -> None:
         areas = np.full(self.feeder.n_bus, self._bus_area)
         areas[self.others] = 0.0  # the triangle stands in its place
         self.dots.set_sizes(areas[1:])
         self._ring_areas = np.where(areas > 0.0, 2.2 * self._bus_area, 190.0)
         self._ring_areas[0] = 260.0
-        self._place_labels()
 
     def _place_labels(self) -> None:
         to_points = 72.0 / self.ax.figure.dpi
         bus = self.ax.transData.transform(self.xy) * to_points
         radius = np.sqrt(self._ring_areas / np.pi) + 1.0
         radius[self.dc] = self._dc_radius_pt + 2.0
-        room = _Room(bus, radius, self.feeder.parent, self.ax.get_window_extent().get_points() * to_points)
+        frame = self.ax.get_window_extent().get_points() * to_points
+        room = Room(bus, radius, self.feeder.parent, frame, self.clear_of_own)
         devices = [*self.dc, *self.others]
         for (name, label), i in zip(self._names.items(), devices, strict=True):
             label.set_text(f"{name} ({self.feeder.bus_ids[i]})" if self._ids else name)
             self._write(label, i, room)
+        self._place_more(room)
         for i, label in enumerate(self._ids):
             label.set_visible(i not in devices)
             if label.get_visible():
                 self._write(label, i, room)
 
-    def _write(self, label: Annotation, i: int, room: _Room) -> None:
+    def _place_more(self, room: Room) -> None:
+        """Find room for further names, after those of the devices and before those of the buses."""
+
+    def _write(self, label: Annotation, i: int, room: Room) -> None:
         label.xy = tuple(self.xy[i])
         label.set_position(tuple(room.take(i, len(label.get_text()), float(label.get_fontsize()))))
 
@@ -154,19 +175,9 @@ class FeederMap:
         v_pu: ArrayLike,
         clock_share: ArrayLike | None = None,
         backlog_s: ArrayLike | None = None,
-        outside: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,).
-
-        ``outside`` says which buses are ringed, (n_bus,); by default those whose shown voltage is outside the band.
-        """
-        v = np.asarray(v_pu, dtype=np.float64)
-        self.dots.set_array(v[1:])
-        self.substation.set_array(v[:1])
-        self.triangles.set_array(v[self.others])
-        outside = self.outside(v) if outside is None else outside
-        self.rings.set_offsets(self.xy[outside])
-        self.rings.set_sizes(self._ring_areas[outside])
+        """Show voltages, p.u., (n_bus,); clocks as shares of the largest and backlogs in s at the rating, (n_dc,)."""
+        self._show_voltages(np.asarray(v_pu, dtype=np.float64))
         share = np.clip(np.ones(len(self.dc)) if clock_share is None else np.asarray(clock_share, np.float64), 0.0, 1.0)
         angle = 2.0 * np.pi * share[:, None] * _ARC  # clockwise from twelve o'clock
         self.clocks.set_segments(list(np.stack((np.sin(angle), np.cos(angle)), axis=-1)))
@@ -174,37 +185,54 @@ class FeederMap:
             waiting = np.minimum(np.asarray(backlog_s, dtype=np.float64), _HALO_S)
             self.halos.set_sizes(_HALO_AREA * waiting / _HALO_S)
 
+    def _show_voltages(self, v: FloatArray) -> None:
+        self.dots.set_array(v[1:])
+        self.substation.set_array(v[:1])
+        self.triangles.set_array(v[self.others])
+        outside = self.outside(v)
+        self.rings.set_offsets(self.xy[outside])
+        self.rings.set_sizes(self._ring_areas[outside])
 
-class _Room:
+
+class Room:
     """What is taken on a map, in points: buses, branches, the frame and the names placed so far."""
 
-    def __init__(self, bus: FloatArray, radius: FloatArray, parent: NDArray[np.intp], frame: FloatArray):
-        self.bus, self.radius, self.frame = bus, radius, frame
+    def __init__(
+        self, bus: FloatArray, radius: FloatArray, parent: NDArray[np.intp], frame: FloatArray, counts_own: bool
+    ):
+        self.bus, self.radius, self.frame, self.counts_own = bus, radius, frame, counts_own
         along = np.linspace(0.0, 1.0, 25)[:, None, None]
         self.lines = (bus[parent] * (1.0 - along) + bus[1:] * along).reshape(-1, 2)
         self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
-        angle = 2.0 * np.pi * (np.arange(16) / 16 + 0.25)
-        self.ways = np.tile(np.column_stack((np.cos(angle), np.sin(angle))), (3, 1))
-        self.reach = np.repeat((1.0, 6.0, 14.0), len(angle))
 
-    def take(self, i: int, n_letters: int, size: float) -> FloatArray:
-        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,)."""
-        half = np.array([0.33 * size * n_letters, 0.5 * size])
+    def take(self, i: int, n_letters: int, size: float, n_lines: float = 1.0, led: bool = False) -> FloatArray:
+        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,).
+
+        One that is ``led``, a line joins it to its bus, may stand farther off, where the line crosses few names.
+        """
+        reaches = _LED_REACHES if led else _REACHES
+        half = np.array([0.33 * size * n_letters, 0.5 * size * n_lines])
+        ways = np.tile(_WAYS, (len(reaches), 1))
+        reach = np.repeat(np.array(reaches), len(_WAYS))
         # As far out along each way as brings the name's box clear of the bus.
-        clear = np.min(half / np.maximum(np.abs(self.ways), 1e-9), axis=1)
-        offset = self.ways * (self.radius[i] + self.reach + clear)[:, None]
+        clear = np.min(half / np.maximum(np.abs(ways), 1e-9), axis=1)
+        offset = ways * (self.radius[i] + reach + clear)[:, None]
         centre = self.bus[i] + offset
-        others = np.arange(len(self.bus)) != i
+        counted = self.counts_own | (np.arange(len(self.bus)) != i)
         farthest = np.abs(offset).max(axis=0) + half + 1.0
         lines = self.lines[np.all(np.abs(self.lines - self.bus[i]) < farthest, axis=1)]
 
         def covered(points: FloatArray, margin: ArrayLike) -> NDArray[np.intp]:
             return np.all(np.abs(points - centre[:, None]) < half + margin, axis=2).sum(axis=1)
 
-        crowd = 0.1 * self.reach + 0.4 * covered(lines, 1.0)
-        crowd += 20.0 * covered(self.bus[others], self.radius[others, None])
+        crowd = 0.1 * reach + 0.4 * covered(lines, 1.0)
+        crowd += 20.0 * covered(self.bus[counted], self.radius[counted, None])
         crowd += 40.0 * covered(self.centres, self.halves)
         crowd += 40.0 * np.any((centre - half < self.frame[0]) | (centre + half > self.frame[1]), axis=1)
+        if led:
+            line = self.bus[i] + offset[:, None] * np.linspace(0.0, 1.0, 13)[1:, None]
+            crosses = np.all(np.abs(line[:, :, None] - self.centres) < self.halves + 1.0, axis=3)
+            crowd += 10.0 * crosses.sum(axis=(1, 2))
         best = int(np.argmin(crowd))
         self.centres = np.vstack((self.centres, centre[best]))
         self.halves = np.vstack((self.halves, half))

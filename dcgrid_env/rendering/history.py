@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine import episode
-from dcgrid_env.grid import AnyFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
+from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Snapshot
+    from dcgrid_env.engine.state import ThreePhaseState
 
 
 class History:
@@ -23,11 +26,11 @@ class History:
         self.order = sites_first(scenario)
         """Agents as the picture has them."""
         self.v_pu = np.empty((rows, scenario.feeder.n_node), np.float32)
-        self._feeder = scenario.feeder
         self.f_mhz = np.empty((rows, n_dc), np.float32)
         self.backlog_kws = np.empty((rows, n_dc), np.float32)
-        self.p_kw = np.empty((rows, scenario.n_agents), np.float32)
-        self.q_kvar = np.empty((rows, scenario.n_agents), np.float32)
+        self.p_kw = np.empty((rows, len(self.order)), np.float32)
+        self.q_kvar = np.empty((rows, len(self.order)), np.float32)
+        self.phases = PhaseHistory(scenario.feeder, rows) if isinstance(scenario.feeder, ThreePhaseFeeder) else None
         self.first = self.last = -1
         self.key: Any = None
         self.episode: Any = None
@@ -47,34 +50,56 @@ class History:
             self.backlog_kws[step] = state.backlog_kws[lane]
         self.p_kw[step] = state.p_kw[lane, self.order]
         self.q_kvar[step] = state.q_kvar[lane, self.order]
+        if self.phases is not None and state.three_phase is not None:
+            self.phases.add(state.three_phase, lane, step)
         self.solved = snapshot.transition.converged[lane]
-
-    def bus_v_pu(self, steps: int | slice) -> np.ndarray:
-        """Voltage of each bus, the mean of its phases, p.u., (..., n_bus)."""
-        return bus_means(self._feeder, self.v_pu[steps])
 
     @property
     def buses(self) -> np.ndarray:
-        """Position of each agent's bus, (n_agent,), in the picture's order."""
+        """Position of each agent's bus, in the picture's order."""
         return self.episode.buses[self.lane, self.order]
 
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
         return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
 
+    def lost_banks(self, scenario: Scenario) -> np.ndarray:
+        """Which capacitor banks a fault has taken in the last step, bool, (n_capacitor,)."""
+        if not scenario.faults:
+            return np.zeros(len(scenario.capacitor_connected), bool)
+        drawn = self.episode._replace(fault=self.episode.fault[self.lane, None])
+        return episode.lost(scenario, drawn, np.array([self.last]))[0, scenario.n_agents :]
 
-def bus_means(feeder: AnyFeeder, by_node: np.ndarray) -> np.ndarray:
-    """Mean over the nodes of each bus, (..., n_bus) of (..., n_node)."""
-    first = np.flatnonzero(np.diff(feeder.node_bus, prepend=-1))
-    return np.add.reduceat(by_node, first, axis=-1) / np.bincount(feeder.node_bus).astype(by_node.dtype)
+
+class PhaseHistory:
+    """What a three-phase feeder has beside, one row a step."""
+
+    def __init__(self, feeder: ThreePhaseFeeder, rows: int):
+        self.unbalance = np.empty((rows, len(three_phase_nodes(feeder))), np.float32)
+        """Voltage unbalance factor of each three-phase bus."""
+        self.tap = np.empty((rows, feeder.n_regulator), np.float32)
+        self.on = np.empty((rows, feeder.n_capacitor), np.float32)
+        self.moves = np.empty((rows, 2), np.int64)
+        """Taps and switchings made since t = 0."""
+
+    def add(self, state: ThreePhaseState, lane: int, step: int) -> None:
+        """Copy a lane's state after a step."""
+        regulators, banks = state.equipment
+        self.unbalance[step] = state.unbalance[lane]
+        self.tap[step], self.on[step] = regulators.tap[lane], banks.on[lane]
+        self.moves[step] = regulators.moves[lane].sum(), banks.switchings[lane].sum()
 
 
 def node_words(feeder: AnyFeeder) -> tuple[str, str]:
     """What a picture calls one node of a feeder, and several: a balanced feeder's are its buses."""
-    return ("bus", "buses") if feeder.n_node == feeder.n_bus else ("node", "nodes")
+    return ("bus", "buses") if isinstance(feeder, Feeder) else ("node", "nodes")
 
 
 def sites_first(scenario: Scenario) -> np.ndarray:
-    """Positions of the agents as a picture has them, sites of work before other devices, (n_agent,)."""
-    is_site = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
-    return np.argsort(np.logical_not(is_site), kind="stable")
+    """Positions of the agents that have a converter, sites of work before other devices, int, (n,).
+
+    Agents that are equipment of the feeder stand with it, see ``equipment_labels``.
+    """
+    kinds = [device for device in scenario.devices for _ in range(device.count)]
+    order = sorted(range(len(kinds)), key=lambda i: kinds[i].input != "workload")
+    return np.array([i for i in order if not is_equipment(kinds[i])], dtype=np.intp)

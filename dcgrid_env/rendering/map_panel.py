@@ -12,6 +12,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.feeder_map import INK, FeederMap, agent_colour, voltage_norm
 from dcgrid_env.rendering.history import History, node_words, sites_first
@@ -33,13 +34,17 @@ class Panel(NamedTuple):
 class MapPart:
     """The left half: title, feeder, colour bar, and what the signs mean."""
 
+    spacing = 1.2
+    """Between the columns of signs, letters' sizes."""
+    bottom = 0.0
+    """How much higher the map and its colour bar end than where the signs take one line, a share of the height."""
+
     def __init__(self, figure: Figure, scenario: Scenario):
         self.scenario = scenario
         self.time_unit = time_unit(scenario)
-        ax = figure.add_axes((0.01, 0.155, 0.52, 0.735))
+        ax = figure.add_axes((0.01, 0.155 + self.bottom, 0.52, 0.735 - self.bottom))
         agents = [scenario.agents[i] for i in sites_first(scenario)]
-        names = agents[: scenario.n_sites], agents[scenario.n_sites :]
-        self.feeder = FeederMap(ax, scenario.feeder, positions(scenario.feeder), scenario.band_pu, names)
+        self.feeder = self._map(ax, (agents[: scenario.n_sites], agents[scenario.n_sites :]))
         self.buses: np.ndarray | None = None
         look: Any = {"family": "DejaVu Sans"}
         self.title = Lettering(figure, (0.015, 0.955), FontProperties(**look, size=13, weight="bold"), INK)
@@ -47,8 +52,12 @@ class MapPart:
         self.moving: list[Artist] = [*self.feeder.moving, self.title, self.subtitle]
         self.panels = [Panel((0.0, 0.0, MIDDLE, 1.0), [ax, self._colour_bar(figure), self._key(figure)])]
 
+    def _map(self, ax: Axes, names: tuple[list[str], list[str]]) -> FeederMap:
+        s = self.scenario
+        return FeederMap(ax, s.feeder, positions(s.feeder), s.band_pu, names)
+
     def _colour_bar(self, figure: Figure) -> Axes:
-        ax = figure.add_axes((0.06, 0.105, 0.42, 0.018))
+        ax = figure.add_axes((0.06, 0.105 + self.bottom, 0.42, 0.018))
         bar = figure.colorbar(self.feeder.dots, cax=ax, orientation="horizontal", extend="both")
         band, norm = self.scenario.band_pu, voltage_norm(self.scenario.band_pu)
         ticks = [norm.vmin, 1.0 - band, 1.0, 1.0 + band, norm.vmax]
@@ -63,11 +72,14 @@ class MapPart:
         return ax
 
     def _key(self, figure: Figure) -> Legend:
-        def mark(marker: str, size: float, edge: str = INK, width: float = 1.0) -> Line2D:
-            handle = Line2D([], [], marker=marker, markersize=size, linestyle="none", markerfacecolor="white")
-            handle.set(markeredgecolor=edge, markeredgewidth=width)
-            return handle
+        handles, names = zip(*self._signs(), strict=True)
+        return figure.legend(
+            handles, names, loc="center", bbox_to_anchor=(0.27, 0.03), ncols=5, frameon=False, fontsize=9,
+            columnspacing=self.spacing, handletextpad=0.3,
+        )  # fmt: skip
 
+    def _signs(self) -> list[tuple[Any, str]]:
+        """Each sign of the map, and what it means."""
         others = ", ".join(other_kinds(self.scenario))
         entries = [
             (mark("s", 8), "substation"),
@@ -78,11 +90,7 @@ class MapPart:
             halo = mark("o", 13, width=0.0)
             halo.set(markerfacecolor=agent_colour(0), alpha=0.3)
             entries += [(mark("o", 10, agent_colour(0), 3.0), "data centre; arc: clock"), (halo, "halo: backlog")]
-        handles, names = zip(*entries, strict=True)
-        return figure.legend(
-            handles, names, loc="center", bbox_to_anchor=(0.27, 0.03), ncols=5, frameon=False, fontsize=9,
-            columnspacing=1.2, handletextpad=0.3,
-        )  # fmt: skip
+        return entries
 
     def update(self, history: History) -> list[Panel]:
         """Show the last step; the panels in which something moved that was thought to be still."""
@@ -92,11 +100,8 @@ class MapPart:
             self.buses = history.buses.copy()
             self.feeder.place(self.buses[: s.n_sites], self.buses[s.n_sites :])
         v = history.v_pu[step]
-        by_bus = history.bus_v_pu(step)
         dc = s.datacenter
-        share = history.f_mhz[step] / dc.f_max_mhz
-        ringed = np.bincount(s.feeder.node_bus, self.feeder.outside(v)) > 0  # where any phase is outside
-        self.feeder.update(by_bus, share, history.backlog_kws[step] / dc.p_rated_kw, ringed)
+        self.feeder.update(v, history.f_mhz[step] / dc.f_max_mhz, history.backlog_kws[step] / dc.p_rated_kw)
         scale, unit = self.time_unit
         t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
         self.title.set_text(f"{s.name}   {s.split} split   t = {t:.4g} of {end:.4g} {unit}")
@@ -112,9 +117,22 @@ class MapPart:
         return self.panels if moved else []
 
 
+def mark(marker: Any, size: float, edge: str = INK, width: float = 1.0) -> Line2D:
+    """A sign as the key shows it."""
+    handle = Line2D([], [], marker=marker, markersize=size, linestyle="none", markerfacecolor="white")
+    handle.set(markeredgecolor=edge, markeredgewidth=width)
+    return handle
+
+
+def by_rows(signs: list[tuple[Any, str]], columns: int = 5) -> list[tuple[Any, str]]:
+    """Signs in the order in which a legend, which fills column by column, shows them row by row."""
+    return [sign for column in range(columns) for sign in signs[column::columns]]
+
+
 def other_kinds(scenario: Scenario) -> list[str]:
-    """Kinds of the devices that are no sites of work, in the scenario's order."""
-    return [device.kind for device in scenario.devices if device.count and device.input != "workload"]
+    """Kinds of the devices that are no sites of work and no equipment of the feeder, in the scenario's order."""
+    others = [device for device in scenario.devices if device.input != "workload" and not is_equipment(device)]
+    return [device.kind for device in others if device.count]
 
 
 def _band(scenario: Scenario) -> str:

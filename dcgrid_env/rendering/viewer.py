@@ -10,10 +10,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.episode_curves import Curves
 from dcgrid_env.rendering.feeder_map import INK
 from dcgrid_env.rendering.history import History
 from dcgrid_env.rendering.map_panel import MapPart, Panel
+from dcgrid_env.rendering.phase_curves import PhaseCurves
+from dcgrid_env.rendering.phase_panel import PhaseMapPart
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -134,7 +137,10 @@ class Viewer:
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
             matplotlib.rcParams.update(_STYLE)
-            self._parts = (MapPart(figure, self.scenario), Curves(figure, self.scenario))
+            left, right = MapPart, Curves
+            if isinstance(self.scenario.feeder, ThreePhaseFeeder):
+                left, right = PhaseMapPart, PhaseCurves
+            self._parts = (left(figure, self.scenario), right(figure, self.scenario))
         for artist in (artist for part in self._parts for artist in part.moving):
             artist.set_animated(self._window is None)  # left out of the still picture
         return figure

@@ -1,9 +1,12 @@
 """Scenarios on the three-phase feeders that ship: devices of one and of three phases, given and drawn buses."""
 
+import math
 from functools import cache
 from typing import Any
 
-from dcgrid_env import Scenario, load_feeder
+from dcgrid_env import Scenario, ThreePhaseFeeder, load_feeder
+from dcgrid_env.grid.network import Network, NodeTable, SourceTable
+from dcgrid_env.grid.three_phase_tables import PhaseLineTable
 
 
 def _scenario(number: int, source_voltage_pu: float, **given: Any) -> Any:
@@ -44,6 +47,25 @@ def ieee123() -> Any:
     return _scenario(
         123, 1.0, n_datacenters=5, p_rated_kw=280.0,
         inverter_buses=(2, 11, 40, 54, 87, 92, 103), inverter_s_kva=50.0,
+    )  # fmt: skip
+
+
+@cache
+def one_phase() -> Any:
+    """A source of three phases, and two buses on phase b alone: a site at the nearer, an inverter at the other."""
+    own = [[v if i == j == 1 else math.nan for j in range(3)] for v in (0.05, 0.1, 0.0) for i in range(3)]
+    r, x, b = own[:3], own[3:6], own[6:]
+    nothing = [[0.0] * 3] * 3
+    network = Network(
+        name="one phase",
+        source=SourceTable(["0"], [math.sqrt(3.0)], [1.0], [0.0], [nothing], [nothing]),
+        node=NodeTable(list("00012"), [1, 2, 3, 2, 2], [0.0, 0.0, 0.0, 1.0, 2.0], [0.0] * 5, [1.0] * 5),
+        phase_line=PhaseLineTable(["l", "m"], ["0", "1"], ["1", "2"], ["b"] * 2, [1.0] * 2, [r] * 2, [x] * 2, [b] * 2),
+    )
+    return Scenario(
+        name="one phase", feeder=ThreePhaseFeeder.from_network(network), power_flow="sweep", source_voltage_pu=1.0,
+        horizon=20, n_datacenters=1, datacenter_buses=("1",), datacenter_phases=("b",), p_rated_kw=50.0,
+        inverter_buses=("2",), inverter_s_kva=20.0, s_rated_share=1.1, q_max_share=0.33,
     )  # fmt: skip
 
 
