@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import DcgridVectorEnv, TensorEnv, make_scenario
+from dcgrid_env import DcgridVectorEnv, TensorEnv, action_layout, make_scenario
 from dcgrid_env.engine.observation import joint_bounds
 from dcgrid_env.powerflow.balanced.distflow import TOLERANCE_KVA
 from dcgrid_env.traces import PowerTrace
@@ -28,7 +28,7 @@ def as_kind(array, like):
 
 
 def actions(scenario, lanes, seed=0):
-    n = 2 * scenario.n_datacenters + scenario.n_inverters
+    n = action_layout(scenario).n
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (scenario.horizon, lanes, n)).astype(np.float32)
 
 

@@ -46,9 +46,21 @@ TABLE = {
     "scale-32": (
         "khodr141", 1.05, 32, 500.0, 1.02, None, (10, 32, 40, 52, 60, 75, 100, 120), 600.0, "inference", 0.05, 60,
     ),
+    "ieee13-3ph": (
+        "ieee13-3ph", 1.0001, 2, 500.0, 1.1, (671, 680), (633, 675, 611, 652), (300.0, 400.0, 120.0, 120.0),
+        "inference", 0.05, 120,
+    ),
+    "ieee34-3ph": (
+        "ieee34-3ph", 1.05, 2, 250.0, 1.1, (840, 860), (816, 834, 848, 822, 838), (100.0, 100.0, 100.0, 30.0, 30.0),
+        "inference", 0.05, 120,
+    ),
+    "ieee123-3ph": ("ieee123-3ph", 1.0, 5, 280.0, 1.1, None, I123, 50.0, "inference", 0.05, 120),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
+    "ieee13-3ph": {"power_flow": "sweep"},
+    "ieee34-3ph": {"power_flow": "sweep"},
+    "ieee123-3ph": {"power_flow": "sweep"},
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
     "training": {"dt_s": 0.1, "weights": CostWeights(leftover=90.0)},
@@ -71,6 +83,7 @@ COMMON = {
     "capacitors": True, "idle_share": 0.23, "f_min_mhz": 210.0, "f_max_mhz": 1410.0, "q_max_share": 0.33,
     "boost_share": 1.0, "trace_window": "random", "site_correlation": 0.0, "inverter_trace": None, "faults": (),
     "load_rho": 0.9, "voltage_noise_pu": 0.0, "measurement_delay": 0, "dt_s": 1.0, "power_flow": "distflow",
+    "regulators": "controlled", "capacitor_banks": "fixed",
     "split": "train", "weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "band_pu": 0.05,
     "voltage_cost": "l1", "reward": "shared", "observe": "local", "preview": True, "r_model_share": 1.0,
     "x_model_share": 1.0,
@@ -101,7 +114,7 @@ def test_constants_of_a_preset(name):
     np.testing.assert_allclose(s.datacenter.p_idle_kw, [0.23 * rating] * n)
     np.testing.assert_allclose(s.datacenter.s_rated_kva, [s_share * rating] * n)
     np.testing.assert_allclose(s.datacenter.q_max_kvar, [0.33 * rating] * n)
-    np.testing.assert_allclose(s.inverter.s_rated_kva, [kvar] * len(inverters))
+    np.testing.assert_allclose(s.inverter.s_rated_kva, np.broadcast_to(kvar, len(inverters)))
 
 
 def test_in_sync_all_sites_draw_alike_and_with_pv_more_load_helps_at_noon():
@@ -184,7 +197,8 @@ def test_a_scenario_is_taken_as_it_is():
 @pytest.mark.parametrize("name", ["ieee321", "", "IEEE123"])
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
-        ScenarioError, match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32$"
+        ScenarioError,
+        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph$",
     ):
         make_scenario(name)
 

@@ -3,7 +3,7 @@
 from dcgrid_env import CostWeights, PrefillDecodeDvfs, make_scenario
 
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
-"""Presets of every form: a scripted trace, drawn buses, given buses, PV, faults."""
+"""Presets of every form on a balanced feeder: a scripted trace, drawn buses, given buses, PV, faults."""
 WORK_CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"}
 """Overrides that give data centres two classes of work, and draws above the rating."""
 VARIANTS = {
@@ -18,6 +18,11 @@ VARIANTS = {
     "feeder, noise and delay": ("robust", {"observe": "feeder", "horizon": 8}),
     "feeder": ("toy6", {"observe": "feeder", "horizon": 8}),
     "linear": ("ieee33", {"power_flow": "lindistflow", "horizon": 8}),
+    "three phases": ("ieee13-3ph", {"horizon": 20}),
+    "regulators as agents": (
+        "ieee34-3ph",
+        {"regulators": "agent", "capacitor_banks": "agent", "weights": {"switching": 1.0}, "horizon": 8},
+    ),
     "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
 }
 """By name a preset and overrides, short, so that every option that changes what is computed comes up."""
