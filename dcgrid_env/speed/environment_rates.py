@@ -27,6 +27,14 @@ def environment_rows(scenario: Scenario, num_envs: int, seconds: float) -> Itera
     yield Row(f"DcgridVectorEnv, {num_envs} environments", per_s * scenario.n_agents, "agent steps/s")
 
 
+def three_phase_environment_rows(scenario: Scenario, num_envs: int, seconds: float) -> Iterator[Row]:
+    """Steps of the environments on a three-phase feeder, one at a time and in a batch."""
+    steps, name = scenario.horizon, scenario.name
+    yield Row(f"gymnasium.make, {name}", rate(_single_episode(scenario), steps, seconds), "steps/s")
+    per_s = rate(_batch_episode(scenario, num_envs), steps * num_envs, seconds)
+    yield Row(f"DcgridVectorEnv, {num_envs} environments, {name}", per_s, "environment steps/s")
+
+
 def _parallel_episode(scenario: Scenario) -> Callable[[], object]:
     from dcgrid_env import parallel_env
 

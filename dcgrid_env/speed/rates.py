@@ -19,10 +19,11 @@ from dcgrid_env.core.files import write_json
 from dcgrid_env.core.threads import n_threads
 from dcgrid_env.core.versions import meta, versions
 from dcgrid_env.scenario.presets import make_scenario
-from dcgrid_env.speed.environment_rates import environment_rows, memory_row
+from dcgrid_env.speed.environment_rates import environment_rows, memory_row, three_phase_environment_rows
 from dcgrid_env.speed.measuring import Row
 from dcgrid_env.speed.power_flow_rates import Case, power_flow_rows, reference_rows
 from dcgrid_env.speed.tensors import tensor_rows
+from dcgrid_env.speed.three_phase_rates import FEEDER as THREE_PHASES
 from dcgrid_env.speed.three_phase_rates import ThreePhaseCase, three_phase_reference_rows, three_phase_rows
 
 PACKAGES = ("torch", "pandapower", "power-grid-model", "lightsim2grid", "OpenDSSDirect.py", "dss_python_backend")
@@ -58,6 +59,7 @@ def measure(cfg: Speed) -> Iterator[Row]:
     scenario = make_scenario(cfg.scenario)
     tensors = tensor_rows(scenario, cfg.device, cfg.seconds)
     yield from environment_rows(scenario, cfg.num_envs, cfg.seconds)
+    yield from three_phase_environment_rows(make_scenario(THREE_PHASES), cfg.num_envs, cfg.seconds)
     yield from tensors
     case = Case.draw(scenario, cfg.feeders)
     yield from power_flow_rows(case, cfg.seconds)

@@ -1,7 +1,8 @@
 """How fast the three-phase power flow is, beside OpenDSS and power-grid-model: part of ``python -m dcgrid_env.speed``.
 
 The points are random: each leg's load times 0.5 to 1.5, taps within two of the base's, capacitors on or off. OpenDSS
-is timed for its ``Solve`` alone, without setting loads or reading voltages.
+is timed for its ``Solve`` alone, and for what an environment around it would do in a step besides: setting all loads,
+taps and capacitors and reading all voltages.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def _derivative_row(case: ThreePhaseCase, label: str, seconds: float) -> Row:
 
 def three_phase_reference_rows(case: ThreePhaseCase, seconds: float) -> Iterator[Row]:
     """OpenDSS's Solve alone on the same points; power-grid-model's asymmetric batch on a plain feeder, beside ours."""
-    yield _opendss_row(case, seconds)
+    yield from _opendss_rows(case, seconds)
     name = f"power-grid-model, asymmetric, plain {case.feeder.name}"
     if find_spec("power_grid_model") is None:
         yield Row(name, None, MISSING)
@@ -140,10 +141,11 @@ def _at_first_nodes(case: ThreePhaseCase, plain: ThreePhaseFeeder) -> tuple[Floa
     return powers[0], powers[1]
 
 
-def _opendss_row(case: ThreePhaseCase, seconds: float) -> Row:
-    name = f"OpenDSS, Solve alone, {case.feeder.name}"
+def _opendss_rows(case: ThreePhaseCase, seconds: float) -> Iterator[Row]:
+    alone, looped = f"OpenDSS, Solve alone, {case.feeder.name}", f"OpenDSS in the loop, {case.feeder.name}"
     if find_spec("dss") is None:
-        return Row(name, None, MISSING)
+        yield from (Row(name, None, MISSING) for name in (alone, looped))
+        return
     from dcgrid_env.speed.opendss_circuit import OpenDss
 
     circuit = OpenDss(case.feeder, OPENDSS_PU, has_devices=False)
@@ -155,4 +157,6 @@ def _opendss_row(case: ThreePhaseCase, seconds: float) -> Row:
         start = perf_counter()
         circuit.solve_again()
         spent.append(perf_counter() - start)
-    return Row(name, 1.0 / float(np.median(spent)), "power flows/s", error)
+    yield Row(alone, 1.0 / float(np.median(spent)), "power flows/s", error)
+    per_s = rate(lambda: circuit.solve(*next(turns)), 1, seconds)
+    yield Row(f"{looped}: set loads and taps, Solve, read voltages", per_s, "steps/s", error)
