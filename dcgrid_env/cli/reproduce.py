@@ -56,7 +56,7 @@ class Reproduce(Command):
         about: dict[str, Any] = {"meta": meta() | {"trace": _origin(setting)}}
         check_folder(self.out)
         console = plain_console()
-        name, make = ("reproduction-3ph", _side_by_side) if self.scenario == TRUE else ("reproduction", _study)
+        name, make = ("reproduction-3ph", _compared) if self.scenario == TRUE else ("reproduction", _study)
         records, render = make(setting, self.out, console)
         records = about | records
         write_json(self.out / f"{name}.json", records)
@@ -84,19 +84,19 @@ def _study(setting: Setting, out: Path, console: Console) -> Rendered:
     return records, render
 
 
-def _side_by_side(setting: Setting, out: Path, console: Console) -> Rendered:
+def _compared(setting: Setting, out: Path, console: Console) -> Rendered:
     """The study on the feeder with its phases beside that on the balanced equivalent."""
-    from dcgrid_env.baselines.reproduction import side_by_side_markdown as written
+    from dcgrid_env.baselines.reproduction import feeder_comparison_markdown as written
     from dcgrid_env.baselines.reproduction.feeder_cases import cases
-    from dcgrid_env.baselines.reproduction.side_by_side import PARTS, side_by_side
+    from dcgrid_env.baselines.reproduction.feeder_comparison import PARTS, compare_feeders
 
     with _steps(console, len(PARTS) * len(cases())) as begin:
-        records = side_by_side(setting, begin)
+        records = compare_feeders(setting, begin)
     shown = {written.causes_table: 6, written.table_one_table: 6, written.orders_table: 7, written.claims_table: 6}
     for make, n in shown.items():
         head, rows = make(records)
         _print_rows(console, head[:n], [row[:n] for row in rows])
-    return records, written.render_side_by_side
+    return records, written.render_comparison
 
 
 @contextmanager

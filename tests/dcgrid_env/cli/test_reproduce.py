@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from dcgrid_env.baselines.reproduction.feeder_comparison_markdown import render_comparison
 from dcgrid_env.baselines.reproduction.markdown import render
-from dcgrid_env.baselines.reproduction.side_by_side_markdown import render_side_by_side
 from dcgrid_env.baselines.reproduction.verdict import VERDICTS
 from dcgrid_env.cli.main import main
 
@@ -38,7 +38,7 @@ def test_the_feeder_with_its_phases_is_run_beside_the_balanced_one(tmp_path, cap
         assert said in printed
     records = json.loads((tmp_path / "reproduction-3ph.json").read_text(encoding="utf-8"))
     text = (tmp_path / "reproduction-3ph.md").read_text(encoding="utf-8")
-    assert text == render_side_by_side(records)
+    assert text == render_comparison(records)
     assert all(math.isfinite(number) for number in numbers(records))
     # The deviation that the equivalent lowers by a fifth and more is hardly lowered on the feeder itself.
     gain = next(row["values"] for row in records["causes"] if row["figure"].startswith("gain"))

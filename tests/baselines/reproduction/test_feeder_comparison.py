@@ -11,9 +11,9 @@ from dcgrid_env import make_scenario
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.reproduction import bus13, levers
 from dcgrid_env.baselines.reproduction.feeder_cases import cases, common_sites, setting_of, without_line_regulators
+from dcgrid_env.baselines.reproduction.feeder_comparison import LEFT_OUT, PARTS, compare_feeders
+from dcgrid_env.baselines.reproduction.feeder_comparison_markdown import causes_table, render_comparison
 from dcgrid_env.baselines.reproduction.load import choose_load
-from dcgrid_env.baselines.reproduction.side_by_side import LEFT_OUT, PARTS, side_by_side
-from dcgrid_env.baselines.reproduction.side_by_side_markdown import causes_table, render_side_by_side
 from dcgrid_env.baselines.reproduction.study import PARTS as ALL_PARTS
 from dcgrid_env.baselines.reproduction.study_runs import NONE, Runs, Setting, nodes_of
 
@@ -28,7 +28,7 @@ def true():
 @pytest.fixture(scope="module")
 def records():
     begun = []
-    found = side_by_side(SHORT, begun.append)
+    found = compare_feeders(SHORT, begun.append)
     assert len(begun) == len(PARTS) * len(found["cases"])
     return found
 
@@ -113,7 +113,7 @@ def test_figures_of_the_causes_are_those_of_the_runs(records, true):
 
 
 def test_the_document_holds_what_the_records_say(records):
-    text = render_side_by_side(records | {"meta": {"command": "dcgrid reproduce --scenario ieee123-3ph"}})
+    text = render_comparison(records | {"meta": {"command": "dcgrid reproduce --scenario ieee123-3ph"}})
     assert "    dcgrid reproduce --scenario ieee123-3ph\n" in text
     for form in records["cases"].values():
         assert form["about"] in text

@@ -7,20 +7,20 @@ from collections.abc import Iterable
 from typing import Any
 
 from dcgrid_env.baselines.reproduction.drawing import LABELS
+from dcgrid_env.baselines.reproduction.feeder_comparison import LEFT_OUT
 from dcgrid_env.baselines.reproduction.markdown import load_note, table, where_sites_stand, wrapped
 from dcgrid_env.baselines.reproduction.ranking import ranks
-from dcgrid_env.baselines.reproduction.side_by_side import LEFT_OUT
 
 Records = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
 """Headings and rows."""
-SWAPS_SHOWN = 6
+SWAPS_SHOWN = 12
 """Swapped pairs that are named; more are counted."""
 _ROWS = {"table_one": "Table I, all rows", "laws": "the laws at each number of sites"}
 
 
-def render_side_by_side(records: Records) -> str:
-    """Markdown of the records of :func:`side_by_side`, to which ``meta`` has been added."""
+def render_comparison(records: Records) -> str:
+    """Markdown of the records of :func:`compare_feeders`, to which ``meta`` has been added."""
     parts = (_head, _causes, _table_one, _laws, _orders, _claims, _equipment)
     return "\n\n".join(part(records) for part in parts) + "\n"
 
@@ -132,11 +132,6 @@ def orders_table(records: Records) -> Table:
     rows = []
     for order in records["orders"]:
         certain = [pair for pair in order["swapped"] if pair["certain"]]
-        groups: dict[str, list[str]] = {}
-        for pair in certain:
-            groups.setdefault(f"{pair['better']} before {pair['worse']}", []).append(pair["group"])
-        named = [name + f" at {', '.join(where)} sites" * any(where) for name, where in groups.items()]
-        more = [f"and {len(named) - SWAPS_SHOWN} more"] * (len(named) > SWAPS_SHOWN)
         rows.append(
             [
                 _ROWS[order["rows"]],
@@ -145,19 +140,30 @@ def orders_table(records: Records) -> Table:
                 *("no order" if order[key] is None else f"{order[key]:.2f}" for key in ("kendall_tau", "spearman_rho")),
                 f"{len(order['swapped'])} of {order['pairs']}",
                 str(len(certain)),
-                "; ".join([*named[:SWAPS_SHOWN], *more]) or "none",
+                _named(certain),
+                _named([pair for pair in order["swapped"] if not pair["certain"]]),
             ]
         )
-    head = ["rows", "ranked by", "balanced against", "Kendall tau", "Spearman rho", "swapped pairs", "certain", "which"]
-    return head, rows
+    head = ["rows", "ranked by", "balanced against", "Kendall tau", "Spearman rho", "swapped pairs", "certain"]
+    return [*head, "which are certain", "which are not"], rows
+
+
+def _named(pairs: list[dict[str, Any]]) -> str:
+    """Swapped pairs by name, those that more than one group has once, with the numbers of sites."""
+    groups: dict[str, list[str]] = {}
+    for pair in pairs:
+        groups.setdefault(f"{pair['better']} before {pair['worse']}", []).append(pair["group"])
+    named = [name + f" at {', '.join(where)} sites" * any(where) for name, where in groups.items()]
+    more = [f"and {len(named) - SWAPS_SHOWN} more"] * (len(named) > SWAPS_SHOWN)
+    return "; ".join([*named[:SWAPS_SHOWN], *more]) or "none"
 
 
 def _orders(records: Records) -> str:
     return f"""## Is the equivalent's ranking right?
 
 A pair of rows is swapped where the equivalent says that the first is better and the other feeder the second; it is
-certain where the difference is beyond twice its standard error over episodes on both. The certain ones are named in the
-order in which the equivalent has them, rows of Table I as (sites, k_p).
+certain where the difference is beyond twice its standard error over episodes on both. Pairs are named in the order
+in which the equivalent has them, rows of Table I as (sites, k_p).
 
 {table(*orders_table(records))}"""
 

@@ -28,7 +28,7 @@ RANKED = {"deviation": "voltage_deviation_mean_pu", "J": "J"}
 """What rows are ranked by, and the metric."""
 
 
-def side_by_side(setting: Setting, on_part: Callable[[str], None] | None = None) -> Records:
+def compare_feeders(setting: Setting, on_part: Callable[[str], None] | None = None) -> Records:
     """Run the study on every form of the feeder with the same load, gains and episodes.
 
     Parameters
