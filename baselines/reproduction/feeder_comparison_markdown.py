@@ -162,8 +162,8 @@ def _orders(records: Records) -> str:
     return f"""## Is the equivalent's ranking right?
 
 A pair of rows is swapped where the equivalent says that the first is better and the other feeder the second; it is
-certain where the difference is beyond twice its standard error over episodes on both. Pairs are named in the order
-in which the equivalent has them, rows of Table I as (sites, k_p).
+certain where the difference is beyond twice its standard error over episodes, and beyond 0.1 %, on both. Pairs are
+named in the order in which the equivalent has them, rows of Table I as (sites, k_p).
 
 {table(*orders_table(records))}"""
 

@@ -11,7 +11,9 @@ import numpy as np
 Rows = Mapping[str, np.ndarray]
 """A figure of every episode, (n_episode,), by the name of its row; lower is better."""
 STANDARD_ERRORS = 2.0
-"""A difference of so many standard errors counts as one."""
+"""A difference must be beyond so many standard errors to count."""
+MARGIN = 1e-3
+"""A difference must be beyond this share of the mean to count: what is certain may be of no account."""
 
 
 def agreement(one: Mapping[str, Rows], other: Mapping[str, Rows]) -> dict[str, Any]:
@@ -26,7 +28,7 @@ def agreement(one: Mapping[str, Rows], other: Mapping[str, Rows]) -> dict[str, A
     -------
     ``kendall_tau`` (b) and ``spearman_rho``, means over the groups, None where all rows of a group are alike;
     ``pairs``, how many there are; ``swapped``, a record of each pair that changes places: ``better`` and ``worse`` on
-    the first feeder, ``certain`` where the difference is beyond twice its standard error on both.
+    the first feeder, ``certain`` where the difference is beyond :data:`STANDARD_ERRORS` and :data:`MARGIN` on both.
     """
     found, swapped, pairs = [], [], 0
     for group, here in one.items():
@@ -34,9 +36,9 @@ def agreement(one: Mapping[str, Rows], other: Mapping[str, Rows]) -> dict[str, A
         found.append(correlations(*([float(rows[name].mean()) for name in here] for rows in (here, there))))
         for better, worse in itertools.permutations(here, 2):
             pairs += 1
-            apart = [_apart(rows[worse], rows[better]) for rows in (here, there)]
-            if apart[0][0] > 0.0 > apart[1][0]:
-                certain = all(abs(mean) > STANDARD_ERRORS * error for mean, error in apart)
+            gains = [rows[worse] - rows[better] for rows in (here, there)]
+            if gains[0].mean() > 0.0 > gains[1].mean():
+                certain = all(_counts(gain, rows[better]) for gain, rows in zip(gains, (here, there), strict=True))
                 swapped.append({"group": group, "better": better, "worse": worse, "certain": certain})
     means = np.mean(found, axis=0).tolist()
     tau, rho = (None if np.isnan(mean) else mean for mean in means)
@@ -55,10 +57,10 @@ def correlations(one: Sequence[float], other: Sequence[float]) -> tuple[float, f
     return tau, rho
 
 
-def _apart(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Mean difference over episodes and its standard error, paired."""
-    difference = a - b
-    return float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference)))
+def _counts(difference: np.ndarray, figure: np.ndarray) -> bool:
+    """Whether a paired difference over episodes is beyond chance, and of some size beside the figure itself."""
+    error = difference.std(ddof=1) / np.sqrt(len(difference))
+    return bool(abs(difference.mean()) > max(STANDARD_ERRORS * error, MARGIN * abs(figure.mean())))
 
 
 def ranks(values: Sequence[float]) -> list[int]:

@@ -36,6 +36,11 @@ def test_a_swap_within_the_noise_of_either_feeder_is_not_certain(noise, certain)
         assert pair["certain"] is certain
 
 
+def test_a_swap_of_no_size_is_not_certain():
+    (pair,) = agreement({"": rows(1.0, 2.0)}, {"": rows(1.0005, 1.0)})["swapped"]
+    assert pair["certain"] is False
+
+
 def test_groups_are_ranked_apart():
     found = agreement(
         {"1": rows(1.0, 2.0), "2": rows(5.0, 6.0)},
