@@ -153,7 +153,9 @@ def _named(pairs: list[dict[str, Any]]) -> str:
     groups: dict[str, list[str]] = {}
     for pair in pairs:
         groups.setdefault(f"{pair['better']} before {pair['worse']}", []).append(pair["group"])
-    named = [name + f" at {', '.join(where)} sites" * any(where) for name, where in groups.items()]
+    named = [
+        name + f" at {', '.join(where)} site{'s' * (where != ['1'])}" * any(where) for name, where in groups.items()
+    ]
     more = [f"and {len(named) - SWAPS_SHOWN} more"] * (len(named) > SWAPS_SHOWN)
     return "; ".join([*named[:SWAPS_SHOWN], *more]) or "none"
 
