@@ -30,8 +30,9 @@ def test_the_study_is_run_and_written_down(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_feeder_with_its_phases_is_run_beside_the_balanced_one(tmp_path, capsys):
+def test_the_feeder_with_its_phases_is_run_beside_the_balanced_one(tmp_path, capsys, monkeypatch):
     # One test, as a run takes most of a minute.
+    monkeypatch.setenv("COLUMNS", "300")
     main(["reproduce", "--scenario", "ieee123-3ph", "--out", str(tmp_path), "--episodes", "2", "--trace", "generated"])
     printed = capsys.readouterr().out
     for said in ("Kendall tau", "ours: balanced", "ours: acting", "reproduction-3ph.md"):
