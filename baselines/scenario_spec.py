@@ -14,7 +14,7 @@ import datetime
 import json
 import shlex
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -60,12 +60,6 @@ class ScenarioSpec:
             For what names no scenario, or a field or value that cannot be, naming it and what would do; an
             ``OwnCodeError`` where the user's code fails.
         """
-        overrides = read_overrides(self.set)
-        if "split" in overrides:
-            raise ValueError("set: split is chosen by the command, with --split where it takes one; leave it out")
-        for field in chosen:
-            if field in overrides:
-                raise ValueError(f"set: {field} is an option of its own here; give --{field} instead")
         return _scenario_of(self, _base(self.where), split, tuple(chosen.items()))
 
     @property
@@ -187,10 +181,24 @@ def _called(where: str, function: Callable[[], Any]) -> Any:
 @lru_cache(maxsize=64)
 def _scenario_of(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: tuple[tuple[str, Any], ...]) -> Scenario:
     """The scenario; one object for one spec, so that what is derived from it is shared."""
-    try:
-        scenario = make_scenario(base, **read_overrides(spec.set), **dict(chosen), split=split)
-    except (TypeError, OverflowError, MemoryError) as error:
-        is_field = "unexpected keyword argument" not in str(error)
-        raise ValueError(f"set: {f'{shlex.join(spec.set)} cannot be: ' * is_field}{error}") from None
+    scenario = varied(base, spec.set, split, dict(chosen))
     _specs[scenario] = spec
     return scenario
+
+
+def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Mapping[str, Any]) -> Scenario:
+    """A scenario on a split with the fields that a user sets and those that a command sets itself.
+
+    ValueError for a field or value that cannot be, or one that both set, naming it and what would do.
+    """
+    overrides = read_overrides(texts)
+    if "split" in overrides:
+        raise ValueError("set: split is chosen by the command, with --split where it takes one; leave it out")
+    for field in chosen:
+        if field in overrides:
+            raise ValueError(f"set: {field} is an option of its own here; give --{field} instead")
+    try:
+        return make_scenario(base, **overrides, **chosen, split=split)
+    except (TypeError, OverflowError, MemoryError) as error:
+        is_field = "unexpected keyword argument" not in str(error)
+        raise ValueError(f"set: {f'{shlex.join(texts)} cannot be: ' * is_field}{error}") from None

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from dcgrid_env import Scenario, sensitivity
 from dcgrid_env.baselines.reproduction.levers import settled
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
-from dcgrid_env.baselines.reproduction.study_runs import INVERTERS, Runs
+from dcgrid_env.baselines.reproduction.study_runs import INVERTERS, Runs, nodes_of
 
 BUS = PUBLISHED_BUSES[0]
 OWN_KW = 280.0
@@ -18,13 +20,17 @@ LARGEST_KW = 20_000.0
 
 
 def bus_thirteen(runs: Runs) -> dict[str, Any]:
-    """Runs with inverters only, and the drop at bus 13 taken apart at base load, every site at its rating."""
+    """Runs with inverters only, and the drop at bus 13 taken apart at base load, every site at its rating.
+
+    What is no result of the runs is the mean over the bus's phases.
+    """
     five, alone = runs.setting.published(5), runs.setting.pinned((BUS,))
-    low = runs.setting.published(5, v0_pu=1.0)
-    own, others = {BUS: OWN_KW}, dict.fromkeys(PUBLISHED_BUSES[1:5], OWN_KW)
-    at = five.feeder.index(BUS)
-    r, x = (float(m[at, at]) for m in sensitivity(five.feeder))
-    loads, with_own, with_all = (float(settled(five, p)[at]) for p in ({}, own, own | others))
+    low = runs.setting.with_head_at_1pu(5)
+    own, others = {BUS: OWN_KW}, dict.fromkeys(runs.setting.sites[1:5], OWN_KW)
+    at = nodes_of(five, BUS)
+    r, x = (float(m[np.ix_(at, at)].mean()) for m in sensitivity(five.feeder))
+    loads, with_own, with_all = (float(settled(five, p)[at].mean()) for p in ({}, own, own | others))
+    base_at_1pu = float(settled(low)[at].mean())
     return {
         "bus": BUS,
         "r_pu_per_mw": r,
@@ -37,8 +43,8 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
         **_run(runs, alone, "alone"),
         **_run(runs, five, "five"),
         **_run(runs, low, "five_at_1pu"),
-        "base_at_1pu": float(settled(low)[at]),
-        "base_at_1pu_squared": float(settled(low)[at] ** 2),
+        "base_at_1pu": base_at_1pu,
+        "base_at_1pu_squared": base_at_1pu**2,
     }
 
 
@@ -51,11 +57,11 @@ def _run(runs: Runs, scenario: Scenario, name: str) -> dict[str, float]:
 
 
 def _leaves_band_kw(scenario: Scenario, load_kw: Callable[[float], Mapping[int, float]]) -> float | None:
-    """Draw at bus 13 from which its voltage is below the band at base load, kW, to 1 kW; None if it never is."""
-    at, edge = scenario.feeder.index(BUS), 1.0 - scenario.band_pu
+    """Draw at bus 13 from which its lowest voltage is below the band at base load, kW, to 1 kW; None if it never is."""
+    at, edge = nodes_of(scenario, BUS), 1.0 - scenario.band_pu
 
     def below(kw: float) -> bool:
-        v = settled(scenario, load_kw(kw))[at]
+        v = settled(scenario, load_kw(kw))[at].min()
         return not v >= edge  # a load without a solution is beyond it too
 
     low, high = 0.0, LARGEST_KW

@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Feeder, Scenario, distflow, load_feeder, make_scenario, sensitivity
-from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
-from dcgrid_env.baselines.reproduction.study_runs import ACTIVE, BOTH, INVERTERS, NONE, REACTIVE, Law, Runs
+from dcgrid_env import Feeder, Scenario, load_feeder, make_scenario, sensitivity, solver_for
+from dcgrid_env.baselines.reproduction.study_runs import (
+    ACTIVE,
+    BOTH,
+    INVERTERS,
+    NONE,
+    REACTIVE,
+    Law,
+    Runs,
+    nodes_of,
+)
 from dcgrid_env.baselines.reproduction.table1 import unserved_pct
 
 STEP_S = 0.1
@@ -22,36 +30,41 @@ R_TIMES = 3.0
 def settled(
     scenario: Scenario, p_kw: Mapping[Any, float] | None = None, q_kvar: Mapping[Any, float] | None = None
 ) -> np.ndarray:
-    """Voltages with the base load, p.u., (n_bus,), with more active load and reactive injection at some buses."""
+    """Voltages with the base load, p.u., (n_node,), with more active load and reactive injection at some buses.
+
+    A bus shares what it draws among its phases. Regulators stay at the feeder's own taps; NaN without a solution.
+    """
     feeder = scenario.feeder
     p, q = feeder.p_load_kw.copy(), feeder.q_load_kvar.copy()
-    if scenario.capacitors:
+    if isinstance(feeder, Feeder) and scenario.capacitors:
         q -= feeder.capacitor_kvar
-    for bus, more in (p_kw or {}).items():
-        p[feeder.index(bus)] += more
-    for bus, more in (q_kvar or {}).items():
-        q[feeder.index(bus)] -= more
-    return distflow(feeder, p, q, scenario.v0_pu).v_pu
+    for power, drawn in ((p, p_kw or {}), (q, {bus: -more for bus, more in (q_kvar or {}).items()})):
+        for bus, more in drawn.items():
+            nodes = nodes_of(scenario, bus)
+            power[feeder.first_device_leg + np.array(nodes)] += more / len(nodes)
+    solution = solver_for(feeder, scenario.power_flow)(feeder, p, q, scenario.v0_pu)
+    return solution.v_pu if solution.converged else np.full(feeder.n_node, np.nan)
 
 
 def inverters(runs: Runs) -> list[dict[str, Any]]:
     """For each published site, what 1 Mvar at the nearest and the farthest inverter does for it, and closed loops.
 
-    Near and far is by X_ij, the shared reactance. In the closed loops one inverter stands for all seven (350 kvar).
+    Near and far is by X_ij, the shared reactance; the voltage of a bus is the mean over its phases. In the closed loops
+    one inverter stands for all seven (350 kvar).
     """
     records = []
-    for site in PUBLISHED_BUSES:
+    for site in runs.setting.sites:
         scenario = runs.setting.pinned((site,))
         feeder, full = scenario.feeder, {site: 280.0}
-        x = sensitivity(feeder).by_q_pu_per_mvar[feeder.index(site)]
-        shared = {bus: float(x[feeder.index(bus)]) for bus in scenario.inverter_buses}
+        x = sensitivity(feeder).by_q_pu_per_mvar[nodes_of(scenario, site)].mean(axis=0)
+        shared = {bus: float(x[nodes_of(scenario, bus)].mean()) for bus in scenario.inverter_buses}
         ends = {"near": max(shared, key=shared.__getitem__), "far": min(shared, key=shared.__getitem__)}
         before = settled(scenario, full)
         record: dict[str, Any] = {"site": site}
         for name, bus in {"own": site, **ends}.items():
             rise = settled(scenario, full, {bus: 1000.0}) - before
-            record |= {f"{name}_bus": int(bus), f"{name}_x_pu_per_mvar": float(x[feeder.index(bus)])}
-            record[f"{name}_rise_pu_per_mvar"] = float(rise[feeder.index(site)])
+            record |= {f"{name}_bus": int(bus), f"{name}_x_pu_per_mvar": float(x[nodes_of(scenario, bus)].mean())}
+            record[f"{name}_rise_pu_per_mvar"] = float(rise[nodes_of(scenario, site)].mean())
         alone = runs.setting.pinned((site,), inverter_buses=(ends["near"],), inverter_s_kva=350.0)
         record["none_site_deviation_pu"] = runs.of(alone, NONE).mean("first_site_deviation_pu")
         for name, bus in ends.items():

@@ -30,36 +30,52 @@ def _columns(rows: Sequence[dict[str, Any]], columns: dict[str, tuple[str, str]]
     return table(list(columns), cells)
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
+    """A paragraph in lines of 120 columns."""
     return textwrap.fill(text, width=120, break_on_hyphens=False, break_long_words=False)
+
+
+def where_sites_stand(setting: Records) -> str:
+    """Where the data centres of a study's setting stand."""
+    if setting["placement"] == "published":
+        return f"at the first n of the buses {', '.join(map(str, setting['sites']))} of the public code"
+    return "drawn among the load buses, anew in each episode"
+
+
+def load_note(setting: Records) -> str:
+    """Where the paper's recording comes from, or is to be had; empty for a load that has nothing to do with it."""
+    if setting["load"] == "generated":
+        return (
+            f" The paper's own recording is used where `dcgrid traces fetch {RECORDING}` has put it into the cache, or "
+            "`--trace FILE` names it."
+        )
+    if RECORDING in setting["load_description"]:
+        return f" The recording is what `dcgrid traces fetch {RECORDING}` puts into the cache."
+    return ""
 
 
 def _head(records: Records) -> str:
     s = records["setting"]
-    where = "drawn among the load buses, anew in each episode"
-    if s["placement"] == "published":
-        where = "at the first n of the eight buses of the public code"
     setting = (
-        f"on the scenario `ieee123`: {s['episodes']} episodes of 120 s for each cell, data centres {where}. Load: "
-        f"**{s['load']}**, {s['load_description']}. Figures are means over episodes unless they say otherwise; "
-        "deviation is abs(V - 1) over all buses but the substation and all seconds, and its standard deviation is that "
-        "of an episode. k_p is the paper's, k_q = 0.5 Mvar/(p.u. s) and alpha = 0.3 /s are the defaults here; nothing "
-        "is tuned."
+        f"on the scenario `ieee123`: {s['episodes']} episodes of 120 s for each cell, data centres "
+        f"{where_sites_stand(s)}. Load: **{s['load']}**, {s['load_description']}. Figures are means over episodes "
+        "unless they say otherwise; deviation is abs(V - 1) over all buses but the substation and all seconds, and its "
+        "standard deviation is that of an episode. k_p is the paper's, k_q = 0.5 Mvar/(p.u. s) and alpha = 0.3 /s are "
+        "the defaults here; nothing is tuned."
     )
     known = (
         "The paper's figures are those that its text reports. The other cells of its Table I were not at hand and are "
         "left out. The law is applied with its signs put right for loads, and work cannot be served before it arrives."
     )
-    if s["load"] == "generated":
-        known += (
-            f" The paper's own recording is used where `dcgrid traces fetch {RECORDING}` has put it into the cache, or "
-            "`--trace FILE` names it."
-        )
-    elif RECORDING in s["load_description"]:
-        known += f" The recording is what `dcgrid traces fetch {RECORDING}` puts into the cache."
+    known += load_note(s)
     command = f"    {records['meta']['command']}"
-    title = f"# The paper's study, run again\n\n{s['paper']}."
-    return "\n\n".join((title, "Made by", command, _wrapped(setting), _wrapped(known)))
+    beside = (
+        "Here the feeder is a balanced single-phase equivalent. `dcgrid reproduce --scenario ieee123-3ph` repeats "
+        "Table I and the claims on the feeder with its phases and its regulators, beside these: "
+        "[reproduction-3ph.md](reproduction-3ph.md)."
+    )
+    title = f"# The paper's study, run again\n\n{s['paper']}.\n\n{wrapped(beside)}"
+    return "\n\n".join((title, "Made by", command, wrapped(setting), wrapped(known)))
 
 
 def _claims(records: Records) -> str:
@@ -139,7 +155,7 @@ deviation with inverters only. The standard error is that of the whole gain over
 
 {_columns(records["gains"], columns)}
 
-{_wrapped(undone)}"""
+{wrapped(undone)}"""
 
 
 def _levers(records: Records) -> str:

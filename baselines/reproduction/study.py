@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from dcgrid_env.baselines.reproduction import bus13, levers, load_step, table1
@@ -25,8 +25,10 @@ PARTS: dict[str, Callable[[Runs], Any]] = {
 """Parts of the study in the order in which they are run; the claims are made of them."""
 
 
-def study(runs: Runs, on_part: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """Run all parts and hold the claims against them.
+def study(
+    runs: Runs, on_part: Callable[[str], None] | None = None, parts: Iterable[str] = tuple(PARTS)
+) -> dict[str, Any]:
+    """Run the parts and hold the claims against them that they are made of.
 
     Parameters
     ----------
@@ -34,10 +36,12 @@ def study(runs: Runs, on_part: Callable[[str], None] | None = None) -> dict[str,
         Where the runs are done and kept.
     on_part
         Called with the name of each part before it begins.
+    parts
+        Which of :data:`PARTS` to run, all by default.
 
     Returns
     -------
-    The records: ``setting``, the parts of :data:`PARTS`, and ``claims``; all JSON values.
+    The records: ``setting``, the parts, and ``claims``; all JSON values.
     """
     setting = runs.setting
     records: dict[str, Any] = {
@@ -46,13 +50,14 @@ def study(runs: Runs, on_part: Callable[[str], None] | None = None) -> dict[str,
             "load": setting.load.kind,
             "load_description": setting.load.description,
             "placement": setting.placement,
+            "sites": list(setting.sites),
             "episodes": setting.episodes,
             "counts": list(setting.counts),
         }
     }
-    for name, part in PARTS.items():
+    for name in parts:
         if on_part is not None:
             on_part(name)
-        records[name] = part(runs)
+        records[name] = PARTS[name](runs)
     records["claims"] = claims(records)
     return records

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -15,6 +16,8 @@ from dcgrid_env.baselines.reproduction.paper import COUNTS, PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.sampled_droop import SampledDroop
 
 Placement = Literal["random", "published"]
+HEAD_PU = 1.04375
+"""Voltage behind the substation's regulator at its published tap, the source at 1 p.u."""
 
 
 class Law(NamedTuple):
@@ -50,6 +53,12 @@ class Setting:
     load: Load
     episodes: int = 20
     placement: Placement = "random"
+    base: str = "ieee123"
+    """The scenario of the IEEE 123 node feeder that the runs are done on."""
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of it that are to be otherwise."""
+    sites: tuple[int, ...] = PUBLISHED_BUSES
+    """Where data centres stand that are not drawn: buses of the public code, in its order."""
 
     def __post_init__(self) -> None:
         if self.episodes < 2:
@@ -59,23 +68,28 @@ class Setting:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Numbers of data centres: the paper's, and all eight buses of the public code where they are asked for."""
-        return COUNTS if self.placement == "random" else (*COUNTS, len(PUBLISHED_BUSES))
+        """Numbers of data centres: the paper's, and all of ``sites`` where these are asked for."""
+        return COUNTS if self.placement == "random" else tuple(sorted({*COUNTS, len(self.sites)}))
 
     def scenario(self, n: int, **overrides: Any) -> Scenario:
         """The IEEE 123-bus study with ``n`` data centres, placed as asked for."""
         if self.placement == "published":
             return self.published(n, **overrides)
-        return make_scenario("ieee123", n_datacenters=n, **self.load.fields, **overrides)
+        return make_scenario(self.base, **{"n_datacenters": n, **self.load.fields, **self.fields, **overrides})
 
     def published(self, n: int, **overrides: Any) -> Scenario:
-        """The scenario with the data centres at the first ``n`` buses of the public code."""
-        return self.pinned(PUBLISHED_BUSES[:n], **overrides)
+        """The scenario with the data centres at the first ``n`` of ``sites``."""
+        return self.pinned(self.sites[:n], **overrides)
 
     def pinned(self, buses: tuple[int, ...], **overrides: Any) -> Scenario:
         """The scenario with the data centres at ``buses``."""
         fields = {"n_datacenters": len(buses), "datacenter_buses": buses, **self.load.fields}
-        return make_scenario("ieee123", **fields, **overrides)
+        return make_scenario(self.base, **{**fields, **self.fields, **overrides})
+
+    def with_head_at_1pu(self, n: int) -> Scenario:
+        """Data centres at the first ``n`` of ``sites``, and 1 p.u. behind the substation regulator's published tap."""
+        scenario = self.published(n)
+        return make_scenario(scenario, v0_pu=scenario.v0_pu / HEAD_PU)
 
 
 class Run(NamedTuple):
@@ -124,17 +138,26 @@ class Runs:
         return rollout(scenario, law.controller(), [seed]).lane(0)
 
 
+def nodes_of(scenario: Scenario, bus: int | str) -> list[int]:
+    """The nodes of a bus: one on a balanced feeder, its phases on a three-phase one."""
+    return list(scenario.feeder.nodes_at(scenario.feeder.index(bus)))
+
+
 def _more(lane: Series) -> dict[str, float]:
-    """Of squared voltages, which the public code calls voltages; over the second half; at the first site if fixed."""
+    """Figures of squared voltages, which the public code calls voltages; of the second half; of a fixed first site.
+
+    It is outside the band where one of its phases is.
+    """
     s = lane.scenario
     v = lane.v_pu[1:, s.feeder.load_slice]
     figures = {
         "squared_deviation_mean_pu": float(np.abs(v**2 - 1.0).mean()),
+        "above_1pu_pct": float(100.0 * (v > 1.0).mean()),
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
     }
     if s.datacenter_buses:
-        site = lane.v_pu[1:, s.feeder.index(s.datacenter_buses[0])]
+        site = lane.v_pu[1:, nodes_of(s, s.datacenter_buses[0])]
         figures["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
         figures["first_site_min_pu"] = float(site.min())
-        figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).mean())
+        figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).any(axis=1).mean())
     return figures

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,78 +16,121 @@ from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Console
 
-    from dcgrid_env.baselines.reproduction.study_runs import Runs
+    from dcgrid_env.baselines.reproduction.study_runs import Setting
 
 
 @dataclass(frozen=True)
 class Reproduce(Command):
     """Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).
 
-    Its tables, figures and claims are shown beside what comes out here.
+    Its tables, figures and claims are shown beside what comes out here. With the recorded load a run takes about half
+    a minute, with --scenario ieee123-3ph some five minutes.
     """
 
+    scenario: str = "ieee123"
+    """ieee123, the balanced equivalent of the paper's feeder, or ieee123-3ph: its Table I and claims on the feeder with
+    its phases, with regulators fixed and acting, beside the balanced ones, and whether they rank alike."""
     out: Path = Path("results/reproduce")
-    """Folder for reproduction.md, reproduction.json and images; made if it is not there."""
+    """Folder for reproduction.md, reproduction.json and images, or reproduction-3ph.md and reproduction-3ph.json; made
+    if it is not there."""
     episodes: int = 20
     """Episodes for each cell, at least 2."""
     trace: str = "auto"
     """Load: auto (the paper's recording if it has been fetched, else the generator), recorded, generated, or the name
     of a generator or recording, or a file."""
     placement: Literal["random", "published"] = "random"
-    """Data centres at random, or at the buses named in the paper's public code."""
+    """Data centres at random, or at the buses named in the paper's public code, with ieee123-3ph at those with three
+    phases."""
 
     def run(self) -> None:
         """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
+        from dcgrid_env.baselines.reproduction.feeder_cases import TRUE, check_scenario
         from dcgrid_env.baselines.reproduction.load import choose_load
-        from dcgrid_env.baselines.reproduction.markdown import render
-        from dcgrid_env.baselines.reproduction.paper_figures import draw_all
-        from dcgrid_env.baselines.reproduction.study import PARTS, study
-        from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
+        from dcgrid_env.baselines.reproduction.study_runs import Setting
         from dcgrid_env.core.files import write_text
 
-        runs = Runs(Setting(choose_load(self.trace), self.episodes, self.placement))
-        records: dict[str, Any] = {"meta": meta() | {"trace": _origin(runs)}}
+        check_scenario(self.scenario)
+        setting = Setting(choose_load(self.trace), self.episodes, self.placement)
+        about: dict[str, Any] = {"meta": meta() | {"trace": _origin(setting)}}
         check_folder(self.out)
         console = plain_console()
-        with progress_bar(console) as progress:
-            bar = progress.add_task("", total=len(PARTS) + 1)
-            begun = 0
-
-            def begin(part: str) -> None:
-                nonlocal begun
-                progress.update(bar, completed=begun, description=part.replace("_", " "))
-                begun += 1
-
-            records |= study(runs, begin)
-            begin("figures")
-            records["figures"] = draw_all(runs, self.out)
-            progress.advance(bar)
-        write_json(self.out / "reproduction.json", records)
-        write_text(self.out / "reproduction.md", render(records))
-        console.print(_claims(records["claims"]))
-        say(console, f"load: {runs.setting.load.description}\nwrote {self.out / 'reproduction.md'}")
+        name, make = ("reproduction-3ph", _compared) if self.scenario == TRUE else ("reproduction", _study)
+        records, render = make(setting, self.out, console)
+        records = about | records
+        write_json(self.out / f"{name}.json", records)
+        write_text(self.out / f"{name}.md", render(records))
+        say(console, f"load: {setting.load.description}\nwrote {self.out / f'{name}.md'}")
 
 
-def _claims(rows: list[dict[str, str]]) -> Table:
-    """The claims for the terminal."""
+Rendered = tuple[dict[str, Any], Callable[[dict[str, Any]], str]]
+"""Records of a study, and what makes Markdown of them."""
+
+
+def _study(setting: Setting, out: Path, console: Console) -> Rendered:
+    """The study on the balanced equivalent, with its figures."""
+    from dcgrid_env.baselines.reproduction.markdown import render
+    from dcgrid_env.baselines.reproduction.paper_figures import draw_all
+    from dcgrid_env.baselines.reproduction.study import PARTS, study
+    from dcgrid_env.baselines.reproduction.study_runs import Runs
+
+    runs, head = Runs(setting), ("claim", "paper", "ours", "verdict")
+    with _steps(console, len(PARTS) + 1) as begin:
+        records = study(runs, lambda part: begin(part.replace("_", " ")))
+        begin("figures")
+        records["figures"] = draw_all(runs, out)
+    _print_rows(console, head, [[row[key] for key in head] for row in records["claims"]])
+    return records, render
+
+
+def _compared(setting: Setting, out: Path, console: Console) -> Rendered:
+    """The study on the feeder with its phases beside that on the balanced equivalent."""
+    from dcgrid_env.baselines.reproduction import feeder_comparison_markdown as written
+    from dcgrid_env.baselines.reproduction.feeder_cases import cases
+    from dcgrid_env.baselines.reproduction.feeder_comparison import PARTS, compare_feeders
+
+    with _steps(console, len(PARTS) * len(cases())) as begin:
+        records = compare_feeders(setting, begin)
+    shown = {written.causes_table: 6, written.table_one_table: 6, written.orders_table: 7, written.claims_table: 6}
+    for make, n in shown.items():
+        head, rows = make(records)
+        _print_rows(console, head[:n], [row[:n] for row in rows])
+    return records, written.render_comparison
+
+
+@contextmanager
+def _steps(console: Console, total: int) -> Iterator[Callable[[str], None]]:
+    """A progress bar; what it gives is called with a name before each step."""
+    with progress_bar(console) as progress:
+        bar = progress.add_task("", total=total)
+        begun = 0
+
+        def begin(step: str) -> None:
+            nonlocal begun
+            progress.update(bar, completed=begun, description=step)
+            begun += 1
+
+        yield begin
+        progress.update(bar, completed=total)
+
+
+def _print_rows(console: Console, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table with a line between its rows."""
     from rich import box
     from rich.table import Table
 
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_lines=True)
-    for heading in ("claim", "paper", "ours", "verdict"):
-        table.add_column(heading)
+    table = Table(*head, header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_lines=True)
     for row in rows:
-        table.add_row(row["claim"], row["paper"], row["ours"], row["verdict"])
-    return table
+        table.add_row(*row)
+    console.print(table)
 
 
-def _origin(runs: Runs) -> dict[str, Any]:
+def _origin(setting: Setting) -> dict[str, Any]:
     """Where the load comes from: parameters and seed of the first generated row, or hash, licence and citation.
 
     TraceError for a recording that is too short for an episode.
     """
     from dcgrid_env.engine.trace_pool import trace_pool
 
-    return trace_pool(runs.setting.scenario(5)).provenance[0].record()
+    return trace_pool(setting.scenario(5)).provenance[0].record()

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
+from dcgrid_env.cli.own_feeder import chosen_line, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, tuned_from
-from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
@@ -23,9 +24,13 @@ if TYPE_CHECKING:
 class Run(Command):
     """Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
 
-    scenario: str = "ieee123"
+    scenario: str | None = None
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own."""
+    makes your own; without one and without --feeder it is ieee123."""
+    feeder: str | None = None
+    """Your own feeder: its folder (what dcgrid import opendss writes, for instance), or the name of one that ships.
+    Data centres and inverters that suit its load are chosen, said in one line and written as scenario.toml; --set
+    changes any of it. With --scenario, that scenario's devices stand on this feeder."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "none,inverters,droop"
@@ -46,7 +51,7 @@ class Run(Command):
     """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/run")
-    """Folder for results.json and figure.png; made if it is not there."""
+    """Folder for results.json, figure.png and, with --feeder, scenario.toml; made if it is not there."""
 
     def run(self) -> None:
         """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
@@ -69,6 +74,8 @@ class Run(Command):
             for name, controller in controllers.items():
                 task = progress.add_task(name, total=scenario.horizon)
                 recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
+        if self.feeder is not None:
+            say(console, chosen_line(scenario))
         records = [
             record
             for name, recorder in recorders.items()
@@ -93,7 +100,11 @@ class Run(Command):
             {name: recorder.lane(0) for name, recorder in recorders.items()},
             self.seed,
         )
-        console.print(f"wrote {self.out / 'results.json'} and {self.out / 'figure.png'}")
+        written = [self.out / "results.json", self.out / "figure.png"]
+        if self.feeder is not None:
+            scenario.replace(split="train").to_toml(self.out / "scenario.toml")  # the split is each command's to choose
+            written.append(self.out / "scenario.toml")
+        say(console, f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}")
 
 
 def _scenario(cfg: Run) -> Scenario:
@@ -113,7 +124,9 @@ def _scenario(cfg: Run) -> Scenario:
         if mixed:
             raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
         chosen["trace"] = tuple(map(recorded_trace, names))
-    return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
+    if cfg.feeder is not None:
+        return scenario_on_feeder(cfg.feeder, cfg.scenario, cfg.set, cfg.split, chosen)
+    return ScenarioSpec("ieee123" if cfg.scenario is None else cfg.scenario, cfg.set).make(cfg.split, **chosen)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:

@@ -57,6 +57,7 @@ ELSEWHERE = {
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
+    "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",

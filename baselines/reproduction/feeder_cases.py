@@ -1,0 +1,73 @@
+"""The IEEE 123 node feeder in the forms that the study is held against: what each of them adds to the one before."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+from dcgrid_env import ThreePhaseFeeder, load_feeder
+from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
+from dcgrid_env.baselines.reproduction.study_runs import Setting
+
+BALANCED, TRUE = "ieee123", "ieee123-3ph"
+"""Scenarios of the study: the balanced equivalent and the feeder with its phases."""
+SUBSTATION = "reg1a"
+"""The bank of regulators that the equivalent has too, as the voltage of its substation."""
+
+
+class Case(NamedTuple):
+    """A form of the feeder."""
+
+    label: str
+    about: str
+    scenario: str
+    fields: dict[str, Any]
+
+
+def cases() -> dict[str, Case]:
+    """The forms by name, in the order in which each adds one thing to the one before."""
+    fixed = {"regulators": "fixed"}
+    return {
+        "balanced": Case("balanced", f"`{BALANCED}`, the balanced single-phase equivalent", BALANCED, {}),
+        "phases": Case(
+            "with phases",
+            f"`{TRUE}` with the line regulators at 9, 25 and 160, which the equivalent lacks, held at neutral",
+            TRUE,
+            fixed | {"feeder": without_line_regulators()},
+        ),
+        "fixed": Case("fixed taps", f"`{TRUE}` with all regulators held at their published taps", TRUE, fixed),
+        "acting": Case("acting", f"`{TRUE}` as it is, its regulators acting by their own controls", TRUE, {}),
+    }
+
+
+def without_line_regulators() -> ThreePhaseFeeder:
+    """The feeder with its phases, all regulators but the substation's at neutral."""
+    network = load_feeder(TRUE).network
+    table = network.regulator
+    tap = tuple(
+        tap if bank == SUBSTATION else neutral
+        for bank, tap, neutral in zip(table.bank, table.tap, table.tap_neutral, strict=True)
+    )
+    return ThreePhaseFeeder.from_network(dataclasses.replace(network, regulator=dataclasses.replace(table, tap=tap)))
+
+
+def common_sites() -> tuple[int, ...]:
+    """Buses of the public code that have all three phases, where a balanced load can stand on either feeder."""
+    feeder = load_feeder(TRUE)
+    return tuple(bus for bus in PUBLISHED_BUSES if feeder.bus_phases[feeder.index(bus)] == "abc")
+
+
+def check_scenario(name: str) -> None:
+    """ValueError for a scenario that the study is not about."""
+    if name not in (BALANCED, TRUE):
+        raise ValueError(
+            f"scenario is {name!r}; the paper's study is about the IEEE 123 node feeder: give {BALANCED}, its balanced "
+            f"equivalent, or {TRUE}, the feeder with its phases beside it"
+        )
+
+
+def setting_of(case: Case, setting: Setting) -> Setting:
+    """The setting on a form of the feeder, sites that are not drawn at :func:`common_sites`."""
+    return dataclasses.replace(
+        setting, base=case.scenario, fields={**setting.fields, **case.fields}, sites=common_sites()
+    )

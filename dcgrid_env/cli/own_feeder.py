@@ -1,0 +1,107 @@
+"""What ``dcgrid run --feeder`` makes of a feeder: a scenario chosen for it, or another one's devices on it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dcgrid_env import Scenario
+
+
+def scenario_on_feeder(
+    feeder: str, scenario: str | None, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]
+) -> Scenario:
+    """The scenario on a feeder.
+
+    Parameters
+    ----------
+    feeder
+        A feeder's name, or the folder of one's own.
+    scenario
+        What names the scenario whose feeder is to be another; None for one that is chosen for the feeder.
+    overrides, split, chosen
+        Fields that are to be otherwise, the episodes' split, and fields that the command sets, as ``ScenarioSpec.make``
+        takes them.
+
+    Raises
+    ------
+    ValueError
+        For a feeder that there is not or cannot be read, devices that cannot stand on it, or a field that cannot be.
+    """
+    from dcgrid_env import FeederError
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec, read_overrides, varied
+    from dcgrid_env.scenario.on_feeder import power_flow_of, scenario_on
+    from dcgrid_env.scenario.plain import feeder_from_plain
+
+    given = read_overrides(overrides)
+    if "feeder" in given:
+        raise ValueError("set: feeder is an option of its own here; give it once, as --feeder or with --set")
+    try:
+        made = feeder_from_plain(feeder)
+    except FeederError as error:
+        raise FeederError(f"feeder {feeder}: {error}" if Path(feeder).is_dir() else str(error)) from None
+    if scenario is None:
+        return varied(scenario_on(made), overrides, split, chosen)
+    base = ScenarioSpec(scenario).make(split)
+    _check_buses(base, made, scenario, given)
+    more = [f"feeder={json.dumps(feeder)}"]
+    if "power_flow" not in given and type(base.feeder) is not type(made):
+        more.append(f"power_flow={power_flow_of(made)}")
+    return ScenarioSpec(scenario, (*overrides, *more)).make(split, **chosen)
+
+
+def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
+    """ValueError where devices of the scenario stand at buses that the feeder lacks, unless they are given anew."""
+    if "devices" in given:
+        return
+    there = set(feeder.bus_ids)
+    for device in base.devices:
+        field = f"{device.kind}_buses"
+        lacking = [bus for bus in device.buses or () if bus not in there]
+        if lacking and field not in given and "buses" not in (given.get(device.kind) or {}):
+            raise ValueError(
+                f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); leave "
+                f"out --scenario, and devices are chosen for the feeder, or give --set '{field}=[..]' of its buses"
+            )
+
+
+def chosen_line(scenario: Scenario) -> str:
+    """One line that says what stands on the feeder, how large, and how it is solved."""
+    from dcgrid_env import Feeder
+    from dcgrid_env.scenario.on_feeder import base_load_kw
+
+    feeder = scenario.feeder
+    balanced = isinstance(feeder, Feeder)
+    groups = [_group(device, scenario, balanced) for device in scenario.devices if device.count]
+    kind = "balanced" if balanced else "three-phase"
+    grid = [f"source at {scenario.source_voltage_pu:g} p.u.", f"power flow {scenario.power_flow}"]
+    if not balanced and feeder.n_regulator:
+        regulators = scenario.grid_control.regulators
+        grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")
+    return (
+        f"{kind} feeder {feeder.name}, {feeder.n_bus} buses, {base_load_kw(feeder):.0f} kW of load: "
+        f"{'; '.join(groups)}; {', '.join(grid)}; --set changes any of it"
+    )
+
+
+def _group(device: Any, scenario: Scenario, balanced: bool) -> str:
+    """A group of devices: how many, of what size, where."""
+    names = {"datacenter": ("data centre", "kW"), "inverter": ("inverter", "kVA")}
+    name, unit = names.get(device.kind, (device.kind, "kW"))
+    ratings = sorted({f"{rating:g}" for rating in device.p_scale_kw}, key=float)
+    size = f"{ratings[0]} {unit}" if len(ratings) == 1 else f"{ratings[0]} to {ratings[-1]} {unit}"
+    where = f"at {_list(device.buses)}" if device.buses is not None else ""
+    if device.buses is None:
+        phases = "" if balanced or getattr(device, "phases", None) else " of three phases"
+        where = f"drawn among {len(scenario.candidates)} load buses{phases}"
+    return f"{device.count} {name}{'s' * (device.count > 1)} of {size} {where}"
+
+
+_SHOWN = 8
+
+
+def _list(buses: Any) -> str:
+    more = [f"{len(buses) - _SHOWN} more"] * (len(buses) > _SHOWN)
+    return f"bus{'es' * (len(buses) > 1)} {', '.join([*map(str, buses[:_SHOWN]), *more])}"

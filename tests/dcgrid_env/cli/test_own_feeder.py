@@ -1,0 +1,99 @@
+"""``dcgrid run --feeder``: controllers on the user's own feeder."""
+
+import json
+import shutil
+
+import pytest
+
+from dcgrid_env import load_feeder, make_scenario, scenario_hash
+from dcgrid_env.cli.main import main
+
+SHORT = ("--episodes", "1", "--controllers", "none")
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    load_feeder("ieee13-3ph").to_csv(tmp_path / "my-feeder")
+    load_feeder("das69").to_csv(tmp_path / "balanced")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "400")
+    return tmp_path
+
+
+def run(*arguments):
+    main(["run", "--out", "out", *SHORT, *arguments, *(() if "--set" in arguments else ("--set", "horizon=3"))])
+    with open("out/results.json", encoding="utf-8") as file:
+        return json.load(file)
+
+
+@pytest.mark.parametrize(
+    ("feeder", "said"),
+    [
+        ("my-feeder", "three-phase feeder ieee13-3ph, 16 buses, 3466 kW of load: 3 data centres of 460 kW drawn among"),
+        ("balanced/", "balanced feeder das69, 69 buses, 3802 kW of load: 5 data centres of 300 kW drawn among"),
+        ("ieee34-3ph", "drawn among 14 load buses of three phases; 7 inverters of 25 kVA at buses 802,"),
+    ],
+)
+def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, capsys):
+    run("--feeder", feeder)
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "kW of load" in line]
+    assert said in line
+    assert line.endswith("--set changes any of it")
+
+
+def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, capsys):
+    given = ("n_datacenters=2", "p_rated_kw=400", "regulators=fixed", "horizon=3")
+    results = run("--feeder", "my-feeder", "--set", *given)
+    printed = capsys.readouterr().out
+    assert "2 data centres of 400 kW drawn among 3 load buses of three phases" in printed
+    assert "power flow sweep, regulators fixed" in printed
+    again = make_scenario("out/scenario.toml", split="test")
+    assert scenario_hash(again) == results["meta"]["scenario_hash"]
+    main(["run", "--scenario", "out/scenario.toml", "--out", "more", *SHORT])
+    assert json.loads((folders / "more" / "results.json").read_text())["episodes"] == results["episodes"]
+
+
+def test_a_feeder_takes_the_place_of_the_scenarios(folders, capsys):
+    results = run("--scenario", "ieee33", "--feeder", "das69", "--set", "horizon=3")
+    expected = make_scenario("ieee33", feeder="das69", horizon=3, split="test")
+    assert results["meta"]["scenario_hash"] == scenario_hash(expected)
+    assert "4 data centres of 600 kW at buses 18, 33, 25, 22" in capsys.readouterr().out
+    # The power flow is that of the feeder's kind.
+    run("--scenario", "ieee123", "--feeder", "ieee123-3ph")
+    assert "power flow sweep" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--feeder", "no-folder"], "unknown feeder 'no-folder'; there are toy6, ieee33"),
+        (["--feeder", "no-folder"], "or give a folder of your own"),
+        (["--feeder", "."], "feeder .: feeder.toml is missing"),
+        (["--feeder", "broken"], "feeder broken: broken/loads.csv, line 2: "),
+        (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: feeder is an option of its own here; give it once"),
+        (["--feeder", "my-feeder", "--set", "power_flow=distflow"], "give 'sweep' for the three-phase feeder"),
+        (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "n_datacenters is 9, but only 3 load buses"),
+        (["--feeder", "my-feeder", "--set", "inverter_buses=[999]"], "feeder 'ieee13-3ph' has no bus '999'"),
+        (["--feeder", "my-feeder", "--set", "dvfs=linear", "--dvfs", "linear"], "set: dvfs is an option of its own"),
+        (
+            ["--feeder", "my-feeder", "--scenario", "ieee33"],
+            "feeder 'ieee13-3ph' lacks buses 18, 33, 25, 22, where scenario 'ieee33' has devices (datacenter_buses); "
+            "leave out --scenario, and devices are chosen for the feeder, or give --set 'datacenter_buses=[..]'",
+        ),
+        (["--feeder", "ieee33", "--scenario", "ieee123"], "lacks buses 40, 54, 87, 92, 103, where scenario 'ieee123'"),
+        (["--feeder", "ieee33", "--scenario", "ieee124"], "unknown scenario 'ieee124'"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(arguments, message, folders, capsys):
+    shutil.copytree("my-feeder", "broken")
+    table = folders / "broken" / "loads.csv"
+    head, first, *rest = table.read_text().splitlines()
+    table.write_text("\n".join([head, first.rpartition(",")[0] + ",xx", *rest]))
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "--out", "out", *SHORT, *arguments])
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("dcgrid: ")
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (folders / "out").exists()

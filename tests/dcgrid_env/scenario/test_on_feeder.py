@@ -1,0 +1,67 @@
+"""What is chosen for a feeder that has no scenario."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dcgrid_env import FEEDERS, ScenarioError, ThreePhaseFeeder, load_feeder, parallel_env
+from dcgrid_env.scenario.on_feeder import base_load_kw, scenario_on
+
+
+@pytest.mark.parametrize("name", FEEDERS)
+def test_every_feeder_that_ships_can_be_stepped_with_what_is_chosen(name):
+    feeder = load_feeder(name)
+    made = scenario_on(feeder)
+    env = parallel_env(made)
+    env.reset(seed=0)
+    _, rewards, *_ = env.step({agent: env.action_space(agent).sample() * 0.0 for agent in env.agents})
+    assert np.isfinite(list(rewards.values())).all()
+    assert made.source_voltage_pu == feeder.v0_pu
+    assert made.power_flow == ("sweep" if isinstance(feeder, ThreePhaseFeeder) else "distflow")
+
+
+@pytest.mark.parametrize("name", FEEDERS)
+def test_sizes_follow_the_load_and_sites_find_a_bus(name):
+    feeder = load_feeder(name)
+    made = scenario_on(feeder)
+    load_kw = base_load_kw(feeder)
+    assert made.datacenter.p_rated_kw.sum() == pytest.approx(0.4 * load_kw, rel=0.05)
+    assert made.inverter.s_rated_kva.sum() == pytest.approx(0.1 * load_kw, rel=0.05)
+    assert 1 <= made.n_datacenters <= min(5, len(made.candidates))
+    assert 1 <= made.n_inverters <= 7
+    if isinstance(feeder, ThreePhaseFeeder):
+        assert {feeder.bus_phases[i] for i in made.candidates} == {"abc"}
+
+
+def test_the_paper_s_feeder_gets_the_paper_s_sizes():
+    made = scenario_on(load_feeder("ieee123"))
+    assert (made.n_datacenters, made.datacenter.p_rated_kw[0]) == (5, 280.0)
+    assert (made.n_inverters, made.inverter.s_rated_kva[0]) == (7, 50.0)
+
+
+def test_a_feeder_without_a_load_says_what_to_do():
+    feeder = load_feeder("toy6")
+    bare = dataclasses.replace(feeder, p_load_kw=np.zeros(feeder.n_bus))
+    with pytest.raises(ScenarioError, match="feeder 'toy6' has no load bus where a data centre could be drawn; write"):
+        scenario_on(bare)
+
+
+def test_a_feeder_whose_loads_are_all_on_one_phase_says_so():
+    network = load_feeder("ieee13-3ph").network
+    table = network.phase_load
+    single = [i for i, bus in enumerate(table.bus) if bus in ("652", "611", "645")]
+    assert len(single) == 3
+    columns = {f.name: tuple(getattr(table, f.name)[i] for i in single) for f in dataclasses.fields(table)}
+    loads = dataclasses.replace(table, **columns)
+    feeder = ThreePhaseFeeder.from_network(dataclasses.replace(network, phase_load=loads))
+    with pytest.raises(ScenarioError, match="no load bus of three phases where a data centre could be drawn"):
+        scenario_on(feeder)
+
+
+def test_inverters_leave_buses_to_the_sites_and_spread():
+    feeder = load_feeder("ieee33")
+    made = scenario_on(feeder)
+    at = [feeder.index(bus) for bus in made.inverter_buses]
+    assert at == sorted(set(at))
+    assert max(np.diff(at)) <= feeder.n_bus / 4
