@@ -22,7 +22,7 @@ from scipy import sparse
 
 from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
-from dcgrid_env.baselines.model_based.interior_point import Rows, minimise
+from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
@@ -66,8 +66,8 @@ class EquipmentProgram(Trajectory):
             columns = [self._of_kind(device, self._tap, self._on)[:, list(device.rows)] for device in self.groups]
             self.position = np.concatenate(columns, axis=1)
 
-    def solve(self) -> tuple[float, np.ndarray]:
-        """Optimum and the actions (T, n_action) behind it; the next program is around them."""
+    def solve(self, tolerance: float = TOLERANCE) -> tuple[float, np.ndarray]:
+        """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
         n_dc, n_u, steps = s.n_datacenters, self.n_further, s.horizon
         at, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
@@ -85,7 +85,7 @@ class EquipmentProgram(Trajectory):
         h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
         start = np.concatenate((np.zeros((steps, n_dc)), self.q_kvar, self.position[:, :n_u]), axis=1).ravel()
         try:
-            found = minimise(c, rows, h, limits, start, constant)
+            found = minimise(c, rows, h, limits, start, constant, tolerance)
         except ArithmeticError as error:
             band = "; keep_band may ask for what cannot be" if self.keep_band else ""
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {error}{band}") from None

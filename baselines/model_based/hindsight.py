@@ -36,10 +36,10 @@ ROUNDS = 6
 TOLERANCE = 2e-5
 """Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
 
-
-RELAXED = 5e-3
+RELAXED = 1e-2
 """Change of the relaxation's optimum between programs at which it has settled, as a share of it; the next change would
 be some hundredth of that."""
+_ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, around positions at rest
 
 
 class Hindsight(NamedTuple):
@@ -105,7 +105,7 @@ def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float
     bounds: list[float] = []
     while len(bounds) < rounds:
         program.follow(replay(program.scenario, program.actions(), seed))
-        bounds.append(program.solve()[0])
+        bounds.append((program.solve() if bounds else program.solve(_ROUGHLY))[0])
         if len(bounds) > 1 and abs(bounds[-1] - bounds[-2]) <= RELAXED * abs(bounds[-1]):
             break
     program.round()

@@ -92,7 +92,15 @@ class Optimum(NamedTuple):
     """Newton steps made."""
 
 
-def minimise(c: np.ndarray, rows: Rows, h: np.ndarray, k: np.ndarray, x: np.ndarray, constant: float = 0.0) -> Optimum:
+def minimise(
+    c: np.ndarray,
+    rows: Rows,
+    h: np.ndarray,
+    k: np.ndarray,
+    x: np.ndarray,
+    constant: float = 0.0,
+    tolerance: float = TOLERANCE,
+) -> Optimum:
     """Solve the program from ``x`` on, which need not keep any constraint; ``constant`` is added to the objective.
 
     Raises
@@ -100,17 +108,16 @@ def minimise(c: np.ndarray, rows: Rows, h: np.ndarray, k: np.ndarray, x: np.ndar
     ArithmeticError
         Where no optimum was found, as of a program whose constraints exclude each other.
     """
-    state = _begun(rows, h, k, x)
-    value, bound = np.inf, -np.inf
+    state, hard = _begun(rows, h, k, x), np.isinf(h)
+    largest = max(float(np.abs(k[hard]).max(initial=1.0)), 1.0)
     for done in range(STEPS + 1):
-        missing = state.missing(c, rows, k)
-        hard = np.isinf(h)
         above = rows.apply(state.x) - k
+        missing = _Missing(state.t - state.s - above, -c - rows.transposed(state.z))
         value = constant + float(c @ state.x + h[~hard] @ np.maximum(above[~hard], 0.0))
         bound = constant - float(k @ state.z)
         beyond = float(np.maximum(above[hard], 0.0).max(initial=0.0))
         off = max(abs(value - bound), float(np.abs(missing.dual * state.x).sum()))
-        if off <= TOLERANCE * abs(value) and beyond <= TOLERANCE * max(float(np.abs(k[hard]).max(initial=1.0)), 1.0):
+        if off <= tolerance * abs(value) and beyond <= tolerance * largest:
             return Optimum(state.x, value, bound, done)
         if done == STEPS or not np.isfinite(off):
             break
@@ -138,9 +145,6 @@ class _State(NamedTuple):
     y: np.ndarray
     soft: np.ndarray
     """1 for a row with a finite price and 0 for a hard one."""
-
-    def missing(self, c: np.ndarray, rows: Rows, k: np.ndarray) -> _Missing:
-        return _Missing(k - rows.apply(self.x) + self.t - self.s, -c - rows.transposed(self.z))
 
     def product(self) -> float:
         """Mean of the products that are 0 at the optimum."""
