@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, field_names
 
 
 @runtime_checkable
@@ -61,7 +61,7 @@ class Local(NamedTuple):
 
 _OF_ALL = ("v_deviation", "p", "q", "r", "x")
 _OF_SITES = ("p_ref_next", "backlog")
-_CLOCK, _Q = "clock", "q"
+_CLOCK, _Q, _TAP = "clock", "q", "tap"
 
 
 KNOWN_DEVICES = ("datacenter", "inverter")
@@ -75,7 +75,7 @@ def require_known_devices(who: str, scenario: Scenario) -> None:
     if foreign:
         raise ValueError(
             f"{who} is made for data centres and inverters alone; scenario {scenario.name!r} has devices of kind "
-            f"{', '.join(foreign)}: use a controller that is made for these, or a law, which leaves them at rest"
+            f"{', '.join(foreign)}: use a controller that is made for these, or a law"
         )
     if kinds != [kind for kind in KNOWN_DEVICES if kind in kinds]:
         raise ValueError(
@@ -88,9 +88,13 @@ class LocalController:
     """Base of controllers that work on physical units: subclasses write ``control``.
 
     It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device.
-    Other channels, of devices that it does not know, stay at rest. In :class:`Local` and in what ``control`` returns,
-    data centres stand before all others, which follow in the scenario's order.
+    Regulators that are agents follow what the control of their own bank would do. Other channels, of devices that it
+    does not know, stay at rest, as those of capacitor banks do. In :class:`Local` and in what ``control`` returns, data
+    centres stand before all others, which follow in the scenario's order.
     """
+
+    moves_taps: ClassVar[bool] = True
+    """Whether regulators are driven, or stay at rest too."""
 
     scenario: Scenario
 
@@ -113,6 +117,7 @@ class LocalController:
         self._rated_kva = np.concatenate([device.converter_kva for device in devices])[order]
         self._q_scale = env_info.q_scale_kvar[order]
         self._lay_out([env_info.agents[i] for i in order])
+        self._regulators = _Regulators(env_info) if self.moves_taps and "tap_changer" in kinds else None
 
     def _lay_out(self, agents: list[str]) -> None:
         """Find where the joint action has the clocks and the reactive setpoints of agents, and what it is at rest."""
@@ -135,9 +140,14 @@ class LocalController:
         """See :class:`Controller`."""
         if isinstance(observations, Mapping):
             joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
-            actions = self._joint(*self.control(self._local(joint)))
-            return action_layout(self.scenario).split(actions)
-        return self._joint(*self.control(self._local(np.asarray(observations))))
+            return action_layout(self.scenario).split(self._actions(joint))
+        return self._actions(np.asarray(observations))
+
+    def _actions(self, joint: np.ndarray) -> np.ndarray:
+        actions = self._joint(*self.control(self._local(joint)))
+        if self._regulators is not None:
+            actions[..., self._regulators.action_at] = self._regulators.actions(joint)
+        return actions
 
     def _local(self, joint: np.ndarray) -> Local:
         rated = self.scenario.datacenter.p_rated_kw
@@ -164,6 +174,29 @@ class LocalController:
         actions[..., self._clock_at] = clock
         actions[..., self._q_at] = q[..., self._reactive]
         return np.clip(actions, -1.0, 1.0).astype(np.float32)
+
+
+class _Regulators:
+    """The regulators that are agents of a scenario, driven as their banks' own control would from what they observe."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        relays = acting_relays(scenario, "agent")
+        assert relays is not None
+        (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
+        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.band_pu or 1.0
+        self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
+        names = [name for own in field_names(scenario).values() for name in own]
+        self._tap_at, self._relay_at = ([i for i, name in enumerate(names) if name == own] for own in ("tap", "relay"))
+        self.action_at = np.flatnonzero(action_layout(scenario).is_channel(_TAP))
+
+    def actions(self, joint: np.ndarray) -> np.ndarray:
+        """Entries of the action, (..., n), from the joint observation."""
+        tap = np.rint(joint[..., self._tap_at] * self._farthest)
+        relay_v = self._control.target_v * (1.0 + self._band * joint[..., self._relay_at])
+        asked = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
+        low, high = self._channel.lowest, self._channel.highest
+        shares = 2.0 * (asked - low) / np.where(high > low, high - low, 1.0) - 1.0
+        return shares.reshape(tap.shape)
 
 
 def _at_rest(channel: Any) -> np.ndarray:

@@ -3,7 +3,7 @@
 from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
-from dcgrid_env.engine.acting_relays import ActingRelays, acting_relays
+from dcgrid_env.engine.acting_relays import ActingRelays, BankControl, acting_relays
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.connections import (
     believed_sensitivity,
@@ -55,6 +55,7 @@ __all__ = [
     "ActionError",
     "ActionLayout",
     "Background",
+    "BankControl",
     "CapacitorControl",
     "Control",
     "Cost",

@@ -1,6 +1,8 @@
-"""No control: every data centre at its top clock, no reactive power. Work is served as it arrives."""
+"""No control: every data centre at its top clock, no reactive power, no tap moved. Work is served as it arrives."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 
@@ -8,7 +10,9 @@ from dcgrid_env.baselines.controller import Local, LocalController
 
 
 class NoControl(LocalController):
-    """Top clock, no reactive power."""
+    """Top clock, no reactive power, regulators that are agents at rest."""
+
+    moves_taps: ClassVar[bool] = False
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""

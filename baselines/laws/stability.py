@@ -35,7 +35,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Scenario, sensitivity_between_agents
+from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, sensitivity_between_agents
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
@@ -81,10 +81,12 @@ def spectral_radius(
 
 def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: bool) -> tuple[np.ndarray, np.ndarray]:
     """R and X between the agents that act, for each placement, (placement, n, n)."""
-    index, first = scenario.feeder.index, 0 if datacenters else scenario.n_datacenters
+    index = scenario.feeder.index
+    acting = np.flatnonzero(action_layout(scenario).reactive >= 0)  # equipment of the feeder gives no reactive power
+    acting = acting[0 if datacenters else scenario.n_datacenters :]
     at = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
     r, x = sensitivity_between_agents(scenario, at)
-    return r[:, first:, first:], x[:, first:, first:]
+    return r[:, acting[:, None], acting], x[:, acting[:, None], acting]
 
 
 def _radii(

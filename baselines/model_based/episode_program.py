@@ -23,44 +23,33 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from dcgrid_env import Control, Forecast, Recorder, Scenario, acting_relays, action_layout, nodes_by_bus, solver_for
+from dcgrid_env import Forecast, Scenario, acting_relays
 from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
-from dcgrid_env.baselines.model_based.voltage_rows import Linear, voltage_rows
+from dcgrid_env.baselines.model_based.trajectory import Trajectory
+from dcgrid_env.baselines.model_based.voltage_rows import voltage_rows
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
 
 TANGENTS = 24
 """Tangents of a quadrant of the capability circle."""
-_SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
 
-class EpisodeProgram:
+class EpisodeProgram(Trajectory):
     """The linear program of an episode, around the trajectory of its last solution.
 
     Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation), z (relays).
     """
 
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, keep_taps: bool = False) -> None:
-        s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
-        self.scenario, self.episode, self.keep_band = s, episode, keep_band
-        self.base_kw = np.minimum(episode.p_ref_kw, dc.p_idle_kw)
-        self.arrived_kw = np.maximum(episode.p_ref_kw - dc.p_idle_kw, 0.0)
-        # The first program is around serving all work as it arrives, without reactive power.
-        self.served_kw, self.q_kvar = self.arrived_kw, np.zeros((s.horizon, s.n_agents))
-        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
-        room = np.sqrt(np.maximum(self.s_rated_kva[n_dc:] ** 2 - episode.p_inverter_kw**2, 0.0))
-        self.q_limit_kvar = np.tile(s.q_scale_kvar, (s.horizon, 1))
-        self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
-        self.q_limit_kvar *= episode.available
+        super().__init__(scenario, episode)
+        s, n_dc, self.keep_band = scenario, scenario.n_datacenters, keep_band
         n_bus = len(s.feeder.load_nodes)
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
         relays = acting_relays(s) if keep_taps else None
         self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
         self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
-        self._acting: Control | None = None
-        self._tap = np.zeros((s.horizon, 0))
         self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
 
     def solve(self) -> tuple[float, np.ndarray]:
@@ -81,18 +70,6 @@ class EpisodeProgram:
         self.served_kw = self._part(result.x, "d").reshape(s.horizon, -1)
         self.q_kvar = self._part(result.x, "q").reshape(s.horizon, -1)
         return float(result.fun + price * voltages.at_zero), self.actions()
-
-    def follow(self, replayed: Recorder) -> None:
-        """Take the taps and switches of a three-phase feeder's equipment as they were in a replay."""
-        phases: Any = replayed.lane(0).three_phase
-        missing = self.scenario.horizon + 1 - len(phases.equipment.regulators.tap)  # the replay ended in a collapse
-        taps, on = (
-            np.concatenate((rows[1:], np.repeat(rows[-1:], missing, axis=0)))
-            for rows in (phases.equipment.regulators.tap, phases.equipment.banks.on)
-        )
-        if self.episode.capacitor_on is not None:
-            on = on * self.episode.capacitor_on
-        self._tap, self._acting = taps, Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
     def _optimum(self, limits: Limits, prices: np.ndarray, ranges: np.ndarray) -> Any:
         rows, bounds = zip(*limits, strict=True)
@@ -127,58 +104,11 @@ class EpisodeProgram:
             "the load"
         )
 
-    def _around(self) -> Any:
-        """Power flows (1 + n_dc + n_agent, T), flattened: of the trajectory, and with each power moved by itself."""
-        s, episode, n_dc = self.scenario, self.episode, self.scenario.n_datacenters
-        p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw), axis=1) * episode.available
-        p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
-        shares = self._shares()
-        p_kw += p_agent @ shares
-        q_kvar -= self.q_kvar @ shares
-        moved = _SPAN * shares
-        none = np.zeros((1, s.feeder.n_leg))
-        by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved))[:, None]
-        by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved))[:, None]
-        loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
-        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(1 + n_dc + s.n_agents))
-        unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))
-        if unsolved.size:
-            raise ValueError(
-                f"hindsight of scenario {s.name!r}: the power flow around the trajectory has no solution at step "
-                f"{unsolved[0] + 1}; give the feeder less load"
-            )
-        return solution
-
-    def _linear(self, values: np.ndarray) -> Linear:
-        """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q."""
-        s, n_dc = self.scenario, self.scenario.n_datacenters
-        values = values.reshape(-1, s.horizon, values.shape[-1])
-        # What a tripped data centre draws, the grid does not see.
-        drawn = np.concatenate((self.episode.available[:, :n_dc], np.ones((s.horizon, s.n_agents))), axis=1)
-        slopes = np.moveaxis(values[1:] - values[0], 0, -1) / _SPAN * drawn[:, None]
-        by_d, by_q = slopes[..., :n_dc], slopes[..., n_dc:]
-        moved = np.einsum("tnd,td->tn", by_d, self.served_kw) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
-        return Linear(values[0] - moved, by_d, by_q)
-
     def _kept_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
         """The rows of ``relay_rows`` where taps are to be kept."""
         if self.relay_rows is None:
             return []
         return self.relay_rows.limits(self._tap, self._linear(self.relay_rows.relays.volts(solution)))
-
-    def _shares(self) -> np.ndarray:
-        """Share of each agent's power that each leg draws, (n_agent, n_leg)."""
-        s = self.scenario
-        nodes = nodes_by_bus(s)[np.arange(s.n_agents), self.episode.buses]
-        shares = np.zeros((s.n_agents, s.feeder.n_leg))
-        np.add.at(shares, (np.arange(s.n_agents)[:, None], s.feeder.first_device_leg + nodes), 1.0 / nodes.shape[1])
-        return shares
-
-    def _control(self, copies: int) -> Control | None:
-        """Taps and switches in each step of the episode, and as many copies of them."""
-        if self._acting is None:
-            return None
-        return Control(*(None if rows is None else np.tile(rows, (copies, 1)) for rows in self._acting))
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""
@@ -251,13 +181,3 @@ class EpisodeProgram:
         n = next(iter(parts.values())).shape[0]
         columns = [parts.get(name, sparse.csr_matrix((n, size))) for name, size in self.sizes.items()]
         return sparse.hstack(columns, format="csr")
-
-    def actions(self) -> np.ndarray:
-        """(T, n_action) in [-1, 1]: the clock whose ceiling is the work served, and shares of the reactive limit."""
-        s, dc = self.scenario, self.scenario.datacenter
-        ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
-        f_mhz = np.clip(self.served_kw / ceiling_kw * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz)
-        span = np.where(dc.f_max_mhz > dc.f_min_mhz, dc.f_max_mhz - dc.f_min_mhz, 1.0)
-        q = self.q_kvar / np.where(s.q_scale_kvar > 0, s.q_scale_kvar, 1.0)
-        clock = 2.0 * (f_mhz - dc.f_min_mhz) / span - 1.0
-        return np.clip(action_layout(s).joint(clock=clock, q=q), -1.0, 1.0)

@@ -7,7 +7,7 @@ between that trajectory and a better one, a few 1e-5 of J where that was looked 
 
 Where regulators follow a control of their own, two programs are solved and the better replay is taken: one around the
 taps of the replay before, and one that keeps each relay from moving its tap at all, by a step in band before its delay
-is over.
+is over. Where regulators or capacitor banks are agents, ``equipment_program`` plans their positions too.
 """
 
 from __future__ import annotations
@@ -26,14 +26,20 @@ from dcgrid_env import (
     acting_relays,
     forecast,
 )
-from dcgrid_env.baselines.controller import require_known_devices
+from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
+from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
 
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
 """Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
+
+RELAXED = 1e-2
+"""Change of the relaxation's optimum between programs at which it has settled, as a share of it; the next change would
+be some hundredth of that."""
+_ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, around positions at rest
 
 
 class Hindsight(NamedTuple):
@@ -43,7 +49,8 @@ class Hindsight(NamedTuple):
     """Cost of the actions, replayed in the environment."""
     bound: float
     """Optimum of the last linear program, around a trajectory like theirs. Where regulators or capacitor banks act it
-    takes their taps and switches as they were in the replay before, and so is no bound on what else they might do."""
+    by themselves it takes their taps and switches as they were in the replay before, and so is no bound on what else
+    they might do; where they are agents it is of the program that is free to choose any position, whole or not."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -65,7 +72,8 @@ def hindsight(
     Parameters
     ----------
     scenario
-        With the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or losses.
+        With the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or losses;
+        one on switching only where all that is not fixed is an agent.
     seed
         The episode.
     rounds
@@ -82,6 +90,8 @@ def hindsight(
         the constraint that cannot be met, where and when.
     """
     _check(scenario)
+    if _has_equipment_agents(scenario):
+        return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     best = _settled(EpisodeProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     if acting_relays(scenario) is not None:
         program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, keep_taps=True)
@@ -90,7 +100,20 @@ def hindsight(
     return best
 
 
-def _settled(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
+def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
+    """Solve the relaxation around its own solutions until its optimum settles, then with whole positions."""
+    bounds: list[float] = []
+    while len(bounds) < rounds:
+        program.follow(replay(program.scenario, program.actions(), seed))
+        bounds.append((program.solve() if bounds else program.solve(_ROUGHLY))[0])
+        if len(bounds) > 1 and abs(bounds[-1] - bounds[-2]) <= RELAXED * abs(bounds[-1]):
+            break
+    program.round()
+    found = _settled(program, seed, rounds, tolerance)
+    return found._replace(bound=bounds[-1], rounds=len(bounds) + found.rounds)
+
+
+def _settled(program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
     """Solve a program around its own solutions until the replay agrees with it."""
     scenario = program.scenario
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
@@ -127,12 +150,34 @@ def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
     return recorder
 
 
+def _has_equipment_agents(scenario: Scenario) -> bool:
+    """Whether regulators or capacitor banks are agents, and nothing else but data centres first and inverters then."""
+    kinds = [device.kind for device in scenario.devices if device.count]
+    there = [kind for kind in (*KNOWN_DEVICES, *CHANNELS) if kind in kinds]
+    return kinds == there and any(kind in CHANNELS for kind in kinds)
+
+
 def _check(scenario: Scenario) -> None:
-    require_known_devices("hindsight", scenario)
+    planned = _has_equipment_agents(scenario)
+    if not planned:
+        require_known_devices("hindsight", scenario)
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":
         raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.voltage_cost!r}")
-    priced = [name for name in NOT_PRICED if getattr(scenario.weights, name)]
+    weights, alone = scenario.weights, planned and not _acts_by_itself(scenario)
+    priced = [name for name in NOT_PRICED if getattr(weights, name) and not (name == "switching" and alone)]
+    if priced == ["switching"] and planned:
+        raise ValueError(
+            "hindsight prices the moves of agents alone; make all equipment that is controlled fixed or agents, or set "
+            "the weight of switching to 0"
+        )
     if priced:
         raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
+
+
+def _acts_by_itself(scenario: Scenario) -> bool:
+    """Whether any regulator or capacitor bank follows a control of its own."""
+    capacitors = scenario.grid_control.capacitors
+    deciders = (capacitors,) if isinstance(capacitors, str) else dict(capacitors).values()
+    return acting_relays(scenario) is not None or "controlled" in deciders

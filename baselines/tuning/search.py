@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, believed_sensitivity, nodes_by_bus
+from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_bus
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -24,7 +24,8 @@ from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.rollout import rollout
 
 Parameters = dict[str, Any]
-_LOG_K_Q = (-2.0, 2.5)
+_LOG_K_Q = (-2.0, 2.5)  # in episodes of _EPISODE_S at most, with steps of a second at most
+_EPISODE_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -52,12 +53,22 @@ def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
     return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), "alpha_per_s": _power(x[2])}
 
 
+def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
+    """Bounds of log10 k_q, an integral gain: the longer an episode, the slower it may be, and the longer a step, the
+    sooner it oscillates.
+    """
+    episode_s = max(_EPISODE_S, *(s.horizon * s.dt_s for s in scenarios))
+    step_s = max(1.0, min(s.dt_s for s in scenarios))
+    return _LOG_K_Q[0] - float(np.log10(episode_s / _EPISODE_S)), _LOG_K_Q[1] - float(np.log10(step_s))
+
+
 def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     if len(scenarios) > 1:
         return {"q_share": _rounded(x[0])}
-    # Data centres that are drawn anew in each episode are all alike beforehand.
-    n = scenarios[0].n_agents - len(x)
-    return {"q_share": (*[_rounded(x[0])] * n, *map(_rounded, x))}
+    # Data centres that are drawn anew in each episode are all alike beforehand, and equipment has no reactive power.
+    n_q = _n_reactive(scenarios[0])
+    first, none = [_rounded(x[0])] * (n_q - len(x)), [0.0] * (scenarios[0].n_agents - n_q)
+    return {"q_share": (*first, *map(_rounded, x), *none)}
 
 
 def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
@@ -65,7 +76,13 @@ def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]
         return [(-1.0, 1.0)]
     scenario = scenarios[0]
     drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    return [(-1.0, 1.0)] * (scenario.n_agents - scenario.n_datacenters + 1 if drawn else scenario.n_agents)
+    n_q = _n_reactive(scenario)
+    return [(-1.0, 1.0)] * (n_q - scenario.n_datacenters + 1 if drawn else n_q)
+
+
+def _n_reactive(scenario: Scenario) -> int:
+    """Number of agents up to the last that gives reactive power, behind which equipment of the feeder stands."""
+    return int(np.flatnonzero(action_layout(scenario).reactive >= 0).max(initial=-1)) + 1
 
 
 def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
@@ -97,9 +114,9 @@ def _distances(scenario: Scenario) -> np.ndarray:
 
 
 TUNABLE: dict[str, Tunable] = {
-    "droop": Tunable(Droop, _droop, lambda _: [(0.0, 20.0), _LOG_K_Q, (-3.0, 0.3)]),
+    "droop": Tunable(Droop, _droop, lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3)]),
     "droop-q": Tunable(
-        Droop, lambda x, _: {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": _power(x[0])}, lambda _: [_LOG_K_Q]
+        Droop, lambda x, _: {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": _power(x[0])}, lambda s: [_k_q_bounds(s)]
     ),
     "deadband": Tunable(
         DeadbandDroop,

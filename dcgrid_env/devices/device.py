@@ -42,6 +42,9 @@ class Field(NamedTuple):
     """What the raw figure is divided by, (slot,)."""
     of_preview: bool = False
     """Whether it is 0 unless the scenario grants the preview."""
+    of_band: bool = False
+    """Whether it is a deviation of a voltage: figure and range are then divided by the scenario's band too, as those of
+    ``v_deviation`` are."""
 
 
 class CostTerm(NamedTuple):

@@ -1,4 +1,4 @@
-"""The relays of the regulators that change taps by themselves: for how long, and within what volts, they leave them."""
+"""The relays of regulators: for how long and within what volts they leave the taps, and where they would have them."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
+from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.scenario.grid_control import regulator_deciders
+from dcgrid_env.scenario.grid_control import Decider, regulator_deciders
 from dcgrid_env.scenario.scenario import Scenario
 
 _SAME_TIME = 1e-9  # of a step
 
 
 class ActingRelays(NamedTuple):
-    """The regulators of a scenario that follow the control of their bank, n of them, in the order of their table."""
+    """Some of a scenario's regulators, n of them, in the order of their table."""
 
     rows: np.ndarray
     """Their rows in the table of regulators, int, (n,)."""
@@ -35,13 +36,44 @@ class ActingRelays(NamedTuple):
         return np.where(tap < s.highest[rows], low, -np.inf), np.where(tap > s.lowest[rows], high, np.inf)
 
 
-def acting_relays(scenario: Scenario) -> ActingRelays | None:
-    """The relays of the regulators that a control of their own moves; None where there is none."""
+class BankControl:
+    """What the banks' own control would have the taps of some regulators be, step after step.
+
+    It keeps the relays' clocks, and so is asked once in each step. Of taps that regulators further up make within a
+    step it knows where these are among its own.
+    """
+
+    def __init__(self, relays: ActingRelays, dt_s: float) -> None:
+        rows, whole = relays.rows, relays.settings
+        own = (values[rows] if values.ndim == 1 else values[np.ix_(rows, rows)] for values in whole)
+        self._settings, self._dt_s = RelaySettings(*own), dt_s
+        self._state: RegulatorState | None = None
+
+    @property
+    def target_v(self) -> np.ndarray:
+        """Relay volts that are held, (n,)."""
+        return self._settings.target_v
+
+    def taps(self, tap: np.ndarray, relay_v: np.ndarray) -> np.ndarray:
+        """Taps at the end of the coming step, (lane, n), from those of now and what the relays measure, (lane, n)."""
+        tap, relay_v = (np.ascontiguousarray(values, np.float64) for values in (tap, relay_v))
+        before = self._state
+        if before is None or before.tap.shape != tap.shape:
+            before = initial_regulators(tap, relay_v)
+        self._state = control_taps(self._settings, before._replace(tap=tap, relay_v=relay_v), self._dt_s)
+        return self._state.tap
+
+
+def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> ActingRelays | None:
+    """The relays of the regulators over which a control of their own, or whoever ``decider`` names, decides.
+
+    None where there are none.
+    """
     feeder = scenario.feeder
     if not isinstance(feeder, ThreePhaseFeeder):
         return None
     deciders = regulator_deciders(scenario.grid_control, feeder)
-    rows = np.array([row for row, decider in enumerate(deciders) if decider == "controlled"], np.int64)
+    rows = np.array([row for row, of_row in enumerate(deciders) if of_row == decider], np.int64)
     if not len(rows):
         return None
     settings = relay_settings(feeder)

@@ -117,6 +117,9 @@ def _step(
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
+    own = tuple(devices)
+    if phases is not None:
+        own = feeder_equipment.with_relays(scenario, own, phases.equipment)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -126,7 +129,7 @@ def _step(
         p_kw=p_agent,
         q_kvar=q_agent,
         q_limit_kvar=q_limit,
-        devices=tuple(devices),
+        devices=own,
         three_phase=phases,
     ), solution
 

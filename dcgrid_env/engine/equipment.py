@@ -97,6 +97,16 @@ def measured(scenario: Scenario, equipment: Equipment, solution: Any) -> Equipme
     return Equipment(regulators, measured_banks(plan.banks.settings, solution, equipment.banks))
 
 
+def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipment) -> tuple[Any, ...]:
+    """The states of the devices, with what the relays of regulators that are agents measure."""
+    at = _plan(scenario, equipment.regulators.relay_v).regulators.agents
+    if at is None:
+        return devices
+    own: Any = scenario.devices[at]
+    relay_v = equipment.regulators.relay_v[..., list(own.rows)]
+    return (*devices[:at], devices[at]._replace(relay_v=relay_v), *devices[at + 1 :])
+
+
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:
     """What the equipment is to the power flow; ``connected`` banks as in ``begun``."""
     on = equipment.banks.on

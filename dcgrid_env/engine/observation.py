@@ -11,7 +11,7 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | q_limit | all | the same share | 0 .. 1 |
 | r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
 | v_lowest, v_highest | all on a three-phase feeder | lowest and highest of its phases, as v_deviation | the same |
-| device fields | as each device says (``Device.fields``) | | |
+| device fields | as each device says (``Device.fields``), voltages in bands | without noise or delay | |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every node but the substation's, as in node_ids | as above |
 
@@ -78,8 +78,16 @@ def common_fields(scenario: Scenario) -> tuple[str, ...]:
 
 @cached_on_owner
 def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
-    """The fields of each device."""
-    return tuple(device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
+    """The fields of each device, those that are deviations of voltages in bands."""
+    band = scenario.band_pu or 1.0
+    of_devices = (device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
+    return tuple(tuple(_in_bands(field, band) if field.of_band else field for field in own) for own in of_devices)
+
+
+def _in_bands(field: Field, band_pu: float) -> Field:
+    return field._replace(
+        lowest=field.lowest / band_pu, highest=field.highest / band_pu, share_of=field.share_of * band_pu
+    )
 
 
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:

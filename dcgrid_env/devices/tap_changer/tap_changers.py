@@ -23,6 +23,8 @@ class TapChangerParams(NamedTuple):
     base: Array
     tap_delay_s: Array
     """Time that the drive needs for a tap, s."""
+    target_v: Array
+    """Volts that the relay is to hold."""
 
 
 class TapChangerState(NamedTuple):
@@ -33,6 +35,8 @@ class TapChangerState(NamedTuple):
     """Time since the last tap, s; at t = 0 a drive is ready."""
     moved: Array
     """Taps made in the last step, in either direction."""
+    relay_v: Array
+    """Relay volts as last measured, which the engine puts in after each power flow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +49,7 @@ class TapChangers(GridEquipment):
 
     kind: ClassVar[str] = "tap_changer"
     prefix: ClassVar[str] = "reg"
-    levels: ClassVar[tuple[str, ...]] = ("tap", "since_s")
+    levels: ClassVar[tuple[str, ...]] = ("tap", "since_s", "relay_v")
 
     names: tuple[str, ...]
     """Names in the regulators' table."""
@@ -59,6 +63,7 @@ class TapChangers(GridEquipment):
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
     tap_delay_s: tuple[float, ...]
+    target_v: tuple[float, ...]
 
     @classmethod
     def of_feeder(cls, feeder: ThreePhaseFeeder, rows: tuple[int, ...]) -> TapChangers:
@@ -77,12 +82,14 @@ class TapChangers(GridEquipment):
             lowest=numbers(table.tap_min),
             highest=numbers(table.tap_max),
             tap_delay_s=numbers(table.tap_delay_s),
+            target_v=numbers(table.vreg_v),
         )
 
     @cached_property
     def parameters(self) -> TapChangerParams:
         """Settings as arrays over the agents."""
-        return TapChangerParams(np.array(self.base), np.maximum(np.array(self.tap_delay_s), _SHORTEST_S))
+        delay_s = np.maximum(np.array(self.tap_delay_s), _SHORTEST_S)
+        return TapChangerParams(np.array(self.base), delay_s, np.array(self.target_v))
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -90,16 +97,23 @@ class TapChangers(GridEquipment):
         return (Channel("tap", "taps", np.array(self.lowest), np.array(self.highest), rest=np.array(self.base)),)
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """The tap as a share of the farthest one, and the time since the last move as a share of the episode."""
+        """The tap as a share of the farthest one, the time since the last move as a share of the episode, and how far
+        the relay is off its target: what it measures, line-drop compensation included, over the target, less 1.
+
+        The relay stands at the regulator itself, and so neither the noise nor the delay of what is measured elsewhere
+        is on it, as little as on what a control of the bank's own goes by.
+        """
         farthest = np.maximum(np.maximum(np.abs(self.lowest), np.abs(self.highest)), 1.0)
         return (
             Field("tap", "taps", -1.0, 1.0, farthest),
             Field("since_tap", "s", 0.0, 1.0, np.full(self.count, horizon * dt_s)),
+            Field("relay", "V", -1.0, 1.0, np.array(self.target_v), of_band=True),
         )
 
     def initial(self, parameters: TapChangerParams, zero: Array) -> TapChangerState:
-        """At the base tap, with the drive ready."""
-        return TapChangerState(zero + parameters.base, zero + parameters.tap_delay_s, zero)
+        """At the base tap, with the drive ready, and the relay at its target until it has measured."""
+        delay_s, target_v = zero + parameters.tap_delay_s, zero + parameters.target_v
+        return TapChangerState(zero + parameters.base, delay_s, zero, target_v)
 
     def step(
         self,
@@ -116,8 +130,8 @@ class TapChangers(GridEquipment):
         tap = xp.minimum(xp.maximum(rounded(setpoints[0]), state.tap - most), state.tap + most)
         moved = xp.abs(tap - state.tap)
         since_s = xp.where(moved > 0.0, ready_s - moved * delay_s, state.since_s + dt_s)
-        return TapChangerState(tap, since_s, moved), 0.0 * tap
+        return TapChangerState(tap, since_s, moved, state.relay_v), 0.0 * tap
 
     def observe(self, parameters: TapChangerParams, state: TapChangerState, given_next: Any) -> tuple[Array, ...]:
-        """Tap and time since the last move, see ``fields``."""
-        return state.tap, state.since_s
+        """Tap, time since the last move, and what the relay is off by, see ``fields``."""
+        return state.tap, state.since_s, state.relay_v - parameters.target_v

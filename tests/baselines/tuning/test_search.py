@@ -12,6 +12,7 @@ from dcgrid_env.baselines import CONTROLLERS, ConstantQ, Droop, NoControl, make_
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.tuning.search import TUNABLE, mean_cost, tune
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
+from helpers.three_phase import ieee13, ieee123
 
 EPISODES = 20
 SHIPPED = json.loads((files("dcgrid_env.baselines.data") / "tuned.json").read_text(encoding="utf-8"))
@@ -121,3 +122,25 @@ def test_what_a_law_refuses_is_said_and_not_what_the_search_makes_of_it(monkeypa
     monkeypatch.setitem(TUNABLE, "droop-q", replace(TUNABLE["droop-q"], law=lambda **_: Refusing()))
     with pytest.raises(ControllerError, match=r"cannot drive toy6, test_search.py line \d+: too weak"):
         tune("droop-q", [make_scenario("toy6", split="validation")], 1)
+
+
+def test_gains_are_searched_as_low_as_an_episode_is_long_and_as_high_as_a_step_is_short():
+    plain, day = make_scenario("toy6"), make_scenario("toy6", dt_s=60.0, horizon=200)
+    for scenarios in [(plain,), (plain.replace(dt_s=0.1),), (plain, plain.replace(horizon=120))]:
+        assert TUNABLE["droop-q"].bounds(scenarios) == [(-2.0, 2.5)]
+    (low, high), _ = TUNABLE["droop"].bounds([day])[1:]
+    assert (10.0**low, 10.0**high) == pytest.approx((1e-4, 10.0**2.5 / 60.0))
+    assert TUNABLE["droop-q"].bounds([plain, day]) == [(low, 2.5)]
+
+
+def test_equipment_has_no_share_of_reactive_power_to_search_for():
+    given = ieee13().replace(regulators="agent", capacitor_banks={"cap1": "agent"})
+    drawn = ieee123().replace(regulators="agent")
+    for scenario, width in ((given, 6), (drawn, 8)):
+        law = TUNABLE["constant-q"]
+        bounds = law.bounds([scenario])
+        assert len(bounds) == width
+        shares = law.parameters(np.linspace(0.1, 0.9, width), [scenario])["q_share"]
+        assert len(shares) == scenario.n_agents
+        assert (np.array(shares)[: 12 if scenario is drawn else 6] != 0.0).all()
+        assert set(shares[12 if scenario is drawn else 6 :]) == {0.0}

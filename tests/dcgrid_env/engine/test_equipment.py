@@ -235,3 +235,44 @@ def test_same_bits_in_any_lane():
 
     over_arrays(same_bits, one.transition.state, batch.transition.state)
     assert one.transition.state.three_phase.equipment.regulators.moves.sum() > 0.0
+
+
+@pytest.mark.parametrize("observe", ["local", "feeder"])
+def test_a_regulator_observes_what_its_relay_is_off_by(observe):
+    """Line-drop compensation included, as the power flow has it, and free of the noise of other meters."""
+    scenario = SCENARIOS["ieee123"]().replace(regulators="agent", observe=observe, voltage_noise_pu=0.01, horizon=3)
+    transitions = play(scenario, action=commanded(scenario, tap=0.3))
+    names, last = observation.field_names(scenario), transitions[-1]
+    at = [i for i, name in enumerate(name for own in names.values() for name in own) if name == "relay"]
+    settings, solved = relay_settings(scenario.feeder), last.state.three_phase.equipment.regulators.relay_v
+    assert np.abs(np.diff([t.observation[:, at] for t in transitions], axis=0)).min() > 1e-5
+    deviation = solved / settings.target_v - 1.0
+    np.testing.assert_allclose(last.observation[:, at], deviation / scenario.band_pu, atol=1e-6)
+    low, high = observation.bounds(scenario)["reg_0"]
+    own = names["reg_0"]
+    assert (low[own.index("relay")], high[own.index("relay")]) == (low[0], high[0]) == (-20.0, 20.0)
+
+
+def test_the_relay_keeps_its_last_value_where_the_power_flow_has_none():
+    scenario = ieee13().replace(regulators="agent", p_rated_kw=40_000.0, trace="step", trace_window="start", horizon=30)
+    *_, before, after = play(scenario, lanes=1, steps=20, action=commanded(scenario))
+    assert not after.converged.any()
+    np.testing.assert_array_equal(after.state.relay_v, before.state.relay_v)
+
+
+def test_tensors_observe_the_relay_and_its_derivative():
+    scenario = ieee13().replace(regulators="agent", load_sigma=0.0)
+    joint = torch.tensor(commanded(scenario, tap=scenario.feeder.base_tap / 16.0)[None], requires_grad=True)
+    env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
+    env.reset([0])
+    seen = env.step(joint).observation
+    ours = play(scenario, lanes=1, steps=1, action=joint.detach().numpy()[0])[-1].observation
+    np.testing.assert_allclose(seen.detach().numpy(), ours, atol=1e-6)
+    names = observation.field_names(scenario)
+    at = [name for own in names.values() for name in own].index("relay")
+    seen[0, at].backward()
+    assert joint.grad is not None
+    found = joint.grad[0, torch.tensor(action_layout(scenario).is_channel("tap"))].numpy()
+    settings = relay_settings(scenario.feeder)
+    by_tap = settings.volts_per_tap[0, 0] / settings.target_v[0]
+    assert found[0] == pytest.approx(16.0 * by_tap / scenario.band_pu, rel=0.1)

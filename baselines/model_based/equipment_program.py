@@ -1,0 +1,234 @@
+"""The program of an episode in which regulators and capacitor banks are agents: their positions are unknowns too.
+
+What ``episode_program`` minimises, and beside it
+
+    over   u          taps, and switches between 0 and 1, of the equipment that is agents
+    cost   switching times the mean of |u_t - u_{t-1}|, as the reward has it
+    with   u within its range, and |u_t - u_{t-1}| at most what a drive makes in a step
+
+Positions are whole numbers in truth. As continuous unknowns they make the program a relaxation, whose optimum is below
+what any controller reaches, but for what the grid's curvature does. ``round`` makes whole ones of them, around which
+the program is then solved for work and reactive power alone.
+
+All costs and constraints are hinges of what stands in one step or two, which is what ``interior_point`` solves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout
+from dcgrid_env.baselines.model_based.episode_program import TANGENTS
+from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
+from dcgrid_env.baselines.model_based.trajectory import Trajectory
+
+_SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
+_NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
+CHANNELS = {"tap_changer": "tap", "capacitor_bank": "on"}
+"""Channel of each kind of device that is equipment."""
+
+
+class EquipmentProgram(Trajectory):
+    """The program of an episode with equipment that is agents, around the trajectory of its last solution.
+
+    Unknowns of a step, one after the other: b (n_dc), q (n), and, while positions are not rounded, u.
+    """
+
+    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool) -> None:
+        super().__init__(scenario, episode)
+        self.keep_band = keep_band
+        self.groups: list[Any] = [device for device in scenario.devices if device.kind in CHANNELS]
+        channels = [device.channels[0] for device in self.groups]
+        self.lowest, self.highest, self.rest = (
+            np.concatenate([getattr(channel, side) for channel in channels]) for side in ("lowest", "highest", "rest")
+        )
+        self.most = np.concatenate([_most(device, scenario.dt_s) for device in self.groups])
+        self.position = np.tile(self.rest, (scenario.horizon, 1))
+        """Taps, then switches, of the equipment that is agents, (T, n_u)."""
+        self.is_whole = False
+
+    @property
+    def n_further(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """A power flow for each position that is unknown."""
+        return 0 if self.is_whole else len(self.rest)
+
+    def round(self) -> None:
+        """Make whole numbers of the positions, and unknowns no more."""
+        self.position, self.is_whole = np.rint(self.position), True
+
+    def follow(self, replayed: Recorder) -> None:
+        """Take positions as they were in a replay: of all equipment if rounded, else of what is no agent."""
+        super().follow(replayed)
+        if self.is_whole:
+            columns = [self._of_kind(device, self._tap, self._on)[:, list(device.rows)] for device in self.groups]
+            self.position = np.concatenate(columns, axis=1)
+
+    def solve(self, tolerance: float = TOLERANCE) -> tuple[float, np.ndarray]:
+        """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
+        s = self.scenario
+        n_dc, n_u, steps = s.n_datacenters, self.n_further, s.horizon
+        at, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
+        k = dense.shape[-1]
+        one, shift = sparse.identity(steps), sparse.eye(steps, k=-1)
+        of_d = np.arange(k) < n_dc
+        served = sparse.kron(one, sparse.diags(np.where(of_d, -1.0 / s.dt_s, 1.0)))
+        served += sparse.kron(shift, sparse.diags(np.where(of_d, 1.0 / s.dt_s, 0.0)))  # d_t - a_t from b_t, b_{t-1}
+        quantities = sparse.csr_array(served)
+        at = at + (dense[..., :n_dc] @ self.arrived_kw[..., None])[..., 0]
+        c, constant = self._linear_costs(at, dense, quantities)
+        h, bounds = self._of_voltages(at)
+        other, h_other, k_other = self._of_steps(quantities, k)
+        rows = Rows(dense, quantities, (1.0, 1.0, -1.0), other, 2 * k - 1)
+        h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
+        start = np.concatenate((np.zeros((steps, n_dc)), self.q_kvar, self.position[:, :n_u]), axis=1).ravel()
+        try:
+            found = minimise(c, rows, h, limits, start, constant, tolerance)
+        except ArithmeticError as error:
+            band = "; keep_band may ask for what cannot be" if self.keep_band else ""
+            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {error}{band}") from None
+        x = found.x.reshape(steps, k)
+        self.served_kw = (quantities @ found.x).reshape(steps, k)[:, :n_dc] + self.arrived_kw
+        self.q_kvar = x[:, n_dc : n_dc + self.n]
+        if n_u:
+            self.position = np.clip(x[:, n_dc + self.n :], self.lowest, self.highest)
+        return found.bound, self.actions()
+
+    def actions(self) -> np.ndarray:
+        """(T, n_action) in [-1, 1], as ``Trajectory.actions``, and of the equipment the nearest whole positions."""
+        actions, layout = super().actions(), action_layout(self.scenario)
+        span = np.where(self.highest > self.lowest, self.highest - self.lowest, 1.0)
+        shares = 2.0 * (np.rint(self.position) - self.lowest) / span - 1.0
+        for device, entries in zip(self.groups, self._split(shares), strict=True):
+            actions[:, layout.is_channel(CHANNELS[device.kind])] = entries
+        return actions
+
+    def _split(self, columns: np.ndarray) -> list[np.ndarray]:
+        """The columns of each group of equipment."""
+        return np.split(columns, np.cumsum([device.count for device in self.groups])[:-1], axis=-1)
+
+    @staticmethod
+    def _of_kind(device: Any, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
+        """Of all the feeder's taps and switches those of the kind that a group of equipment is."""
+        return taps if device.kind == "tap_changer" else on
+
+    def _control(self, copies: int) -> Control | None:
+        """The equipment in each power flow of ``_around``: in the last ones each unknown position moved by itself."""
+        taps, on = (np.tile(rows, (copies, 1, 1)) for rows in (self._tap, self._on))
+        still = copies - self.n_further
+        moved = np.tile(self.position, (copies, 1, 1))
+        moved[np.arange(still, copies), :, np.arange(self.n_further)] += self._spans().T
+        for device, positions in zip(self.groups, self._split(moved), strict=True):
+            self._of_kind(device, taps, on)[..., list(device.rows)] = positions
+        return self._acting(taps, on)
+
+    def _spans(self) -> np.ndarray:
+        """By how much each unknown position is moved, away from its nearer end, (T, n_further)."""
+        upper = self.position > 0.5 * (self.lowest + self.highest)
+        return np.where(upper, -_SPAN, _SPAN)[:, : self.n_further]
+
+    def _around_positions(self, v_pu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Voltages where all unknowns are 0, (T, n_node), and their slopes by d, q and u, (T, n_node, k)."""
+        s, linear = self.scenario, self._linear(v_pu)
+        values = v_pu.reshape(-1, s.horizon, v_pu.shape[-1])
+        by_u = np.moveaxis(values[len(values) - self.n_further :] - values[0], 0, -1) / self._spans()[:, None]
+        at = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
+        return at, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
+
+    def _linear_costs(self, at: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
+        """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
+        s, w, n_dc = self.scenario, self.scenario.weights, self.scenario.n_datacenters
+        price = w.voltage / at.size
+        c = (quantities.T @ (-price * dense.sum(axis=1)).ravel()).reshape(s.horizon, -1)
+        backlog = np.full(s.horizon, w.backlog)
+        backlog[-1] += w.leftover
+        c[:, :n_dc] += backlog[:, None] / (s.datacenter.p_rated_kw.sum() or 1.0) / s.horizon
+        c[:, n_dc : n_dc + self.n] += self._effort()
+        constant = price * float((1.0 - at).sum())
+        if self.n_further:
+            c[-1, n_dc + self.n :] += self._switching()
+            return c.ravel(), constant - self._switching() * float(self.rest.sum())
+        moves = np.abs(np.diff(self.position, axis=0, prepend=self.rest[None])).sum()
+        return c.ravel(), constant + self._switching() * float(moves)
+
+    def _effort(self) -> np.ndarray:
+        """Price of a kvar of each agent in a step."""
+        return self.scenario.weights.effort / self.n / self.s_rated_kva / self.scenario.horizon
+
+    def _switching(self) -> float:
+        """Price of a tap or a switching."""
+        return self.scenario.weights.switching / len(self.rest) / self.scenario.horizon
+
+    def _of_voltages(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Prices and limits of the voltages' hinges: above 1 p.u., above the band, below it."""
+        w, band = self.scenario.weights, self.scenario.band_pu
+        beyond = np.inf if self.keep_band else max(w.violation / at.size, 1e-12)
+        h = np.repeat([max(2.0 * w.voltage / at.size, 1e-12), beyond, beyond], at.size)
+        return h, np.concatenate(((1.0 - at).ravel(), (1.0 + band - at).ravel(), (at - 1.0 + band).ravel()))
+
+    def _of_steps(self, quantities: Any, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
+        """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""
+        s, n_dc, n_u, steps = self.scenario, self.scenario.n_datacenters, self.n_further, self.scenario.horizon
+        identity: Any = sparse.identity(steps * k, format="csr")
+        columns = np.arange(steps * k).reshape(steps, k)
+        b, q, u = (columns[:, part].ravel() for part in np.split(np.arange(k), [n_dc, n_dc + self.n]))
+        dc = s.datacenter
+        top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
+        least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)  # as in EpisodeProgram
+        limit, work = np.maximum(self.q_limit_kvar, _NARROWEST).ravel(), quantities[b]
+        parts: list[tuple[Any, Any, np.ndarray]] = [
+            (-identity[b], np.inf, np.zeros(b.size)),
+            (work, np.inf, np.maximum(top_kw - self.arrived_kw, 0.0).ravel() + _NARROWEST),
+            (-work, np.inf, (self.arrived_kw - least_kw).ravel() + _NARROWEST),
+            (identity[q], np.inf, limit),
+            (-identity[q], np.inf, limit),
+            *self._capability(work, identity[columns[:, n_dc : 2 * n_dc].ravel()], top_kw),
+        ]
+        effort = np.tile(2.0 * self._effort(), steps)
+        if s.weights.effort:
+            parts.append((-identity[q], effort, np.zeros(q.size)))
+        if n_u:
+            parts += self._moves(identity, u)
+        h = np.concatenate([np.broadcast_to(price, limits.shape) for _, price, limits in parts])
+        return (
+            sparse.csr_array(sparse.vstack([rows for rows, _, _ in parts])),
+            h,
+            np.concatenate([limits for *_, limits in parts]),
+        )
+
+    def _moves(self, identity: Any, u: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+        """The rows of positions, within their range, and of their moves."""
+        steps, n_u = self.scenario.horizon, self.n_further
+        change = (sparse.identity(u.size) - sparse.eye(u.size, k=-n_u)) @ identity[u]
+        before = np.concatenate((self.rest, np.zeros(u.size - n_u)))
+        low, high, most = (np.tile(side, steps) for side in (self.lowest, self.highest, self.most))
+        parts = [
+            (identity[u], np.inf, high),
+            (-identity[u], np.inf, -low),
+            (change, np.inf, most + before),
+            (-change, np.inf, most - before),
+        ]
+        if self._switching():
+            parts.append((-change, 2.0 * self._switching(), -before))
+        return parts
+
+    def _capability(self, work: Any, q: Any, top_kw: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+        """The tangents of ``EpisodeProgram`` of the data centres' circles, those that power can come near."""
+        n_dc, parts = self.scenario.n_datacenters, []
+        s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], self.base_kw + top_kw)
+        most_kvar = self.q_limit_kvar[:, :n_dc]
+        for theta in 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS:
+            cos, sin = np.cos(theta), np.sin(theta)
+            room = s_rated_kva - cos * (self.base_kw + self.arrived_kw)
+            near = np.flatnonzero(cos * (self.base_kw + top_kw) + sin * most_kvar > s_rated_kva)
+            parts += [(cos * work[near] + sign * sin * q[near], np.inf, room.ravel()[near]) for sign in (1.0, -1.0)]
+        return parts
+
+
+def _most(device: Any, dt_s: float) -> np.ndarray:
+    """How far each piece of equipment of a group goes in a step."""
+    if device.kind == "tap_changer":
+        return dt_s / device.parameters.tap_delay_s
+    return np.ones(device.count)

@@ -1,0 +1,72 @@
+"""Laws that drive regulators: step for step as the banks' own control does, and ``none`` not at all."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, parallel_env
+from dcgrid_env.baselines import Droop, NoControl, make_controller, rollout
+from dcgrid_env.baselines.laws.stability import largest_stable
+from helpers.three_phase import ieee13, ieee123
+
+HEAVY = {"p_rated_kw": 1500.0, "trace": "step", "trace_window": "start", "load_sigma": 0.0}
+"""Two sites that draw some 2.3 MW more from second 20 on, so that regulators have to move."""
+
+
+def taps_of(scenario, law):
+    phases: Any = rollout(scenario, law, [0]).lane(0).three_phase
+    return phases.equipment.regulators.tap
+
+
+def twins(scenario):
+    """A scenario whose regulators a control moves, and one where they are agents; both begin at the settled taps."""
+    env: Any = DcgridVectorEnv(1, scenario)
+    env.reset(seed=[0])
+    tap = env.transition.state.three_phase.equipment.regulators.tap[0]
+    network = scenario.feeder.network
+    table = dataclasses.replace(network.regulator, tap=tuple(map(int, tap)))
+    settled = ThreePhaseFeeder.from_network(dataclasses.replace(network, regulator=table))
+    return scenario.replace(feeder=settled), scenario.replace(feeder=settled, regulators="agent")
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        ieee13().replace(**HEAVY, horizon=60),
+        ieee13().replace(dt_s=60.0, horizon=120, start_hour=5.0, load_sigma=0.1),
+        ieee123().replace(dt_s=60.0, horizon=120, start_hour=5.0, datacenter_buses=("18", "47", "66", "76", "101")),
+    ],
+    ids=["by seconds", "by minutes", "many banks by minutes"],
+)
+def test_taps_are_those_of_the_own_control(scenario):
+    controlled, agents = twins(scenario)
+    wanted = taps_of(controlled, Droop(k_q_mvar_per_pu_s=0.01))
+    assert np.abs(np.diff(wanted, axis=0)).sum() >= 3.0
+    np.testing.assert_array_equal(taps_of(agents, Droop(k_q_mvar_per_pu_s=0.01)), wanted)
+
+
+def test_no_control_leaves_taps_and_every_law_capacitors_at_rest():
+    scenario = ieee13().replace(**HEAVY, horizon=40, regulators="agent", capacitor_banks="agent")
+    assert (taps_of(scenario, NoControl()) == scenario.feeder.base_tap).all()
+    phases: Any = rollout(scenario, make_controller("droop-q"), [0]).lane(0).three_phase
+    assert np.abs(np.diff(phases.equipment.regulators.tap, axis=0)).sum() >= 3.0
+    assert (phases.equipment.banks.on == 1.0).all()
+
+
+def test_agents_one_by_one_are_told_what_they_are_together():
+    scenario = ieee13().replace(**HEAVY, horizon=40, regulators="agent", preview=False)
+    env, law = parallel_env(scenario), make_controller("volt-var")
+    observations, _ = env.reset(seed=0)
+    law.reset(scenario)
+    taps = []
+    while env.agents:
+        observations, *_, infos = env.step(law.act(observations))
+        taps.append([infos["dc_0"][f"tap_{name}"] for name in ("reg1", "reg2", "reg3")])
+    np.testing.assert_array_equal(taps, taps_of(scenario, make_controller("volt-var"))[1:])
+
+
+def test_regulators_have_no_part_in_the_bound_of_the_reactive_gain():
+    plain, agents = ieee13(), ieee13().replace(regulators="agent", capacitor_banks="agent")
+    assert largest_stable(agents, k_p_mw_per_pu=0.0) == largest_stable(plain, k_p_mw_per_pu=0.0)
