@@ -11,7 +11,7 @@ On the power flow linearised around a trajectory:
 
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it.
 ``voltage_rows`` leaves out the e and w that are not needed; where regulators follow a control of their own,
-``keep_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
+``same_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
 revised simplex method", Mathematical Programming Computation 10, 2018).
 """
 
@@ -41,14 +41,15 @@ class EpisodeProgram(Trajectory):
     Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation), z (relays).
     """
 
-    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, keep_taps: bool = False) -> None:
+    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, same_taps: bool = False) -> None:
         super().__init__(scenario, episode)
         s, n_dc, self.keep_band = scenario, scenario.n_datacenters, keep_band
         n_bus = len(s.feeder.load_nodes)
         widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
-        relays = acting_relays(s) if keep_taps else None
+        relays = acting_relays(s) if same_taps else None
         self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
+        self.has_own_taps = relays is not None
         self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
         self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
 
@@ -58,7 +59,7 @@ class EpisodeProgram(Trajectory):
         solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
         voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.band_pu)
-        limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._kept_taps(solution))]
+        limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._same_taps(solution))]
         prices = self._prices()
         price = self._part(prices, "e")[0]
         self._part(prices, "d")[:] += price * voltages.by_d
@@ -104,11 +105,20 @@ class EpisodeProgram(Trajectory):
             "the load"
         )
 
-    def _kept_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """The rows of ``relay_rows`` where taps are to be kept."""
+    def begin(self, share: float) -> None:
+        """Go back to serving all work as it arrives, with a share of the reactive power that there is."""
+        self.served_kw, self.q_kvar = self.arrived_kw, share * self.q_limit_kvar
+
+    @property
+    def taps(self) -> np.ndarray:
+        """Taps at t = 0 and in each step, (1 + T, n_regulator), as they were followed."""
+        return np.concatenate((self._first_tap[None], self._tap))
+
+    def _same_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
+        """The rows of ``relay_rows`` where taps are to change as they did."""
         if self.relay_rows is None:
             return []
-        return self.relay_rows.limits(self._tap, self._linear(self.relay_rows.relays.volts(solution)))
+        return self.relay_rows.limits(self.taps, self._linear(self.relay_rows.relays.volts(solution)))
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""

@@ -5,9 +5,10 @@ are replayed, agrees. The replay's J is the hindsight cost; the program's own op
 is a bound on the grid linearised around the last trajectory: against the exact one it may be off by the curvature
 between that trajectory and a better one, a few 1e-5 of J where that was looked for.
 
-Where regulators follow a control of their own, two programs are solved and the better replay is taken: one around the
-taps of the replay before, and one that keeps each relay from moving its tap at all, by a step in band before its delay
-is over. Where regulators or capacitor banks are agents, ``equipment_program`` plans their positions too.
+Where regulators follow a control of their own, taps change as what is done makes them, which no linear program says. So
+programs are solved around several courses of taps, those under steady shares of reactive power, with rows that make the
+relays change the taps at these steps and at no other; the best replay is taken.
+Where regulators or capacitor banks are agents, ``equipment_program`` plans their positions too.
 """
 
 from __future__ import annotations
@@ -31,6 +32,10 @@ from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
 
+STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
+"""Shares of the reactive power that there is, under which regulators take the courses of taps that are tried."""
+HOPELESS = 0.01
+"""Share of J by which the first program of a course is worse than the best replay where it is given up."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
@@ -54,7 +59,7 @@ class Hindsight(NamedTuple):
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
-    """Linear programs solved, of both kinds."""
+    """Linear programs solved."""
     recorder: Recorder
     """The replay."""
 
@@ -92,12 +97,28 @@ def hindsight(
     _check(scenario)
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
-    best = _settled(EpisodeProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
-    if acting_relays(scenario) is not None:
-        program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, keep_taps=True)
-        kept = _settled(program, seed, rounds, tolerance)
-        best = min(kept, best, key=lambda found: found.J)._replace(rounds=kept.rounds + best.rounds)
-    return best
+    program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
+    if acting_relays(scenario) is None:
+        return _settled(program, seed, rounds, tolerance)
+    return _over_tap_courses(program, seed, rounds, tolerance)
+
+
+def _over_tap_courses(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
+    """Solve around each course that taps take under a steady share of reactive power; the least cost of all."""
+    best: Hindsight | None = None
+    courses, solved = set(), 0
+    for share in STEADY_SHARES:
+        program.begin(share)
+        program.follow(replay(program.scenario, program.actions(), seed))
+        course = program.taps.tobytes()
+        if course in courses:
+            continue
+        courses.add(course)
+        found = _settled(program, seed, rounds, tolerance, hopeless=best and best.J * (1.0 + HOPELESS))
+        solved += found.rounds
+        best = found if best is None else min(found, best, key=lambda one: one.J)
+    assert best is not None
+    return best._replace(rounds=solved)
 
 
 def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
@@ -113,8 +134,10 @@ def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float
     return found._replace(bound=bounds[-1], rounds=len(bounds) + found.rounds)
 
 
-def _settled(program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
-    """Solve a program around its own solutions until the replay agrees with it."""
+def _settled(
+    program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float, hopeless: float | None = None
+) -> Hindsight:
+    """Solve a program around its own solutions until the replay agrees with it, or its optimum is ``hopeless``."""
     scenario = program.scenario
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
@@ -123,14 +146,18 @@ def _settled(program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int,
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
-        if has_equipment:
+        if has_equipment and not program.has_own_taps:
             program.follow(recorder)
         cost = recorder.metrics()[0]["J"]
         replayed = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
-        # A program around a better trajectory knows better, so the last one's optimum is the bound.
-        best = replayed if best is None or cost <= best.J else best._replace(bound=bound, rounds=done)
-        if settled or abs(replayed.gap) <= tolerance * abs(cost):
+        if best is None or cost <= best.J:
+            best = replayed
+        elif program.has_own_taps:
+            best = best._replace(rounds=done)
+        else:  # a program around a better trajectory knows better
+            best = best._replace(bound=bound, rounds=done)
+        if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
     assert best is not None
     return best

@@ -20,6 +20,8 @@ class Trajectory:
 
     n_further = 0
     """Power flows beside those by which ``_linear`` finds slopes."""
+    has_own_taps = False
+    """Whether taps change by themselves, as what is done makes them."""
 
     def __init__(self, scenario: Scenario, episode: Forecast) -> None:
         s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
@@ -34,7 +36,7 @@ class Trajectory:
         self.q_limit_kvar = np.tile(s.q_scale_kvar[: self.n], (s.horizon, 1))
         self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
         self.q_limit_kvar *= episode.available[:, : self.n]
-        self._tap, self._on = np.zeros((0, 0)), np.zeros((0, 0))
+        self._first_tap, self._tap, self._on = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
 
     def follow(self, replayed: Recorder) -> None:
         """Take the taps and switches of a three-phase feeder's equipment as they were in a replay."""
@@ -44,7 +46,7 @@ class Trajectory:
             np.concatenate((rows[1:], np.repeat(rows[-1:], missing, axis=0)))
             for rows in (phases.equipment.regulators.tap, phases.equipment.banks.on)
         )
-        self._tap, self._on = taps, on
+        self._first_tap, self._tap, self._on = phases.equipment.regulators.tap[0], taps, on
 
     def _around(self) -> Any:
         """Power flows (1 + n_dc + n_agent + n_further, T), flattened.

@@ -22,6 +22,8 @@ class ActingRelays(NamedTuple):
     """Their rows in the table of regulators, int, (n,)."""
     steps: np.ndarray
     """Steps in a row after which a relay that is out of band moves the tap, int, (n,)."""
+    further_steps: np.ndarray
+    """Those after which it moves on, after the first tap of a sequence, int, (n,)."""
     settings: RelaySettings
     """Settings of all regulators of the feeder."""
 
@@ -32,8 +34,14 @@ class ActingRelays(NamedTuple):
     def rest_volts(self, tap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest volts at which the taps rest, of the shape of ``tap`` (..., n); infinite at their ends."""
         s, rows = self.settings, self.rows
-        low, high = s.target_v[rows] - s.half_band_v[rows], s.target_v[rows] + s.half_band_v[rows]
+        low, high = self.band_volts
         return np.where(tap < s.highest[rows], low, -np.inf), np.where(tap > s.lowest[rows], high, np.inf)
+
+    @property
+    def band_volts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest volts in band, (n,)."""
+        target, half = self.settings.target_v[self.rows], self.settings.half_band_v[self.rows]
+        return target - half, target + half
 
 
 class BankControl:
@@ -77,5 +85,6 @@ def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> Acting
     if not len(rows):
         return None
     settings = relay_settings(feeder)
-    steps = np.maximum(np.ceil(settings.delay_s[rows] / scenario.dt_s - _SAME_TIME), 1.0).astype(np.int64)
-    return ActingRelays(rows, steps, settings)
+    delays = (settings.delay_s, settings.tap_delay_s)
+    steps = [np.maximum(np.ceil(delay[rows] / scenario.dt_s - _SAME_TIME), 1.0).astype(np.int64) for delay in delays]
+    return ActingRelays(rows, *steps, settings)
