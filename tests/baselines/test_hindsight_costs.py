@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, make_scenario
+from dcgrid_env import PRESETS, acting_relays, make_scenario
 from dcgrid_env.baselines import CONTROLLERS, TUNED, make_controller, published, rollout
 from dcgrid_env.baselines.hindsight_costs import _shipped
 from dcgrid_env.baselines.model_based.hindsight import hindsight
@@ -12,6 +12,9 @@ EPISODES = 100
 LINEARISED = 1e-4
 """By how much of J the program's linearised grid may differ from the exact one; 2e-5 has been seen (mixed)."""
 PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
+ACTING = [name for name in PRESETS if acting_relays(make_scenario(name)) is not None]
+"""Where regulators act by themselves, which makes the program's optimum that of one course of taps and no bound."""
+BOUNDED = [name for name in PRESETS if name not in ACTING]
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -21,11 +24,13 @@ def test_every_preset_has_its_hundred_test_episodes(name):
     assert values.seeds.tolist() == list(range(EPISODES))
     assert np.isfinite(values.J).all()
     assert len(set(values.episode_hashes)) == EPISODES
-    assert (values.bound < values.J * (1.0 + LINEARISED)).all()
-    assert (values.J - values.bound < 0.01 * values.J).all()
+    if name in BOUNDED:
+        assert (values.bound < values.J * (1.0 + LINEARISED)).all()
+        assert (values.J - values.bound < 0.01 * values.J).all()
     content = _shipped(name)
     assert content is not None
-    assert content["command"] == f"dcgrid hindsight --scenarios {name} --split test --episodes {EPISODES}"
+    options = f"--scenarios {name} --split test --episodes {EPISODES}"
+    assert content["command"] in (f"dcgrid hindsight {options}", f"dcgrid dev hindsight {options}")
 
 
 @pytest.mark.parametrize("name", PRESETS)
