@@ -22,13 +22,15 @@ def kind(algorithm):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_plain_command_of_a_card_means_all_that_the_policy_was_made_with(name):
-    """The weights hold the command with every setting; the card holds the one line that is the same run."""
+    """The weights hold the command as it was given, most with every setting; the card's one line is the same run."""
     card, made_with = Card.load(FOLDER / f"{name}.json"), shlex.split(Policy.load(name).made_with)
     assert card.command == f"dcgrid train {card.algorithm} --scenario {card.scenario} --seed {card.seed}"
     assert made_with[:3] == ["dcgrid", "train", card.algorithm]
     # What the settings were called when the weights were made stays in their files, byte for byte.
     made_with = [RENAMED_OPTIONS.get(word, word) for word in made_with]
-    in_full = tyro.cli(kind(card.algorithm), args=made_with[3:])  # over the algorithm's own defaults
+    in_full = ALGORITHMS[card.algorithm].configured(made_with[3:])
+    if len(made_with) > 7:  # every setting stands there, over the algorithm's own defaults
+        assert in_full == tyro.cli(kind(card.algorithm), args=made_with[3:])
     assert ALGORITHMS[card.algorithm].configured(shlex.split(card.command)[3:]) == in_full
     assert kind(card.algorithm).for_scenario(card.scenario, seed=card.seed) == in_full
 
