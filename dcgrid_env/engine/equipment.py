@@ -38,7 +38,7 @@ class _Group(NamedTuple):
     controlled: Array
     """1 where a control acts, (n,)."""
     acts: bool
-    """Whether one does anywhere."""
+    """Whether one does anywhere, without which nothing is measured for banks, nor their clocks kept."""
     agents: int | None
     """Position among the scenario's devices of the group that is agents."""
     pick: Array
@@ -81,7 +81,8 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
         tap, since, moved = (_picked(of_regulators, regulators, own, name) for name in ("tap", "since_s", "moved"))
         moves = before.regulators.moves + moved
         regulators = regulators._replace(tap=tap, since_s=since, moved=moved, moves=moves)
-    banks = control_banks(scenario.capacitor_settings, banks, dt_s, of_banks.controlled)
+    if of_banks.acts:
+        banks = control_banks(scenario.capacitor_settings, banks, dt_s, of_banks.controlled)
     if of_banks.agents is not None:
         own = devices[of_banks.agents]
         on, since, switched = (_picked(of_banks, banks, own, name) for name in ("on", "since_s", "switched"))
@@ -91,10 +92,10 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
 
 
 def measured(scenario: Scenario, equipment: Equipment, solution: Any) -> Equipment:
-    """The equipment with what it measures in a power flow."""
-    plan = _plan(scenario, solution.v_pu)
+    """The equipment with what it measures in a power flow; banks measure where a control goes by it."""
+    plan, banks = _plan(scenario, solution.v_pu), equipment.banks
     regulators = equipment.regulators._replace(relay_v=relay_volts(plan.regulators.settings, solution))
-    return Equipment(regulators, measured_banks(plan.banks.settings, solution, equipment.banks))
+    return Equipment(regulators, measured_banks(plan.banks.settings, solution, banks) if plan.banks.acts else banks)
 
 
 def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipment) -> tuple[Any, ...]:
