@@ -1,17 +1,19 @@
 """Rows of the linear program of an episode that make regulators change their taps at given steps, and at no other.
 
-A relay moves its tap after so many steps out of band in a row, and one step back in band sets its clock to nothing. So
-a relay is to be out of band in the steps of its delay before a tap, on that side; in band just before them and after
-the last tap of a sequence; and between taps in band once in the steps of its delay:
+A relay moves its tap after so many steps out of band in a row, and one step back in band sets its clock to nothing;
+what its own tap or one further up is expected to do to its volts counts at once. So a relay is to be out of band in the
+steps of its delay before a tap, on that side, and further out than taps that are made meanwhile are worth, where it is
+to go on; in band just before these steps and after the last tap of a sequence; and between taps in band once in the
+steps of its delay:
 
     low - z <= u + U_p (d - d0) + U_q (q - q0) <= high + z        u: relay volts around the trajectory
 
-with one side alone, or beyond the other limit, as the step demands. What it is off by, z, is priced so that it stays
-only where the demand cannot be met.
+What it is off by, z, is priced so that it stays only where that cannot be met.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,6 @@ from dcgrid_env.baselines.model_based.voltage_rows import Linear
 PRICE = 1.0
 """Share of J that a volt off the demand costs in one step; a tap is some 0.1 of J, and 0.75 V."""
 _MARGIN_V = 0.01  # what the linear program may be off by, and more
-_FREE, _UP, _DOWN, _IN_BAND = 0, 1, -1, 2
 
 
 class RelayRows:
@@ -39,47 +40,68 @@ class RelayRows:
 
         From the taps of all regulators at t = 0 and in each step, (1 + T, n_regulator), and the relay volts, (T, n).
         """
-        own = tap[:, self.relays.rows]
-        demands = self.demands(own).ravel()
-        low, high = (side.ravel() for side in self.relays.rest_volts(own[1:]))
-        lowest, highest = (np.broadcast_to(side, own[1:].shape).ravel() for side in self.relays.band_volts)
+        low, high = (side.ravel() for side in self.demands(tap))
         at_zero, off = volts.at_zero.ravel(), sparse.csr_array(sparse.identity(self.count))
         limits = []
-        for sign, most, beyond, out in ((1.0, high, lowest, _UP), (-1.0, -low, -highest, _DOWN)):
-            most = np.where(demands == out, beyond, most) - sign * at_zero
-            # A tap at its end goes no further.
-            limited = ((demands == _IN_BAND) | (demands == out)) & np.isfinite(most)
+        for sign, most in ((1.0, high), (-1.0, -low)):
+            limited = np.isfinite(most)
             by_d, by_q = volts.rows(limited, sign)
-            limits.append(({"d": by_d, "q": by_q, "z": -off[limited]}, most[limited] - _MARGIN_V))
+            room = most[limited] - sign * at_zero[limited] - _MARGIN_V
+            limits.append(({"d": by_d, "q": by_q, "z": -off[limited]}, room))
         return limits
 
-    def demands(self, tap: np.ndarray) -> np.ndarray:
-        """What each relay is to measure after each step, int, (T, n), for its taps (1 + T, n).
+    def demands(self, tap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest volts that each relay is to measure after each step, (T, n), infinite where any will do.
 
-        1 for too little, so that the tap goes up, -1 for too much, 2 for volts in band, 0 for any.
+        From the taps of all regulators, (1 + T, n_regulator).
         """
-        demands = np.full((self.horizon, tap.shape[1]), _FREE)
-        moves = np.diff(tap, axis=0)
-        for relay, (delay, further) in enumerate(zip(self.relays.steps, self.relays.further_steps, strict=True)):
-            demand, last = demands[:, relay], -self.horizon
-            in_band = []
-            for step in np.flatnonzero(moves[:, relay]):
-                in_sequence = step - last <= further
-                begin = last if in_sequence else step - delay
-                demand[max(begin, 0) : step] = np.sign(moves[step, relay])
-                if not in_sequence:
-                    in_band += [begin - 1, last]
-                last = step
-            in_band.append(last)
-            demand[[step for step in in_band if step >= 0 and demand[step] == _FREE]] = _IN_BAND
-            _interrupt(demand, int(delay))
-        return demands
+        relays, moves = self.relays, np.diff(tap, axis=0)
+        expected = moves @ relays.settings.volts_per_tap[:, relays.rows]
+        rest_low, rest_high = relays.rest_volts(tap[1:, relays.rows])  # a tap at its end goes no further
+        low, high = np.full_like(rest_low, -np.inf), np.full_like(rest_high, np.inf)
+        for n, (delay, further) in enumerate(zip(relays.steps, relays.further_steps, strict=True)):
+            course = _Course(moves[:, relays.rows[n]], int(delay), int(further))
+            for step, sign, goes_on in course.out_of_band():
+                beyond = expected[step + 1, n] if goes_on else 0.0
+                if sign > 0:
+                    high[step, n] = relays.band_volts[0][n] - max(beyond, 0.0)
+                else:
+                    low[step, n] = relays.band_volts[1][n] - min(beyond, 0.0)
+            at = course.in_band(np.isfinite(low[:, n]) | np.isfinite(high[:, n]))
+            low[at, n], high[at, n] = rest_low[at, n], rest_high[at, n]
+        return low, high
 
 
-def _interrupt(demand: np.ndarray, delay: int) -> None:
-    """Demand volts in band so often that no clock runs out where nothing is demanded, in place."""
-    waited = 0
-    for step in range(len(demand)):
-        waited = waited + 1 if demand[step] == _FREE else 0
-        if waited == delay:
-            demand[step], waited = _IN_BAND, 0
+class _Course:
+    """The taps of one regulator over an episode, and when its relay is to measure what."""
+
+    def __init__(self, moves: np.ndarray, delay: int, further: int) -> None:
+        self.moves, self.delay = moves, delay
+        self.steps = np.flatnonzero(moves).tolist()
+        later = list(zip(self.steps, self.steps[1:], strict=False))
+        self.in_sequence = {after for before, after in later if after - before <= further}
+        """Taps that follow another within its sequence."""
+        self.begin = {step: step - delay for step in self.steps}
+        self.begin |= {after: before for before, after in later if after in self.in_sequence}
+        self.goes_on = {before for before, after in later if after in self.in_sequence}
+
+    def out_of_band(self) -> Iterator[tuple[int, float, bool]]:
+        """Steps after which it is out, 1 for too little or -1 for too much, and whether it stays out after taps."""
+        for tap in self.steps:
+            for step in range(max(self.begin[tap], 0), tap):
+                yield step, float(np.sign(self.moves[tap])), step + 1 < tap or tap in self.goes_on
+
+    def in_band(self, out: np.ndarray) -> list[int]:
+        """Steps after which it is in band: around taps, and so often elsewhere that no clock runs out."""
+        first = [tap for tap in self.steps if tap not in self.in_sequence]
+        last = [tap for tap in self.steps if tap not in self.goes_on]
+        around = {step for step in (*(self.begin[tap] - 1 for tap in first), *last) if step >= 0 and not out[step]}
+        found, waited = [], 0
+        for step in range(len(out)):
+            waited += 1
+            if out[step]:
+                waited = 0
+            elif step in around or waited == self.delay:
+                found.append(step)
+                waited = 0
+        return found

@@ -85,6 +85,9 @@ def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> Acting
     if not len(rows):
         return None
     settings = relay_settings(feeder)
-    delays = (settings.delay_s, settings.tap_delay_s)
-    steps = [np.maximum(np.ceil(delay[rows] / scenario.dt_s - _SAME_TIME), 1.0).astype(np.int64) for delay in delays]
-    return ActingRelays(rows, *steps, settings)
+    first, further = (_steps(delay_s[rows], scenario.dt_s) for delay_s in (settings.delay_s, settings.tap_delay_s))
+    return ActingRelays(rows, first, further, settings)
+
+
+def _steps(delay_s: np.ndarray, dt_s: float) -> np.ndarray:
+    return np.maximum(np.ceil(delay_s / dt_s - _SAME_TIME), 1.0).astype(np.int64)

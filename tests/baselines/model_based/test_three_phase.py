@@ -18,6 +18,7 @@ from dcgrid_env.baselines.laws.stability import placements, spectral_radius
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.hindsight import STEADY_SHARES, _settled, hindsight, replay
 from dcgrid_env.baselines.model_based.relay_rows import RelayRows
+from dcgrid_env.engine.acting_relays import BankControl
 from helpers.three_phase import SCENARIOS, ieee13, ieee34, ieee123
 
 
@@ -92,8 +93,33 @@ def test_what_a_course_of_taps_demands_of_a_relay(taps, demands):
     relays = acting_relays(ieee13())
     assert relays is not None
     one = relays._replace(rows=relays.rows[:1], steps=np.array([5]), further_steps=np.array([2]))
-    found = RelayRows(one, 8).demands(np.array(taps, float)[:, None])[:, 0]
-    assert "".join({0: ".", 1: "u", -1: "d", 2: "i"}[value] for value in found) == demands
+    course = np.zeros((9, 3))
+    course[:, 0] = taps
+    low, high = RelayRows(one, 8).demands(course)
+    is_in = np.isfinite(low[:, 0]) & np.isfinite(high[:, 0])
+    found = np.where(is_in, "i", np.where(np.isfinite(high[:, 0]), "u", np.where(np.isfinite(low[:, 0]), "d", ".")))
+    assert "".join(found) == demands
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_volts_that_meet_the_demands_make_the_control_follow_the_course(seed):
+    relays = acting_relays(ieee13())
+    assert relays is not None
+    rng, steps = np.random.default_rng(seed), 80
+    tap = np.zeros((1 + steps, 3))
+    for regulator, start in enumerate(rng.integers(15, 60, 3)):
+        for k in range(int(rng.integers(0, 4))):
+            tap[1 + start + 2 * k :, regulator] += 1 if seed % 2 else -1
+    low, high = RelayRows(relays, steps).demands(tap)
+    middle = np.broadcast_to(relays.settings.target_v[relays.rows], low.shape)
+    volts = np.where(
+        np.isfinite(high) & np.isinf(low), high - 0.01, np.where(np.isfinite(low) & np.isinf(high), low + 0.01, middle)
+    )
+    control, found = BankControl(relays, 1.0), [tap[0]]
+    measured = [middle[0], *volts]
+    for step in range(steps):
+        found.append(control.taps(found[-1][None], measured[step][None])[0])
+    np.testing.assert_array_equal(found, tap)
 
 
 def test_relays_that_act_are_those_with_a_control_of_their_own():

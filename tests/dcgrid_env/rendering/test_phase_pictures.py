@@ -1,6 +1,7 @@
 """The picture of a three-phase feeder: what is drawn is the state, phase by phase."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +21,8 @@ from helpers.feeders import THREE_PHASE
 from helpers.three_phase import one_phase
 
 
-def make(scenario="ieee13-3ph", steps=0, **overrides):
-    env = dcgrid_env.DcgridEnv(scenario, render_mode="rgb_array", **overrides)
+def make(scenario: Any = "ieee13-3ph", steps: int = 0, **overrides: Any) -> tuple[Any, list[Any]]:
+    env: Any = dcgrid_env.DcgridEnv(scenario, render_mode="rgb_array", **overrides)
     env.reset(seed=0)
     rng = np.random.default_rng(1)
     states = [env.transition.state]
@@ -207,7 +208,7 @@ def test_a_feeder_of_one_phase_has_no_unbalance_to_show():
 def test_without_sites_and_in_a_batch():
     env, _ = make("ieee13-3ph", 2, n_datacenters=0, datacenter_buses=())
     assert is_image(env.render())
-    batch = dcgrid_env.DcgridVectorEnv(2, "ieee13-3ph", render_mode="rgb_array", regulators="agent")
+    batch: Any = dcgrid_env.DcgridVectorEnv(2, "ieee13-3ph", render_mode="rgb_array", regulators="agent")
     batch.reset(seed=[0, 1])
     batch.step(np.random.default_rng(0).uniform(-1, 1, batch.action_space.shape))
     first, second = batch.render()
