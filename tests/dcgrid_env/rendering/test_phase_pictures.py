@@ -75,7 +75,8 @@ def test_a_sector_outside_the_band_has_a_rim_and_one_without_voltage_its_own_col
     assert [rim.get_visible() for rim in drawn.rims] == [False, True, True]
     np.testing.assert_array_equal(drawn.rims[1].get_offsets(), drawn.xy[[feeder.index("675")]])
     np.testing.assert_array_equal(drawn.rims[2].get_offsets(), drawn.xy[[feeder.index("611")]])
-    assert to_hex(drawn.sectors[0].get_facecolor()[0]).upper() == NO_VOLTAGE
+    colour: Any = drawn.sectors[0].get_facecolor()
+    assert to_hex(colour[0]).upper() == NO_VOLTAGE
     assert not drawn.worst.get_visible()
 
 
