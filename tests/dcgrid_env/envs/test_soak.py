@@ -12,7 +12,7 @@ STEPS = 100_000
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["mixed", "fault"])
+@pytest.mark.parametrize("scenario", ["mixed", "fault", "ieee123-3ph"])
 def test_random_actions(scenario):
     env = DcgridEnv(scenario)
     assert isinstance(env.observation_space, gymnasium.spaces.Box)
@@ -27,7 +27,7 @@ def test_random_actions(scenario):
         assert -np.inf < reward <= 0.0
         if terminated or truncated:
             assert env.observation_space.contains(observation)
-            assert all(np.isfinite(v) for v in info.values())
+            assert all(np.isfinite(v) for v in info.values() if isinstance(v, np.floating))
             env.reset()
         if step == STEPS // 5:
             early = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
