@@ -7,8 +7,8 @@ between that trajectory and a better one, a few 1e-5 of J where that was looked 
 
 Where regulators follow a control of their own, taps change as what is done makes them, which no linear program says. So
 programs are solved around several courses of taps, those under steady shares of reactive power, with rows that make the
-relays change the taps at these steps and at no other; the best replay is taken.
-Where regulators or capacitor banks are agents, ``equipment_program`` plans their positions too.
+relays change the taps at these steps and at no other; the best replay is taken. Where regulators or capacitor banks are
+agents, ``equipment_program`` plans their positions too.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
 """Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
-
 RELAXED = 1e-2
 """Change of the relaxation's optimum between programs at which it has settled, as a share of it; the next change would
 be some hundredth of that."""
@@ -53,9 +52,9 @@ class Hindsight(NamedTuple):
     J: float
     """Cost of the actions, replayed in the environment."""
     bound: float
-    """Optimum of the last linear program, around a trajectory like theirs. Where regulators or capacitor banks act it
-    by themselves it takes their taps and switches as they were in the replay before, and so is no bound on what else
-    they might do; where they are agents it is of the program that is free to choose any position, whole or not."""
+    """Optimum of the last linear program, around a trajectory like theirs. Where regulators act by themselves it is
+    that of one course of their taps, the price of relays that cannot follow it included, and no bound on what other
+    courses cost; where they are agents it is of the program that is free to choose any position, whole or not."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int

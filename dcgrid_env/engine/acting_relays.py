@@ -47,8 +47,8 @@ class ActingRelays(NamedTuple):
 class BankControl:
     """What the banks' own control would have the taps of some regulators be, step after step.
 
-    It keeps the relays' clocks, and so is asked once in each step. Of taps that regulators further up make within a
-    step it knows where these are among its own.
+    It keeps the relays' clocks, and so is asked once in each step and made anew for each episode. Of taps that
+    regulators further up make within a step it knows where these are among its own.
     """
 
     def __init__(self, relays: ActingRelays, dt_s: float) -> None:

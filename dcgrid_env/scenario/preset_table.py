@@ -139,38 +139,6 @@ def _scale_32() -> Scenario:
     )
 
 
-def _ieee13_3ph() -> Scenario:
-    return Scenario(
-        name="ieee13-3ph",
-        feeder=load_feeder("ieee13-3ph"),
-        source_voltage_pu=1.0001,
-        power_flow="sweep",
-        n_datacenters=2,
-        datacenter_buses=("671", "680"),
-        p_rated_kw=500.0,
-        s_rated_share=1.1,
-        q_max_share=0.33,
-        inverter_buses=("633", "675", "611", "652"),
-        inverter_s_kva=(300.0, 400.0, 120.0, 120.0),
-    )
-
-
-def _ieee34_3ph() -> Scenario:
-    return Scenario(
-        name="ieee34-3ph",
-        feeder=load_feeder("ieee34-3ph"),
-        source_voltage_pu=1.05,
-        power_flow="sweep",
-        n_datacenters=2,
-        datacenter_buses=("840", "860"),
-        p_rated_kw=250.0,
-        s_rated_share=1.1,
-        q_max_share=0.33,
-        inverter_buses=("816", "834", "848", "822", "838"),
-        inverter_s_kva=(100.0, 100.0, 100.0, 30.0, 30.0),
-    )
-
-
 def _ieee123_3ph() -> Scenario:
     return Scenario(
         name="ieee123-3ph",
@@ -183,6 +151,32 @@ def _ieee123_3ph() -> Scenario:
         q_max_share=0.33,
         inverter_buses=("2", "11", "40", "54", "87", "92", "103"),
         inverter_s_kva=50.0,
+    )
+
+
+def _ieee13_3ph() -> Scenario:
+    return _ieee123_3ph().replace(
+        name="ieee13-3ph",
+        feeder=load_feeder("ieee13-3ph"),
+        source_voltage_pu=1.0001,
+        n_datacenters=2,
+        datacenter_buses=("671", "680"),
+        p_rated_kw=500.0,
+        inverter_buses=("633", "675", "611", "652"),
+        inverter_s_kva=(300.0, 400.0, 120.0, 120.0),
+    )
+
+
+def _ieee34_3ph() -> Scenario:
+    return _ieee123_3ph().replace(
+        name="ieee34-3ph",
+        feeder=load_feeder("ieee34-3ph"),
+        source_voltage_pu=1.05,
+        n_datacenters=2,
+        datacenter_buses=("840", "860"),
+        p_rated_kw=250.0,
+        inverter_buses=("816", "834", "848", "822", "838"),
+        inverter_s_kva=(100.0, 100.0, 100.0, 30.0, 30.0),
     )
 
 
