@@ -117,7 +117,10 @@ def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
                 result = work(task)
             except Exception as error:
                 result = error
-            pipe.send(result)
+            try:
+                pipe.send(result)
+            except ConnectionError:  # nobody waits for it: the parent was interrupted while this process worked
+                return
 
 
 @contextlib.contextmanager

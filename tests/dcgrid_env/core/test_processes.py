@@ -68,6 +68,14 @@ def test_an_interrupt_between_two_tasks_of_a_process_ends_it(at, monkeypatch):
     assert not active_children()
 
 
+def test_a_process_whose_result_nobody_waits_for_ends_in_order():
+    process, pipe = processes._start(time.sleep, [])
+    pipe.send(0.5)
+    pipe.close()
+    process.join(30.0)
+    assert process.exitcode == 0
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
 def test_an_interrupt_while_a_process_starts_comes_afterwards():
     def interrupted_while_starting():
