@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, field_names
+from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env.baselines.equipment_agents import EquipmentAgents, at_rest
 
 
 @runtime_checkable
@@ -61,7 +61,7 @@ class Local(NamedTuple):
 
 _OF_ALL = ("v_deviation", "p", "q", "r", "x")
 _OF_SITES = ("p_ref_next", "backlog")
-_CLOCK, _Q, _TAP = "clock", "q", "tap"
+_CLOCK, _Q = "clock", "q"
 
 
 KNOWN_DEVICES = ("datacenter", "inverter")
@@ -88,19 +88,21 @@ class LocalController:
     """Base of controllers that work on physical units: subclasses write ``control``.
 
     It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device.
-    Regulators that are agents follow what the control of their own bank would do. Other channels, of devices that it
-    does not know, stay at rest, as those of capacitor banks do. In :class:`Local` and in what ``control`` returns, data
-    centres stand before all others, which follow in the scenario's order.
+    Other channels, of devices that it does not know, stay at rest. Regulators and capacitor banks that are agents are
+    driven beside it, see ``equipment_agents``. In :class:`Local` and in what ``control`` returns, data centres stand
+    before all others, which follow in the scenario's order, without regulators and capacitor banks.
     """
 
     moves_taps: ClassVar[bool] = True
-    """Whether regulators are driven, or stay at rest too."""
+    """Whether regulators that are agents follow their banks' own control, or stay at rest."""
 
     scenario: Scenario
+    """What is driven, its regulators and capacitor banks under their own control."""
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes of a scenario; ValueError for one that the controller cannot drive."""
-        self.scenario = env_info
+        self._equipment = EquipmentAgents(env_info, self.moves_taps)
+        self.scenario = env_info = self._equipment.others
         kinds = np.array([device.kind for device in env_info.devices for _ in range(device.count)])
         order = np.argsort(kinds != "datacenter", kind="stable")
         names = field_names(env_info)
@@ -117,7 +119,6 @@ class LocalController:
         self._rated_kva = np.concatenate([device.converter_kva for device in devices])[order]
         self._q_scale = env_info.q_scale_kvar[order]
         self._lay_out([env_info.agents[i] for i in order])
-        self._regulators = _Regulators(env_info) if self.moves_taps and "tap_changer" in kinds else None
 
     def _lay_out(self, agents: list[str]) -> None:
         """Find where the joint action has the clocks and the reactive setpoints of agents, and what it is at rest."""
@@ -125,12 +126,7 @@ class LocalController:
         self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.n_datacenters]]
         self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
         self._q_at = [at[agents[i], _Q] for i in self._reactive]
-        rest = [
-            np.stack([_at_rest(channel) for channel in device.channels], axis=-1).ravel()
-            for device in self.scenario.devices
-            if device.count and device.channels
-        ]
-        self._rest = np.concatenate([np.empty(0), *rest])
+        self._rest = at_rest(self.scenario)
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
@@ -138,16 +134,7 @@ class LocalController:
 
     def act(self, observations: Any) -> Any:
         """See :class:`Controller`."""
-        if isinstance(observations, Mapping):
-            joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
-            return action_layout(self.scenario).split(self._actions(joint))
-        return self._actions(np.asarray(observations))
-
-    def _actions(self, joint: np.ndarray) -> np.ndarray:
-        actions = self._joint(*self.control(self._local(joint)))
-        if self._regulators is not None:
-            actions[..., self._regulators.action_at] = self._regulators.actions(joint)
-        return actions
+        return self._equipment.act(observations, lambda joint: self._joint(*self.control(self._local(joint))))
 
     def _local(self, joint: np.ndarray) -> Local:
         rated = self.scenario.datacenter.p_rated_kw
@@ -174,32 +161,3 @@ class LocalController:
         actions[..., self._clock_at] = clock
         actions[..., self._q_at] = q[..., self._reactive]
         return np.clip(actions, -1.0, 1.0).astype(np.float32)
-
-
-class _Regulators:
-    """The regulators that are agents of a scenario, driven as their banks' own control would from what they observe."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        relays = acting_relays(scenario, "agent")
-        assert relays is not None
-        (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
-        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.band_pu or 1.0
-        self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
-        names = [name for own in field_names(scenario).values() for name in own]
-        self._tap_at, self._relay_at = ([i for i, name in enumerate(names) if name == own] for own in ("tap", "relay"))
-        self.action_at = np.flatnonzero(action_layout(scenario).is_channel(_TAP))
-
-    def actions(self, joint: np.ndarray) -> np.ndarray:
-        """Entries of the action, (..., n), from the joint observation."""
-        tap = np.rint(joint[..., self._tap_at] * self._farthest)
-        relay_v = self._control.target_v * (1.0 + self._band * joint[..., self._relay_at])
-        asked = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
-        low, high = self._channel.lowest, self._channel.highest
-        shares = 2.0 * (asked - low) / np.where(high > low, high - low, 1.0) - 1.0
-        return shares.reshape(tap.shape)
-
-
-def _at_rest(channel: Any) -> np.ndarray:
-    """The entry of the action that leaves a channel where it is at t = 0, (slot,); 0 where it has no range."""
-    span = channel.highest - channel.lowest
-    return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

@@ -37,6 +37,7 @@ from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
@@ -108,6 +109,7 @@ __all__ = [
     "sensitivity_between_agents",
     "sensitivity_to_agents",
     "solver_for",
+    "under_own_control",
 ]
 
 _register()

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout
+from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout, under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
@@ -244,7 +244,7 @@ def grids_of(cfg: Analytic) -> list[Scenario]:
 
     ValueError for one that cannot be, or with devices that no network is made for.
     """
-    given = scenarios(cfg.scenario, cfg.set, observe=cfg.observe)
+    given = [under_own_control(grid) for grid in scenarios(cfg.scenario, cfg.set, observe=cfg.observe)]
     for grid in given:
         require_known_devices("training", grid)
     rng = np.random.default_rng([cfg.seed, 1])

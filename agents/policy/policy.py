@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout
+from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
 from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.baselines.controller import require_known_devices
+from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork)}
@@ -99,12 +100,13 @@ class Policy:
         """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""
         if env_info.observe != self.observe:
             raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
+        self._equipment = EquipmentAgents(env_info)
+        env_info = self._equipment.others
         require_known_devices(self.source, env_info)
         n_dc, n_inv = env_info.n_datacenters, env_info.n_inverters
         chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
         chosen["gains"] = self.gains
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
-        self._agents, self._layout = env_info.agents, action_layout(env_info)
         for name, (n_in, n_out) in self._interface.widths.items():
             if name not in self.networks:
                 raise PolicyError(f"{self.source}: has no network for the {name}s of {env_info.name}; train one")
@@ -118,10 +120,7 @@ class Policy:
 
     def act(self, observations: Any) -> Any:
         """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
-        if isinstance(observations, Mapping):
-            joint = np.concatenate([observations[agent] for agent in self._agents], axis=-1)
-            return self._layout.split(self._joint(joint))
-        return self._joint(np.asarray(observations))
+        return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         inputs = self._interface.inputs(joint)

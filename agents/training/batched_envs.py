@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
-from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, field_names
+from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, field_names, under_own_control
 from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.config import Act
 from dcgrid_env.baselines import make_controller
@@ -222,6 +222,11 @@ class AgentVecEnv(JointVecEnv):
         nameplate: bool = False,
         render_mode: str | None = None,
     ):
+        if under_own_control(scenario) is not scenario:
+            raise ValueError(
+                f"view is 'shared'; {scenario.name!r} has regulators or capacitor banks among its agents, which share "
+                "no policy with the others: choose 'joint', or give under_own_control(scenario)"
+            )
         names = field_names(scenario)
         agents = scenario.agents
         self.fields = tuple(dict.fromkeys(name for agent in (agents[0], agents[-1]) for name in names[agent]))

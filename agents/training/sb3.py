@@ -19,7 +19,7 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv, Outputs
 from dcgrid_env.agents.training.config import Training, check
@@ -102,7 +102,7 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)
-    scenario = spec.make("train", observe=cfg.observe)
+    scenario = under_own_control(spec.make("train", observe=cfg.observe))
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     require_known_devices("training", scenario)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work

@@ -51,7 +51,7 @@ def sb3_vec_env(
     ScenarioError
         For an unknown scenario; TypeError for an override that is no field of it.
     ValueError
-        For another view.
+        For another view, or a shared one of a scenario with regulators or capacitor banks among its agents.
     """
     if view not in get_args(SB3View):
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")

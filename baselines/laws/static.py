@@ -48,10 +48,12 @@ class ConstantQ(LocalController):
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError where there is not one share for each agent."""
-        if isinstance(self.q_share, tuple) and len(self.q_share) != env_info.n_agents:
-            n = env_info.n_agents
-            raise ValueError(f"constant-q: q_share has {len(self.q_share)} shares; {env_info.name} has {n} agents")
         super().reset(env_info)
+        n_agent = self.scenario.n_agents
+        if isinstance(self.q_share, tuple) and len(self.q_share) != n_agent:
+            raise ValueError(
+                f"constant-q: q_share has {len(self.q_share)} shares; {env_info.name} has {n_agent} agents with a bus"
+            )
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""

@@ -71,7 +71,7 @@ class FeedbackOptimisation(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = env_info, env_info.weights, env_info.datacenter
+        s, w, dc = self.scenario, self.scenario.weights, self.scenario.datacenter
         n_node = len(s.feeder.load_nodes)
         self._weights = w.voltage / n_node, w.violation / n_node
         self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_node / self.width_pu

@@ -26,7 +26,15 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Feeder, LinearDvfs, Scenario, believed_sensitivity, field_names, sensitivity_to_agents
+from dcgrid_env import (
+    Feeder,
+    LinearDvfs,
+    Scenario,
+    believed_sensitivity,
+    field_names,
+    sensitivity_to_agents,
+    under_own_control,
+)
 from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
 
 NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching")
@@ -89,7 +97,7 @@ class ModelController(LocalController):
         ValueError
             For a scenario with other devices, or another scope of observation, clock law or cost, than these work with.
         """
-        s = env_info
+        s = under_own_control(env_info)
         require_known_devices(self.name, s)
         if s.observe != "feeder":
             raise ValueError(f"{self.name}: observe is {s.observe!r}; make the scenario with observe='feeder'")
@@ -100,11 +108,12 @@ class ModelController(LocalController):
             )
         if s.voltage_cost != "l1":
             raise ValueError(f"{self.name}: voltage_cost is {s.voltage_cost!r}; make the scenario with 'l1'")
-        priced = [name for name in NOT_PRICED if getattr(s.weights, name)]
+        # Who moves no equipment has nothing to weigh its moves against.
+        priced = [name for name in NOT_PRICED if getattr(s.weights, name) and (name != "switching" or s is env_info)]
         if priced:
             weight = getattr(s.weights, priced[0])
             raise ValueError(f"{self.name}: weights.{priced[0]} is {weight:g}, which it does not minimise; set it to 0")
-        super().reset(s)
+        super().reset(env_info)
         names = field_names(s)
         widths = [len(names[agent]) for agent in s.agents]
         self._limit_at = np.cumsum([0, *widths])[:-1] + names[s.agents[0]].index("q_limit")
@@ -112,7 +121,7 @@ class ModelController(LocalController):
         self._slopes: Slopes | None = None
         if s.datacenter_buses is not None or not s.n_datacenters:
             fixed = (*(s.datacenter_buses or ()), *s.inverter_buses)
-            self.place(np.array([[s.feeder.index(bus) for bus in fixed]]))
+            self._slopes = slopes(s, np.array([[s.feeder.index(bus) for bus in fixed]]))
         self._gain = _gain(s)
         self._past: list[np.ndarray] = []
         self._v_smooth_pu: np.ndarray | None = None
@@ -120,7 +129,7 @@ class ModelController(LocalController):
 
     def place(self, buses: np.ndarray) -> None:
         """See :class:`Placed`."""
-        self._slopes = slopes(self.scenario, np.asarray(buses))
+        self._slopes = slopes(self.scenario, np.asarray(buses)[:, self._equipment.is_other])
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (lane, n_dc), and reactive setpoints, kvar, (lane, n_agent)."""

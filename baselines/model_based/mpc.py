@@ -67,7 +67,7 @@ class Mpc(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = env_info, env_info.weights, env_info.datacenter
+        s, w, dc = self.scenario, self.scenario.weights, self.scenario.datacenter
         # Powers are shares of these in the program.
         self._size = np.concatenate((dc.p_dynamic_kw, s.inverter.s_rated_kva))
         price = np.full((self.horizon, 1), w.backlog)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_bus
+from dcgrid_env import Scenario, believed_sensitivity, nodes_by_bus, under_own_control
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -65,24 +65,17 @@ def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
 def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     if len(scenarios) > 1:
         return {"q_share": _rounded(x[0])}
-    # Data centres that are drawn anew in each episode are all alike beforehand, and equipment has no reactive power.
-    n_q = _n_reactive(scenarios[0])
-    first, none = [_rounded(x[0])] * (n_q - len(x)), [0.0] * (scenarios[0].n_agents - n_q)
-    return {"q_share": (*first, *map(_rounded, x), *none)}
+    # Data centres that are drawn anew in each episode are all alike beforehand.
+    first = [_rounded(x[0])] * (under_own_control(scenarios[0]).n_agents - len(x))
+    return {"q_share": (*first, *map(_rounded, x))}
 
 
 def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
     if len(scenarios) > 1:
         return [(-1.0, 1.0)]
-    scenario = scenarios[0]
+    scenario = under_own_control(scenarios[0])
     drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    n_q = _n_reactive(scenario)
-    return [(-1.0, 1.0)] * (n_q - scenario.n_datacenters + 1 if drawn else n_q)
-
-
-def _n_reactive(scenario: Scenario) -> int:
-    """Number of agents up to the last that gives reactive power, behind which equipment of the feeder stands."""
-    return int(np.flatnonzero(action_layout(scenario).reactive >= 0).max(initial=-1)) + 1
+    return [(-1.0, 1.0)] * (scenario.n_agents - scenario.n_datacenters + 1 if drawn else scenario.n_agents)
 
 
 def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:

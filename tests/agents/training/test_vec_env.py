@@ -62,6 +62,8 @@ def test_ids_presets_and_scenarios_make_the_same_batch():
 def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="view is 'each'; choose one of joint, shared"):
         sb3_vec_env("toy6", 1, "each")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="has regulators or capacitor banks among its agents"):
+        sb3_vec_env("ieee13-3ph", 1, "shared", regulators="agent")
     with pytest.raises(ScenarioError, match="unknown scenario 'toy7'"):
         sb3_vec_env("toy7", 1)
     with pytest.raises(TypeError, match="unexpected keyword argument 'horizn'"):

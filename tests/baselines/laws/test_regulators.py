@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, parallel_env
+from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, make_scenario, parallel_env
 from dcgrid_env.baselines import Droop, NoControl, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import largest_stable
 from helpers.three_phase import ieee13, ieee123
@@ -45,6 +45,19 @@ def test_taps_are_those_of_the_own_control(scenario):
     wanted = taps_of(controlled, Droop(k_q_mvar_per_pu_s=0.01))
     assert np.abs(np.diff(wanted, axis=0)).sum() >= 3.0
     np.testing.assert_array_equal(taps_of(agents, Droop(k_q_mvar_per_pu_s=0.01)), wanted)
+
+
+@pytest.mark.parametrize("controller", ["feedback", "mpc-one-step", "ieee13-3ph-ppo"])
+def test_controllers_of_the_other_agents_do_the_same_whoever_moves_the_taps(controller):
+    """Those with a model, which also have no say where switching has a price, and policies."""
+    weights = {"switching": 10.0} if controller == "ieee13-3ph-ppo" else {}
+    controlled, agents = twins(make_scenario("ieee13-3ph").replace(**HEAVY, horizon=60, weights=weights))
+    other = agents.replace(weights={"switching": 10.0})
+    runs = [rollout(scenario, make_controller(controller), [0]).lane(0) for scenario in (controlled, other)]
+    phases: Any = [run.three_phase for run in runs]
+    assert np.abs(np.diff(phases[0].equipment.regulators.tap, axis=0)).sum() >= 1.0
+    np.testing.assert_array_equal(phases[0].equipment.regulators.tap, phases[1].equipment.regulators.tap)
+    np.testing.assert_array_equal(runs[0].q_kvar, runs[1].q_kvar[:, : controlled.n_agents])
 
 
 def test_no_control_leaves_taps_and_every_law_capacitors_at_rest():

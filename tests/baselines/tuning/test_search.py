@@ -141,6 +141,5 @@ def test_equipment_has_no_share_of_reactive_power_to_search_for():
         bounds = law.bounds([scenario])
         assert len(bounds) == width
         shares = law.parameters(np.linspace(0.1, 0.9, width), [scenario])["q_share"]
-        assert len(shares) == scenario.n_agents
-        assert (np.array(shares)[: 12 if scenario is drawn else 6] != 0.0).all()
-        assert set(shares[12 if scenario is drawn else 6 :]) == {0.0}
+        assert len(shares) == (12 if scenario is drawn else 6)
+        assert (np.array(shares) != 0.0).all()

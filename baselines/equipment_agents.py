@@ -1,0 +1,100 @@
+"""Regulators and capacitor banks that are agents, driven beside a controller that is made for the other agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, field_names, under_own_control
+
+_TAP = "tap"
+
+
+class EquipmentAgents:
+    """The equipment of the feeder among a scenario's agents, if there is any.
+
+    Regulators follow what the control of their own bank would do; capacitor banks stay as they stand. It keeps the
+    relays' clocks, and so is made anew for each run of episodes.
+
+    Parameters
+    ----------
+    scenario
+        What is to be driven.
+    moves_taps
+        Whether regulators are driven, or stay where they are at t = 0 too.
+    """
+
+    def __init__(self, scenario: Scenario, moves_taps: bool = True) -> None:
+        self.scenario, self.others = scenario, under_own_control(scenario)
+        """``others`` is the scenario as a controller of the other agents is to see it."""
+        among = set(self.others.agents)
+        self.is_other = np.array([agent in among for agent in scenario.agents])
+        """Which agents are no equipment, bool, (n_agent,)."""
+        names, self._layout = field_names(scenario), action_layout(scenario)
+        seen = np.array([agent in among for agent in scenario.agents for _ in names[agent]])
+        self._seen = None if seen.all() else np.flatnonzero(seen)
+        self._others_at = np.array([agent in among for agent, _ in self._layout.names])
+        self._rest = at_rest(scenario)
+        driven = moves_taps and any(device.kind == "tap_changer" for device in scenario.devices)
+        self._regulators = _Regulators(scenario) if driven else None
+
+    def act(self, observations: Any, of_others: Callable[[np.ndarray], np.ndarray]) -> Any:
+        """Actions of all agents in the form of the observations: a mapping of agents, or joint, (..., n).
+
+        ``of_others`` gives the joint action of the others, (..., n_action), for their joint observation.
+        """
+        if isinstance(observations, Mapping):
+            joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
+            return self._layout.split(self._joint(joint, of_others))
+        return self._joint(np.asarray(observations), of_others)
+
+    def _joint(self, joint: np.ndarray, of_others: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        if self._seen is None:
+            return of_others(joint)
+        own = of_others(joint[..., self._seen])
+        actions = np.empty((*own.shape[:-1], len(self._rest)), own.dtype)
+        actions[...] = self._rest
+        actions[..., self._others_at] = own
+        if self._regulators is not None:
+            actions[..., self._regulators.action_at] = self._regulators.actions(joint)
+        return actions
+
+
+class _Regulators:
+    """The regulators that are agents of a scenario, driven as their banks' own control would from what they observe."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        relays = acting_relays(scenario, "agent")
+        assert relays is not None
+        (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
+        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.band_pu or 1.0
+        self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
+        names = [name for own in field_names(scenario).values() for name in own]
+        self._tap_at, self._relay_at = ([i for i, name in enumerate(names) if name == own] for own in (_TAP, "relay"))
+        self.action_at = np.flatnonzero(action_layout(scenario).is_channel(_TAP))
+
+    def actions(self, joint: np.ndarray) -> np.ndarray:
+        """Entries of the action, (..., n), from the joint observation."""
+        tap = np.rint(joint[..., self._tap_at] * self._farthest)
+        relay_v = self._control.target_v * (1.0 + self._band * joint[..., self._relay_at])
+        asked = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
+        low, high = self._channel.lowest, self._channel.highest
+        shares = 2.0 * (asked - low) / np.where(high > low, high - low, 1.0) - 1.0
+        return shares.reshape(tap.shape)
+
+
+def at_rest(scenario: Scenario) -> np.ndarray:
+    """The joint action that leaves every channel where it is at t = 0, (n_action,); 0 where it has no range."""
+    entries = [
+        np.stack([_at_rest(channel) for channel in device.channels], axis=-1).ravel()
+        for device in scenario.devices
+        if device.count and device.channels
+    ]
+    return np.concatenate([np.empty(0), *entries])
+
+
+def _at_rest(channel: Any) -> np.ndarray:
+    span = channel.highest - channel.lowest
+    return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

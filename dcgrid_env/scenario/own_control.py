@@ -1,0 +1,44 @@
+"""A scenario's regulators and capacitor banks without agents: as they are where nobody commands them."""
+
+from __future__ import annotations
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.scenario.grid_control import ByBank, Decider, capacitor_deciders, regulator_deciders
+from dcgrid_env.scenario.scenario import Scenario
+
+
+def under_own_control(scenario: Scenario) -> Scenario:
+    """The scenario with regulators that are agents left to their banks' own control, and capacitor banks to stand.
+
+    The other agents see and do the same as before, and a move costs what it cost. A scenario without such agents is
+    returned as it is.
+    """
+    return _without_agents(scenario) or scenario
+
+
+@cached_on_owner
+def _without_agents(scenario: Scenario) -> Scenario | None:
+    feeder, control = scenario.feeder, scenario.grid_control
+    if not isinstance(feeder, ThreePhaseFeeder):
+        return None
+    deciders = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    if not any("agent" in of_kind for of_kind in deciders):
+        return None
+    other = scenario.replace(
+        regulators=_instead(control.regulators, "controlled"), capacitor_banks=_instead(control.capacitors, "fixed")
+    )
+    left = regulator_deciders(other.grid_control, feeder), capacitor_deciders(other.grid_control, feeder)
+    # Switching is charged by the mean over what is not fixed, of which there may now be less.
+    switching = scenario.weights.switching * _n_moving(left) / _n_moving(deciders)
+    return other.replace(weights=other.weights._replace(switching=switching))
+
+
+def _instead(decider: Decider | ByBank, of_agents: Decider) -> Decider | ByBank:
+    if isinstance(decider, str):
+        return of_agents if decider == "agent" else decider
+    return tuple((bank, of_agents if own == "agent" else own) for bank, own in decider)
+
+
+def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:
+    return sum(own != "fixed" for of_kind in deciders for own in of_kind)
