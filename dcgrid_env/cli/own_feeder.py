@@ -38,6 +38,8 @@ def scenario_on_feeder(
     given = read_overrides(overrides)
     if "feeder" in given:
         raise ValueError("set: feeder is an option of its own here; give it once, as --feeder or with --set")
+    if not feeder.strip():
+        raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
     try:
         made = feeder_from_plain(feeder)
     except FeederError as error:

@@ -69,6 +69,7 @@ def test_a_feeder_takes_the_place_of_the_scenarios(folders, capsys):
         (["--feeder", "no-folder"], "unknown feeder 'no-folder'; there are toy6, ieee33"),
         (["--feeder", "no-folder"], "or give a folder of your own"),
         (["--feeder", "."], "feeder .: feeder.toml is missing"),
+        (["--feeder", ""], "feeder is empty; give a feeder's name or the folder of one's own"),
         (["--feeder", "broken"], "feeder broken: broken/loads.csv, line 2: "),
         (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: feeder is an option of its own here; give it once"),
         (["--feeder", "my-feeder", "--set", "power_flow=distflow"], "give 'sweep' for the three-phase feeder"),
