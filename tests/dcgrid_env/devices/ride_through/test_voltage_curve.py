@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env.core.checked import FieldError
-from dcgrid_env.devices.ride_through.curves import CURVES, Elements, RideThroughCurve, curves_of, plain_curve
+from dcgrid_env.devices.ride_through.voltage_curve import CURVES, Elements, RideThroughCurve, curves_of, plain_curve
 
 FOR_GOOD = float("inf")
 
