@@ -3,6 +3,9 @@
 from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
+from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
+from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.engine.acting_relays import ActingRelays, BankControl, acting_relays
 from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.connections import (
@@ -77,6 +80,9 @@ __all__ = [
     "PowerFlowError",
     "PrefillDecodeDvfs",
     "Recorder",
+    "RideThrough",
+    "RideThroughCurve",
+    "Sag",
     "Scenario",
     "ScenarioError",
     "Sensing",
@@ -86,6 +92,7 @@ __all__ = [
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
+    "UpsRideThrough",
     "Workload",
     "__version__",
     "acting_relays",
@@ -110,6 +117,7 @@ __all__ = [
     "sensitivity_to_agents",
     "solver_for",
     "under_own_control",
+    "virginia_2024",
 ]
 
 _register()

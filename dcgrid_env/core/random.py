@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR = range(1, 10)
+PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR, SAG = range(1, 11)
 """Streams: what a draw is for."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

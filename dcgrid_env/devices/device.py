@@ -208,3 +208,13 @@ class Device(Protocol):
             where no slot's work is made of requests.
         """
         ...
+
+
+def may_leave(device: Any) -> bool:
+    """Whether devices of a group may leave the grid by themselves: those that have a rule, ``ride_through``.
+
+    Such a group's ``step`` is given a ``ride_through.connection.Supply`` around what it is given in any case, and has a
+    method ``connected``: from its state to the share of its power that is on the grid, (lane, slot), which its reactive
+    power is cut by.
+    """
+    return getattr(device, "ride_through", None) is not None and device.count > 0

@@ -14,6 +14,8 @@ from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
+from dcgrid_env.devices.ride_through import connection, riding_inverter
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough, rule_of
 from dcgrid_env.grid import buses_as_text
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
 
@@ -43,13 +45,19 @@ class Inverters(PickledByFields):
     phases: Phases | None = None
     """Phases of a three-phase feeder that an inverter feeds in equal parts, such as "abc" or "b"; by default all that
     its bus has."""
+    ride_through: RideThrough | None = None
+    """When an inverter trips, and how it returns; None for inverters that stay connected whatever the voltage."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, injection=_injection)
+        settle(self, buses=buses_as_text, injection=_injection, ride_through=lambda v: rule_of(RideThrough, v))
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
         check_rating(self, "s_rated_kva", self.count)
         check_phases(self, self.count)
+        if self.ride_through is not None:
+            if not isinstance(self.ride_through, RideThrough) or isinstance(self.ride_through, UpsRideThrough):
+                raise refuse(self, "ride_through", "give RideThrough(curve=..), a mapping of its fields, or None")
+            self.ride_through.check_slots(self.count)
         if isinstance(self.injection, tuple):
             wrong = [share for share in self.injection if not is_number(share) or not -1 <= share <= 1]
             if wrong:
@@ -104,42 +112,50 @@ class Inverters(PickledByFields):
         return (Channel(Q, "kvar", -q, q, rest=0.0 * q),)
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Nothing beside what every agent observes."""
-        return ()
+        """Where the connection stands, if it may trip; nothing else beside what every agent observes."""
+        return riding_inverter.fields(self.ride_through, self.count) if self.ride_through else ()
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
         """Nothing beside what every agent is charged."""
         return ()
 
-    def initial(self, parameters: InverterParams, zero: Array) -> tuple[()]:
-        """An inverter has no state."""
-        return ()
+    def initial(self, parameters: InverterParams, zero: Array) -> Any:
+        """An inverter that cannot trip has no state."""
+        if self.ride_through is None:
+            return ()
+        return riding_inverter.RidingInverterState(connection.initial(self.ride_through, zero))
 
     def step(
-        self, parameters: InverterParams, state: tuple[()], setpoints: tuple[Array, ...], given: Array, dt_s: float
-    ) -> tuple[tuple[()], Array]:
-        """Inject what the schedule says."""
-        return (), -given
+        self, parameters: InverterParams, state: Any, setpoints: tuple[Array, ...], given: Any, dt_s: float
+    ) -> tuple[Any, Array]:
+        """Inject what the schedule says, as far as it is connected."""
+        if self.ride_through is None:
+            return (), -given
+        return riding_inverter.step(self.ride_through, state, given, dt_s)
 
-    def grid_change(self, parameters: InverterParams, state: tuple[()]) -> GridChange:
+    def connected(self, state: Any) -> Array:
+        """Share of each inverter's power that is on the grid, see ``device.may_leave``."""
+        return state.connection.share
+
+    def grid_change(self, parameters: InverterParams, state: Any) -> GridChange:
         """Leave the grid as it is."""
         return GridChange()
 
-    def observe(self, parameters: InverterParams, state: tuple[()], given_next: Array) -> tuple[Array, ...]:
-        """Nothing, see ``fields``."""
-        return ()
+    def observe(self, parameters: InverterParams, state: Any, given_next: Array) -> tuple[Array, ...]:
+        """Raw figures of ``fields``."""
+        return riding_inverter.observe(self.ride_through, state) if self.ride_through else ()
 
-    def amount(self, name: str, parameters: InverterParams, state: tuple[()]) -> Array:
+    def amount(self, name: str, parameters: InverterParams, state: Any) -> Array:
         """KeyError: an inverter has no cost term of its own."""
         raise KeyError(name)
 
-    def totals(self, state: tuple[()]) -> dict[str, Array]:
-        """Nothing to add to ``info``."""
-        return {}
+    def totals(self, state: Any) -> dict[str, Array]:
+        """Trips in the step and inverters that are away, where they can trip."""
+        return riding_inverter.totals(state) if self.ride_through else {}
 
-    def metrics(self, history: tuple[()], dt_s: float, requests: Any) -> dict[str, float]:
-        """Nothing beside what is measured of every agent."""
-        return {}
+    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+        """Trips and time away, where they can trip."""
+        return riding_inverter.metrics(history, dt_s) if self.ride_through else {}
 
     def check_episode(self, horizon: int) -> None:
         """Raise FieldError unless a schedule is as long as an episode."""

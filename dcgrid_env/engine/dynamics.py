@@ -13,6 +13,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine import equipment as feeder_equipment
 from dcgrid_env.engine.actions import action_layout
+from dcgrid_env.engine.leaving import connected_share, leaving, supply
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -94,11 +95,16 @@ def _step(
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for i, device in enumerate(scenario.devices):
         given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
+        if i in leaving(scenario):
+            given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
         after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
     q_agent, q_limit = converter.dispatch(params.converter_kva, params.q_scale_kvar, p_agent, q_setpoint_kvar)
+    if leaving(scenario):
+        share = connected_share(scenario, devices, p_agent, device_slices(scenario))
+        q_agent, q_limit = q_agent * share, q_limit * share
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 

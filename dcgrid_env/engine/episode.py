@@ -13,15 +13,13 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
+from dcgrid_env.engine.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
-
-FOR_GOOD = 2**40
-"""Steps that outlast every episode."""
 
 
 class Episode(NamedTuple):
@@ -43,6 +41,8 @@ class Episode(NamedTuple):
     fault: np.ndarray
     """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
     int64, (lane, n_fault, 3)."""
+    sag: np.ndarray
+    """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (lane, n_sag, 3)."""
 
 
 class _Load(NamedTuple):
@@ -100,7 +100,13 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
     sun_row, sun_start = random.bits(key, random.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
     sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
-    drawn = (_windows(scenario, key, begin_h), sun.astype(np.int64), begin_h, _faults(scenario, key))
+    drawn = (
+        _windows(scenario, key, begin_h),
+        sun.astype(np.int64),
+        begin_h,
+        drawn_faults(scenario, key),
+        drawn_sags(scenario, key),
+    )
     episode = assemble(scenario, key, buses, *drawn)
     prepare(scenario, episode)
     return episode
@@ -162,25 +168,11 @@ def assemble(
     sun: np.ndarray,
     begin_h: np.ndarray,
     fault: np.ndarray,
+    sag: np.ndarray,
 ) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
-    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, np.ones(len(key)), fault)
-
-
-def _faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
-    drawn = random.bits(key, random.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
-    struck = np.empty(drawn.shape, np.int64)
-
-    def steps(times_s: tuple[float, float], between: np.ndarray) -> np.ndarray:
-        low, high = (round(min(t_s / scenario.dt_s, FOR_GOOD)) for t_s in times_s)
-        return low + (between % np.uint64(high - low + 1)).astype(np.int64)
-
-    for i, (fault, targets) in enumerate(zip(scenario.faults, scenario.fault_targets, strict=True)):
-        struck[:, i, 0] = targets[drawn[:, i, 0] % np.uint64(len(targets))]
-        struck[:, i, 1] = 1 + steps(fault.begin_s, drawn[:, i, 1])  # nothing is lost at t = 0
-        struck[:, i, 2] = struck[:, i, 1] + steps(fault.duration_s, drawn[:, i, 2])
-    return struck
+    still = np.ones(len(key))
+    return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, still, fault, sag)
 
 
 def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
@@ -277,7 +269,8 @@ def exogenous(
             q += capacitors * feeder.capacitor_kvar
     placed, compute = episode.placed, compute_share(scenario, episode, step)
     legs = placed.legs if three_phase else None
-    return Exogenous(p, q, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on), z
+    sags = sags_in_interval(scenario, episode.sag, step)
+    return Exogenous(p, q, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags), z
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:

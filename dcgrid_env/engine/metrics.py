@@ -20,6 +20,19 @@
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
 
+Where devices may leave the grid (docs/ride-through.md), over all sites, or inverters, and the steps 1 .. T:
+
+| metric | meaning |
+|---|---|
+| ups_trips, inverter_trips | how often one left the grid |
+| ups_lost_kw, ups_lost_step_kw | draw of the sites that left, in all and the most in a step |
+| ups_away_s, inverter_away_s | site-seconds, or inverter-seconds, away, a ramp by its share |
+| ups_locked_s | site-seconds locked out |
+| ups_all_back_s | from the first step with a site away to the last |
+| battery_work_kws, battery_energy_kws | work served on battery, and energy drawn from batteries |
+| battery_missing_kws | what is missing in the batteries at the end |
+| voltage_after_loss_max_pu | highest voltage of the feeder in steps with a device away; 0 if there is none |
+
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
 ``devices.datacenter.request_delay``:
 
@@ -38,6 +51,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.engine.leaving import after_loss
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -106,6 +120,7 @@ class Series:
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self._requests() if device.input == "workload" else None
             figures |= device.metrics(history, s.dt_s, requests)
+        figures |= after_loss(s, self.devices, v)
         return {name: float(value) for name, value in figures.items()}
 
     def _unbalance(self, feeder: ThreePhaseFeeder) -> dict[str, float]:

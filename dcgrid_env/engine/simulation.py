@@ -201,7 +201,7 @@ class Simulation:
         )
 
 
-_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault")
+_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag")
 """Fields of an episode that ``episode.assemble`` takes."""
 
 

@@ -33,6 +33,8 @@ class Exogenous(NamedTuple):
     capacitor_on: Array | None = None
     """1 for a capacitor bank of a three-phase feeder that can be on and 0 for one that is lost or disconnected,
     (lane, n_capacitor); None where all can."""
+    sags: Array | None = None
+    """Sags that begin in the interval, (lane, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
 
 
 class Equipment(NamedTuple):

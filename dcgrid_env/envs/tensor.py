@@ -49,6 +49,7 @@ class _Outside(NamedTuple):
     available: Array | None
     noise_pu: Array | None
     capacitor_on: Array | None
+    sags: Array | None
 
 
 class TensorEnv:
@@ -164,6 +165,7 @@ class TensorEnv:
         return Exogenous(
             now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
             now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
+            now(o.sags),
         )  # fmt: skip
 
     def _measure(self) -> Array:
@@ -230,5 +232,6 @@ def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
         stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),
+        stacked("sags"),
     )  # fmt: skip
     return course, drawn.buses

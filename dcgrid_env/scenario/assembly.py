@@ -16,6 +16,7 @@ from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
+from dcgrid_env.scenario.plain_sags import sags_from_plain
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 
@@ -26,7 +27,7 @@ PARTS: dict[str, type[Any]] = {
     "cost": Cost,
     "grid_control": GridControl,
 }
-_PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain}
+_PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain, "sags": sags_from_plain}
 FLAT_OF = {where: name for name, where in FLAT.items()}
 """Flat name of a part's field, by part and field."""
 NO_DATA_CENTERS = DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0)

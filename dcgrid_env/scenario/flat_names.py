@@ -11,6 +11,7 @@ from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.scenario.cost import CostWeights, RewardScope, VoltageCost
 from dcgrid_env.scenario.grid_control import ByBank, Decider
 from dcgrid_env.scenario.sensing import ObservationScope
@@ -58,10 +59,12 @@ class FlatNames:
     dvfs = Flat[Dvfs]("datacenter", "clock_law")
     boost_share = Flat[float]("datacenter", "boost_share")
     datacenter_phases = Flat[Phases | None]("datacenter", "phases")
+    datacenter_ride_through = Flat[UpsRideThrough | None]("datacenter", "ride_through")
 
     inverter_buses = Flat[Buses]("inverter", "buses")
     inverter_s_kva = Flat[Rating]("inverter", "s_rated_kva")
     inverter_phases = Flat[Phases | None]("inverter", "phases")
+    inverter_ride_through = Flat[RideThrough | None]("inverter", "ride_through")
     inverter_trace = Flat[PowerTrace | tuple[float, ...] | str | None]("inverter", "injection")
 
     trace = Flat[str | tuple[PowerTrace, ...]]("workload", "trace")

@@ -9,6 +9,8 @@
 | capacitor_settings | a mapping of fields | CapacitorControl |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
+| sags | the name of a recorded sequence, or a list of mappings of the fields of Sag | tuple of Sag |
+| ride_through | a curve's name, or a mapping of the rule's fields | UpsRideThrough of sites, RideThrough of inverters |
 | dvfs, clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
 | inverter_trace, injection | "pv", a list of shares, or a recording's name or file | PowerTrace |
@@ -32,11 +34,14 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.devices.ride_through.rules import RideThrough, plain_rule
+from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.plain_sags import sag_to_plain
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
@@ -49,6 +54,10 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Fault):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
+    if isinstance(value, Sag):
+        return sag_to_plain(value)
+    if isinstance(value, RideThrough):
+        return plain_rule(value)
     if isinstance(value, Workload | Background | Sensing | Cost | CapacitorControl):
         return _fields_to_plain(value)
     if isinstance(value, GridControl):

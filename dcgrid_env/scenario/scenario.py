@@ -12,17 +12,18 @@ from typing import Any, Literal
 import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import check_fields, choice, count, number, refuse, settle
+from dcgrid_env.core.checked import check_fields, choice, count, number, settle
 from dcgrid_env.devices import DataCenterParams, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
-from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ratings import read_only
+from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.errors import ScenarioError, located
+from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.feeder_kind import check_feeder_kind
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
@@ -57,6 +58,8 @@ class Scenario(PickledByFields, FlatNames):
     grid_control: GridControl
     faults: tuple[Fault, ...] = ()
     """Devices lost in an episode, see :class:`Fault`."""
+    sags: tuple[Sag, ...] = ()
+    """Short sags of the voltage, which devices ride through or not, see :class:`Sag`."""
     horizon: int = count(1, 100_000_000, default=120)
     """Actions in an episode."""
     dt_s: float = number(1e-3, 3600.0, default=1.0)
@@ -94,25 +97,7 @@ class Scenario(PickledByFields, FlatNames):
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):
                 device.check_episode(self.horizon)
-        if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
-            raise refuse(self, "faults", "give a tuple of Fault, () for none")
-        can_be_lost = [device for device in self.devices if not is_equipment(device)]
-        kinds = (*(device.kind for device in can_be_lost), CAPACITOR)
-        agents = self.agents[: sum(device.count for device in can_be_lost)]
-        for fault in self.faults:
-            for among in fault.among:
-                if among not in kinds and among not in agents:
-                    there = (*(device.kind for device in can_be_lost if device.count), CAPACITOR)
-                    raise ScenarioError(
-                        f"scenario {self.name!r}: a fault among {among!r}; choose {', '.join(there)} or an agent, "
-                        f"{', '.join(agents)}"
-                    )
-        for fault, targets in zip(self.faults, self.fault_targets, strict=True):
-            if not len(targets):
-                struck = ", ".join(fault.among)
-                raise ScenarioError(
-                    f"scenario {self.name!r}: a fault among {struck}, of which there is none; name others"
-                )
+        check_events(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:
         return self  # frozen: a copy of an environment shares it

@@ -68,7 +68,7 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     if base is None and "feeder" not in given:
         has = f"has {', '.join(given)}, but neither" if given else "is empty: it has neither"
         raise ScenarioError(f"{path} {has} base nor feeder; give base, a preset's name, or all fields of a scenario")
-    tables = (*PARTS, "devices", "faults")  # a text where a table is to be is told as it stands
+    tables = (*PARTS, "devices", "faults", "sags")  # a text where a table is to be is told as it stands
     given = {name: value if value == NONE and name in tables else _none_in(value) for name, value in given.items()}
     try:
         if base is None:
@@ -116,7 +116,7 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
         refuse_objects(scenario.name, field.name, plain)
         if field.name == "devices":
             plain = [{name: item for name, item in device.items() if item is not None} for device in plain]
-        (tables if field.name in (*PARTS, "devices", "faults") else table)[field.name] = _without_none(plain)
+        (tables if field.name in (*PARTS, "devices", "faults", "sags") else table)[field.name] = _without_none(plain)
     text = tomli_w.dumps(table | {name: item for name, item in tables.items() if item or base is not None})
     if path is not None:
         write_text(Path(path), text)

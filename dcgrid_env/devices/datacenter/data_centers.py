@@ -11,6 +11,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
+from dcgrid_env.devices.datacenter import ups_site
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
@@ -19,6 +20,7 @@ from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
 from dcgrid_env.grid import buses_as_text
 
 
@@ -56,9 +58,11 @@ class DataCenters(PickledByFields):
     phases: Phases | None = None
     """Phases of a three-phase feeder that a site draws from in equal parts, such as "abc" or "b". By default all that
     its bus has, which are all three where the bus is drawn."""
+    ride_through: UpsRideThrough | None = None
+    """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, clock_law=_clock_law)
+        settle(self, buses=buses_as_text, clock_law=_clock_law, ride_through=lambda v: rule_of(UpsRideThrough, v))
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(
@@ -71,6 +75,10 @@ class DataCenters(PickledByFields):
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
         check_phases(self, self.count)
+        if self.ride_through is not None:
+            if not isinstance(self.ride_through, UpsRideThrough):
+                raise refuse(self, "ride_through", "give UpsRideThrough(curve=..), a mapping of its fields, or None")
+            self.ride_through.check_slots(self.count)
 
     @cached_property
     def work_classes(self) -> int:
@@ -115,27 +123,31 @@ class DataCenters(PickledByFields):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Clock, then reactive power."""
-        p, q = self.parameters, self.q_limit_kvar
+        """Clock, then reactive power, then the return where the agent decides over it."""
+        p, q, rule = self.parameters, self.q_limit_kvar, self.ride_through
         return (
             Channel("clock", "MHz", p.f_min_mhz, p.f_max_mhz, rest=p.f_max_mhz),
             Channel(Q, "kvar", -q, q, rest=0.0 * q),
+            *(ups_site.channels(rule, self.count) if rule else ()),
         )
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound."""
+        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and where
+        the UPS stands."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
         longest_s = horizon * dt_s * boost
+        of_ups = ups_site.fields(self.ride_through, self.count) if self.ride_through else ()
         common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog", "s at the rating", 0.0, longest_s, rated),
         )
         if self.work_classes == 1:
-            return common
+            return (*common, *of_ups)
         return (
             *common,
             Field("p_ref_next_compute", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog_compute", "s at the rating", 0.0, longest_s, rated),
+            *of_ups,
         )
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
@@ -148,28 +160,44 @@ class DataCenters(PickledByFields):
             CostTerm("backlog", "backlog_kws", rated, of_all, queued),
             CostTerm("clock", "clock_movement", one, float(max(self.count, 1)), 1.0),
             CostTerm("leftover", "backlog_kws", rated, of_all, queued, at_end=True),
+            *(ups_site.cost_terms(self.ride_through, rated) if self.ride_through else ()),
         )
 
     def check_episode(self, horizon: int) -> None:
         """Nothing of a data centre depends on the length of an episode."""
 
-    def initial(self, parameters: DataCenterParams, zero: Array) -> DataCenterState:
-        """Empty queues, the clocks at their top."""
+    def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
+        """Empty queues, the clocks at their top, and where there is a UPS all on the grid."""
         xp = namespace(zero)
         by_class = xp.stack((zero, zero), axis=-1) if self.work_classes == 2 else zero
         top = zero + parameters.f_max_mhz
-        return DataCenterState(zero, top, top, zero, zero, by_class, by_class, by_class)
+        site = DataCenterState(zero, top, top, zero, zero, by_class, by_class, by_class)
+        return ups_site.initial(self.ride_through, parameters, site, zero) if self.ride_through else site
 
     def step(
         self,
         parameters: DataCenterParams,
-        state: DataCenterState,
+        state: Any,
         setpoints: tuple[Array, ...],
-        given: Work,
+        given: Any,
         dt_s: float,
+    ) -> tuple[Any, Array]:
+        """Serve work as the clock allows, see ``datacenter.step``; and where there is a UPS, ``ups_site.step``."""
+        if self.ride_through is None:
+            return self._serve(parameters, state, setpoints[0], given, dt_s)
+
+        def serve(site: DataCenterState, f_mhz: Array, work: Work) -> tuple[DataCenterState, Array]:
+            return self._serve(parameters, site, f_mhz, work, dt_s)
+
+        return ups_site.step(self.ride_through, parameters, state, setpoints, given, dt_s, serve)
+
+    def connected(self, state: Any) -> Array:
+        """Share of each site's power that is on the grid, see ``device.may_leave``."""
+        return state.ups.share
+
+    def _serve(
+        self, parameters: DataCenterParams, state: DataCenterState, f_mhz: Array, given: Work, dt_s: float
     ) -> tuple[DataCenterState, Array]:
-        """Serve work as the clock allows, see ``datacenter.step``."""
-        (f_mhz,) = setpoints
         share = given.compute_share if self.work_classes == 2 else None
         boosts = self.boost_share > 1.0
         done = step(
@@ -185,26 +213,32 @@ class DataCenters(PickledByFields):
         """Leave the grid as it is."""
         return GridChange()
 
-    def observe(self, parameters: DataCenterParams, state: DataCenterState, given_next: Work) -> tuple[Array, ...]:
+    def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
         """Raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
+        of_ups = ups_site.observe(self.ride_through, parameters, state) if self.ride_through else ()
         if self.work_classes == 1:
-            return coming, waiting
+            return (coming, waiting, *of_ups)
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
-        return coming, waiting, compute, state.class_backlog_kws[..., 0]
+        return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_ups
 
-    def amount(self, name: str, parameters: DataCenterParams, state: DataCenterState) -> Array:
-        """Queued work, kW s, or the clock's movement as a share of its range."""
+    def amount(self, name: str, parameters: DataCenterParams, state: Any) -> Array:
+        """Queued work, kW s, or the clock's movement as a share of its range; or what the UPS is charged for."""
         if name == "backlog_kws":
             return state.backlog_kws
+        if self.ride_through:
+            of_ups = ups_site.amount(self.ride_through, name, parameters, state)
+            if of_ups is not None:
+                return of_ups
         span = self.f_max_mhz - self.f_min_mhz or 1.0
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
 
-    def totals(self, state: DataCenterState) -> dict[str, Array]:
-        """Queued work of all sites, kW s."""
-        return {"backlog_kws": sum_last(state.backlog_kws)}
+    def totals(self, state: Any) -> dict[str, Array]:
+        """Queued work of all sites, kW s, and where their UPS stand."""
+        own = {"backlog_kws": sum_last(state.backlog_kws)}
+        return own | ups_site.totals(state) if self.ride_through else own
 
-    def metrics(self, history: DataCenterState, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
         """Waiting times, clocks, and times of requests where the load is made of them."""
         arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
         delays = fcfs_delays(arrived, served, dt_s)
@@ -218,7 +252,12 @@ class DataCenters(PickledByFields):
             "unserved_kws": delays.unserved_kws,
             "clock_mean_pct": 100.0 * clock,
             **(self._request_delays(history, dt_s, requests)._asdict() if requests else {}),
+            **self._ups_metrics(history, dt_s),
         }
+
+    def _ups_metrics(self, history: Any, dt_s: float) -> dict[str, float]:
+        rule = self.ride_through
+        return ups_site.metrics(rule, self.parameters.p_rated_kw, history, dt_s) if rule else {}
 
     def _request_delays(self, history: DataCenterState, dt_s: float, requests: Any) -> RequestDelays:
         """Figures over the requests of all sites."""

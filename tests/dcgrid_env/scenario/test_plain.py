@@ -50,6 +50,9 @@ PLAIN = {
     "inverter_s_kva": [10.0, 20.0, 30.0, 40.0],
     "inverter_trace": [0.5] * 121,
     "faults": [{**FAULT, "duration_s": [3.0, 9.0]}, FAULT | {"duration_s": [float("inf")] * 2}],
+    "datacenter_ride_through": {"curve": "itic", "release": "agent"},
+    "inverter_ride_through": {"curve": {"under": [[0.88, 5.0]], "over": [[1.1, 2.0], [1.2, 0.16]]}},
+    "sags": [{"begin_s": [1.0, 2.0], "duration_s": [0.05, 0.06], "retained_pu": [0.3, 0.4]}],
     "trace": "training",
     "recording_split": "recording",
     "trace_window": "together",
@@ -86,6 +89,7 @@ WITH = {
     "n_datacenters": {"datacenter_buses": None},
     "feeder": {"datacenter_buses": [27, 65, 35]},
     "recording_split": {},
+    "sags": {"datacenter_ride_through": "itic"},
 }
 """What a field's value needs besides."""
 

@@ -1,0 +1,204 @@
+"""Who leaves the grid, and who returns: exact and discrete, a batch at once, on any kind of array.
+
+In each interval, in this order:
+
+1. Slow: an element of the curve counts how long the voltage of the intervals before has been beyond its threshold; a
+   connected device whose element has counted its time leaves. So it leaves at most a step late.
+2. Sags that begin in the interval, first to last: a device whose curve does not ride through one has an event.
+3. An event disconnects for the whole interval, and enough of them within the window lock the device out.
+4. A device without an event, not locked out, whose voltage has been in order for its delay, returns by a ramp.
+
+A lock-out ends when its rule or its agent releases it. A derivative runs through the ramp's speed alone: whether a
+device is connected is a step function, which has none.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.devices.ride_through.rules import RideThrough
+
+_MINUTE_S = 60.0
+
+
+class Supply(NamedTuple):
+    """What a device that rides through, or not, is given over an interval."""
+
+    given: Any
+    """What the device is given in any case, see ``Device.input``."""
+    v_lowest_pu: Array
+    """Voltage of its lowest phase before the interval, p.u., (lane, slot)."""
+    v_highest_pu: Array
+    """Voltage of its highest."""
+    sags: Array | None
+    """Sags by their beginning, (lane, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
+    the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
+
+
+class ConnectionState(NamedTuple):
+    """State of the connection after a step, (lane, slot) where nothing else stands."""
+
+    share: Array
+    """Share of the device's power that is on the grid, 0 away, 1 back."""
+    timer_s: Array
+    """How long the voltage has been beyond each threshold, s, (lane, slot, n_element)."""
+    wait_s: Array
+    """Time since the last event, or since the voltage has been in order, s, cut at the longest that a rule asks for."""
+    event_age_s: Array
+    """Ages of the latest events, the latest first, s, (lane, slot, lockout_events)."""
+    return_age_s: Array
+    """Ages of the latest returns, the same, (lane, slot, returns_per_minute)."""
+    locked: Array
+    """1 where it is locked out, 0 elsewhere."""
+    tripped: Array
+    """1 where it left the grid in the step."""
+    lost_kw: Array
+    """What it would have drawn in the step, had it not left in it, kW, an injection negative."""
+
+
+def initial(rule: RideThrough, zero: Array) -> ConnectionState:
+    """Connected, with nothing remembered; ``zero`` is 0, (lane, slot)."""
+    slots = zero.shape[-1]
+    old = zero[..., None] + rule.remembered_s
+    return ConnectionState(
+        share=zero + 1.0,
+        timer_s=_repeated(zero, rule.elements(slots).count),
+        wait_s=zero + rule.longest_wait_s(slots),
+        event_age_s=_repeated(old[..., 0], rule.lockout_events),
+        return_age_s=_repeated(old[..., 0], rule.returns_per_minute),
+        locked=zero,
+        tripped=zero,
+        lost_kw=zero,
+    )
+
+
+def advance(
+    rule: RideThrough, before: ConnectionState, supply: Supply, pace: Array | float, dt_s: float
+) -> ConnectionState:
+    """The connection over one interval.
+
+    Parameters
+    ----------
+    rule, before
+        The rule, and the state at the beginning.
+    supply
+        Voltage and sags.
+    pace
+        Share of the power that a device may take back in this interval, (lane, slot) or one number; 0 to stay as it is.
+    dt_s
+        Length of the interval, s.
+
+    Returns
+    -------
+    state
+        At the end, with ``lost_kw`` 0, which the device fills in.
+    """
+    xp, slots = namespace(before.share), before.share.shape[-1]
+    elements = rule.elements(slots)
+    threshold, time_s = (as_like(values, before.share) for values in (elements.threshold, elements.time_s))
+    v = _measured(xp, supply, elements)
+    beyond = v < threshold
+    if isinstance(v, np.ndarray) and _is_quiet(rule, before, beyond, supply.sags):
+        return before
+    out_of_order = beyond.any(-1)
+    timer_s = xp.where(beyond, before.timer_s + dt_s, 0.0 * before.timer_s)
+    connected = before.share > 0.0
+    event = (beyond & (timer_s + 1e-3 * dt_s >= time_s)).any(-1) & connected
+
+    delay_s, release_s = (as_like(times, before.share) for times in rule.delays_s(slots))
+    soon = 1e-3 * dt_s
+    may_go = (pace > 0.0) & ~out_of_order
+    released = (before.locked > 0.0) & (before.wait_s + soon >= release_s) & may_go
+    locked = (before.locked > 0.0) & ~released
+    aged = before.event_age_s + dt_s
+    age_s = xp.where((aged > rule.remembered_s) | released[..., None], 0.0 * aged + rule.remembered_s, aged)
+    age_s = _with_new(xp, event, dt_s + 0.0 * before.wait_s, age_s)
+    locked = locked | _is_full(rule, event, age_s)
+    since_s = xp.where(out_of_order, 0.0 * before.wait_s, before.wait_s + dt_s)
+    since_s = xp.where(event, 0.0 * since_s + dt_s, since_s)
+    for duration_s, retained, rest_s in _sags(supply.sags):
+        fell = ((v * retained[..., None] < threshold) & (timer_s + duration_s[..., None] > time_s)).any(-1)
+        fell = fell & (duration_s > 0.0)
+        age_s = _with_new(xp, fell, rest_s + 0.0 * since_s, age_s)
+        locked = locked | _is_full(rule, fell, age_s)
+        since_s = xp.where(fell, rest_s + 0.0 * since_s, since_s)
+        event = event | fell
+
+    ready = ~event & ~locked & (before.wait_s + soon >= xp.where(released, 0.0 * delay_s, delay_s)) & may_go
+    return_s = before.return_age_s + dt_s
+    return_s = xp.where(return_s > rule.remembered_s, 0.0 * return_s + rule.remembered_s, return_s)
+    if rule.returns_per_minute:
+        ready = ready & (return_s[..., -1] >= _MINUTE_S)
+    start = ready & ~connected
+    grown = before.share + pace
+    full = xp.where(grown > 1.0, 0.0 * grown + 1.0, grown)
+    share = xp.where((connected | start) & ~event, full, 0.0 * full)
+    longest_s = rule.longest_wait_s(slots)
+    return ConnectionState(
+        share=share,
+        timer_s=timer_s,
+        wait_s=xp.where(since_s > longest_s, 0.0 * since_s + longest_s, since_s),
+        event_age_s=age_s,
+        return_age_s=_with_new(xp, start, 0.0 * before.wait_s, return_s),
+        locked=xp.astype(locked, before.share.dtype),
+        tripped=xp.astype(event & connected, before.share.dtype),
+        lost_kw=0.0 * before.share,
+    )
+
+
+def by_rule(rule: RideThrough, dt_s: float) -> float:
+    """Share of its power that a device takes back in an interval by a rule without an agent."""
+    return min(1.0, dt_s / rule.walk_in_s) if rule.walk_in_s > 0.0 else 1.0
+
+
+def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
+    """How near the slow trip is, 0 .. 1, (lane, slot): the largest share of its time that an element has counted."""
+    xp, like = namespace(state.share), state.share
+    time_s = as_like(rule.elements(like.shape[-1]).time_s, like)
+    shares = xp.where(state.timer_s > 0.0, state.timer_s / (time_s + 1e-9), 0.0 * state.timer_s)
+    largest = shares.max(-1) if isinstance(shares, np.ndarray) else shares.amax(-1)
+    return xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
+
+
+def _is_quiet(rule: RideThrough, before: ConnectionState, beyond: np.ndarray, sags: Any) -> bool:
+    """Whether all are connected and nothing happens or is remembered: then a step changes nothing, to the bit."""
+    if beyond.any() or (sags is not None and sags[..., 0].any()) or before.share.min(initial=1.0) < 1.0:
+        return False
+    if before.timer_s.any() or before.wait_s.min(initial=np.inf) < rule.longest_wait_s(before.share.shape[-1]):
+        return False
+    ages = (before.event_age_s, before.return_age_s)
+    return all(age_s.min(initial=np.inf) >= rule.remembered_s for age_s in ages)
+
+
+def _measured(xp: Any, supply: Supply, elements: Any) -> Array:
+    """What each element compares with its threshold, p.u., (lane, slot, n_element)."""
+    n_over = elements.count - elements.n_under
+    low = _repeated(supply.v_lowest_pu, elements.n_under)
+    return low if not n_over else xp.concat((low, -_repeated(supply.v_highest_pu, n_over)), axis=-1)
+
+
+def _repeated(values: Array, times: int) -> Array:
+    """Values with a further axis along which they repeat."""
+    return namespace(values).broadcast_to(values[..., None], (*values.shape, times))
+
+
+def _sags(sags: Any) -> Any:
+    """Duration, share left and rest of each sag that begins in the interval in any lane, (lane, 1) each, in turn."""
+    for i in range(0 if sags is None else sags.shape[1]):
+        if bool((sags[:, i, 0] > 0.0).any()):
+            yield sags[:, i, 0:1], sags[:, i, 1:2], sags[:, i, 2:3]
+
+
+def _with_new(xp: Any, where: Array, age_s: Array, ages_s: Array) -> Array:
+    """Ages with a new one in front, and the oldest gone, where there is one."""
+    if not ages_s.shape[-1]:
+        return ages_s
+    return xp.where(where[..., None], xp.concat((age_s[..., None], ages_s[..., :-1]), axis=-1), ages_s)
+
+
+def _is_full(rule: RideThrough, event: Array, age_s: Array) -> Array:
+    """Whether an event is the last of enough within the window."""
+    return event & (age_s[..., -1] <= rule.lockout_window_s) if rule.lockout_events else event & ~event

@@ -1,0 +1,58 @@
+"""Inverters that trip and return: what ``Inverters`` is beside, where it has a rule of ride-through."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.devices.device import Field
+from dcgrid_env.devices.ride_through import connection
+from dcgrid_env.devices.ride_through.connection import ConnectionState, Supply
+from dcgrid_env.devices.ride_through.rules import RideThrough
+
+
+class RidingInverterState(NamedTuple):
+    """State of inverters that can trip."""
+
+    connection: ConnectionState
+
+
+def fields(rule: RideThrough, slots: int) -> tuple[Field, ...]:
+    """Share on the grid, and the timers of trip and return, as shares of what they run to."""
+    one = np.ones(slots)
+    return (
+        Field("connected", "share of the power on the grid", 0.0, 1.0, one),
+        Field("trip_timer", "share of the time to a slow trip", 0.0, 1.0, one),
+        Field("return_wait", "share of the delay", 0.0, 1.0, one * max(rule.longest_wait_s(slots), 1e-9)),
+    )
+
+
+def step(
+    rule: RideThrough, state: RidingInverterState, supply: Supply, dt_s: float
+) -> tuple[RidingInverterState, Array]:
+    """Inject what the schedule says, as far as it is connected, see ``Device.step``."""
+    before = state.connection
+    after = connection.advance(rule, before, supply, connection.by_rule(rule, dt_s), dt_s)
+    after = after._replace(lost_kw=-after.tripped * before.share * supply.given)
+    return RidingInverterState(after), -after.share * supply.given
+
+
+def observe(rule: RideThrough, state: RidingInverterState) -> tuple[Array, ...]:
+    """Raw figures of ``fields``."""
+    own = state.connection
+    return own.share, connection.timer_share(rule, own), own.wait_s
+
+
+def totals(state: RidingInverterState) -> dict[str, Array]:
+    """Trips in the step, and inverters that are away."""
+    own = state.connection
+    away = namespace(own.share).astype(own.share <= 0.0, own.share.dtype)
+    return {"inverter_trips": sum_last(own.tripped), "inverters_away": sum_last(away)}
+
+
+def metrics(history: RidingInverterState, dt_s: float) -> dict[str, float]:
+    """Figures of an episode, see ``engine.metrics``."""
+    own = history.connection
+    return {"inverter_trips": own.tripped[1:].sum(), "inverter_away_s": (1.0 - own.share[1:]).sum() * dt_s}

@@ -1,0 +1,77 @@
+"""The battery of a UPS: it carries what a site does not take from the grid, and is recharged once the site is back.
+
+    b  = min(away p, E / dt)                             from the battery, away = 1 - share on the grid
+    w  = (share p + b) / p                               share of the work that is done; what is not waits
+    c  = min(c_max, (E_full - E) / (eta dt), p_rated - p)     drawn to recharge, once the site is back with all
+    E' = E - b dt + eta c dt
+
+Where work waits on battery, b carries the idle draw alone and w is the share on the grid.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dcgrid_env.core.arrays import Array, namespace, positive_part
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough
+
+
+class BatteryState(NamedTuple):
+    """State of the batteries after a step, (lane, slot) each."""
+
+    stored_kws: Array
+    """Energy stored, kW s."""
+    battery_kw: Array
+    """Draw from the battery over the step, kW."""
+    recharge_kw: Array
+    """Draw from the grid to recharge over the step, kW."""
+    battery_work_kw: Array
+    """Work served on battery over the step, kW."""
+
+
+def step(
+    rule: UpsRideThrough,
+    stored_kws: Array,
+    share: Array,
+    p_kw: Array,
+    p_idle_kw: Array,
+    served_kw: Array,
+    p_rated_kw: Array,
+    dt_s: float,
+) -> tuple[BatteryState, Array, Array]:
+    """Supply a site from grid and battery over an interval.
+
+    Parameters
+    ----------
+    rule, stored_kws
+        The rule, and the energy stored at the beginning, kW s.
+    share
+        Share of the site's power that is on the grid, (lane, slot).
+    p_kw, p_idle_kw, served_kw
+        What the site would draw, of that its idle draw, and the work that it would serve, kW, (lane, slot).
+    p_rated_kw
+        Ratings, (slot,).
+    dt_s
+        Length of the interval, s.
+
+    Returns
+    -------
+    state, grid_kw, works
+        State at the end; draw from the grid, kW; share of the site's work that is done, 0 .. 1.
+    """
+    xp = namespace(p_kw)
+    away = 1.0 - share
+    wanted = away * (p_kw if rule.on_battery == "serves" else p_idle_kw)
+    battery_kw = xp.minimum(wanted, stored_kws / dt_s)
+    works = share
+    if rule.on_battery == "serves":
+        some = p_kw > 0.0
+        works = xp.where(some, (share * p_kw + battery_kw) / xp.where(some, p_kw, 0.0 * p_kw + 1.0), 0.0 * p_kw + 1.0)
+    lacking = positive_part(p_rated_kw * rule.battery_s - stored_kws)
+    most = xp.minimum(0.0 * p_kw + p_rated_kw * rule.recharge_share, lacking / (rule.charge_efficiency * dt_s))
+    recharge = xp.where(share >= 1.0, xp.minimum(most, positive_part(p_rated_kw - p_kw)), 0.0 * p_kw)
+    after = positive_part(stored_kws - battery_kw * dt_s) + rule.charge_efficiency * dt_s * recharge
+    full = p_rated_kw * rule.battery_s + 0.0 * p_kw
+    works = xp.where(works > 1.0, 0.0 * works + 1.0, works)  # beyond 1 by rounding
+    work = (works - share) * served_kw
+    return BatteryState(xp.minimum(after, full), battery_kw, recharge, work), share * p_kw + recharge, works

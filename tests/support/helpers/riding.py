@@ -1,0 +1,24 @@
+"""Scenarios whose devices leave the grid and return."""
+
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario, action_layout, make_scenario
+
+
+def riding(name: str = "ieee33-weak", **changes: Any) -> Scenario:
+    """A preset whose sites have the curve ``itic`` and whose inverters have that of IEEE 1547, in the sags of 2024."""
+    given = {
+        "horizon": 150,
+        "datacenter_ride_through": {"curve": "itic", "by_hand_s": 20.0, "battery_s": 30.0, "recharge_share": 0.2},
+        "inverter_ride_through": {"curve": "ieee1547-cat2", "return_delay_s": 5.0, "walk_in_s": 5.0},
+        "sags": "virginia-2024",
+    }
+    return make_scenario(name, **given | changes)
+
+
+def at_top_clock(scenario: Scenario, return_: float = 1.0) -> np.ndarray:
+    """The joint action of top clocks, no reactive power and a channel ``return`` at a value, (n_action,)."""
+    values = {"clock": 1.0, "return": return_}
+    return np.array([values.get(channel, 0.0) for _, channel in action_layout(scenario).names])
