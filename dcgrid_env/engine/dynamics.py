@@ -91,18 +91,19 @@ def _step(
 ) -> tuple[State, AnySolution]:
     xp = namespace(q_setpoint_kvar)
     solve, changing = _grid(scenario)
+    may_leave = leaving(scenario)
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for i, device in enumerate(scenario.devices):
         given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
-        if i in leaving(scenario):
+        if i in may_leave:
             given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
         after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
     q_agent, q_limit = converter.dispatch(params.converter_kva, params.q_scale_kvar, p_agent, q_setpoint_kvar)
-    if leaving(scenario):
+    if may_leave:
         share = connected_share(scenario, devices, p_agent, device_slices(scenario))
         q_agent, q_limit = q_agent * share, q_limit * share
     if exogenous.available is not None:

@@ -14,11 +14,12 @@ device is connected is a step function, which has none.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace
 from dcgrid_env.devices.ride_through.rules import RideThrough
 
 _MINUTE_S = 60.0
@@ -62,13 +63,13 @@ class ConnectionState(NamedTuple):
 def initial(rule: RideThrough, zero: Array) -> ConnectionState:
     """Connected, with nothing remembered; ``zero`` is 0, (lane, slot)."""
     slots = zero.shape[-1]
-    old = zero[..., None] + rule.remembered_s
+    old = zero + rule.remembered_s
     return ConnectionState(
         share=zero + 1.0,
         timer_s=_repeated(zero, rule.elements(slots).count),
         wait_s=zero + rule.longest_wait_s(slots),
-        event_age_s=_repeated(old[..., 0], rule.lockout_events),
-        return_age_s=_repeated(old[..., 0], rule.returns_per_minute),
+        event_age_s=_repeated(old, rule.lockout_events),
+        return_age_s=_repeated(old, rule.returns_per_minute),
         locked=zero,
         tripped=zero,
         lost_kw=zero,
@@ -96,13 +97,20 @@ def advance(
     state
         At the end, with ``lost_kw`` 0, which the device fills in.
     """
+    if is_rows(before.share):
+        return _advance_lanes(rule, before, supply, pace, dt_s)
+    return advance_arrays(rule, before, supply, pace, dt_s)
+
+
+def advance_arrays(
+    rule: RideThrough, before: ConnectionState, supply: Supply, pace: Array | float, dt_s: float
+) -> ConnectionState:
+    """The array form of :func:`advance`, for tensors and other precisions."""
     xp, slots = namespace(before.share), before.share.shape[-1]
     elements = rule.elements(slots)
     threshold, time_s = (as_like(values, before.share) for values in (elements.threshold, elements.time_s))
     v = _measured(xp, supply, elements)
     beyond = v < threshold
-    if isinstance(v, np.ndarray) and _is_quiet(rule, before, beyond, supply.sags):
-        return before
     out_of_order = beyond.any(-1)
     timer_s = xp.where(beyond, before.timer_s + dt_s, 0.0 * before.timer_s)
     connected = before.share > 0.0
@@ -163,14 +171,27 @@ def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
     return xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
 
 
-def _is_quiet(rule: RideThrough, before: ConnectionState, beyond: np.ndarray, sags: Any) -> bool:
-    """Whether all are connected and nothing happens or is remembered: then a step changes nothing, to the bit."""
-    if beyond.any() or (sags is not None and sags[..., 0].any()) or before.share.min(initial=1.0) < 1.0:
-        return False
-    if before.timer_s.any() or before.wait_s.min(initial=np.inf) < rule.longest_wait_s(before.share.shape[-1]):
-        return False
-    ages = (before.event_age_s, before.return_age_s)
-    return all(age_s.min(initial=np.inf) >= rule.remembered_s for age_s in ages)
+def _advance_lanes(
+    rule: RideThrough, before: ConnectionState, supply: Supply, pace: Array | float, dt_s: float
+) -> ConnectionState:
+    """The compiled form, on NumPy arrays of float64."""
+    shape, elements = before.share.shape, rule.elements(before.share.shape[-1])
+    volts = tuple(map(np.ascontiguousarray, (supply.v_lowest_pu, supply.v_highest_pu)))
+    sags = np.zeros((shape[0], 0, 3)) if supply.sags is None else np.ascontiguousarray(supply.sags)
+    after = _kernel().advance_lanes(
+        tuple(before[:6]), volts, sags, np.broadcast_to(pace, shape).copy(), elements.threshold, elements.time_s,
+        elements.n_under, *rule.delays_s(shape[-1]), rule.longest_wait_s(shape[-1]), rule.remembered_s,
+        float(rule.lockout_window_s), dt_s,
+    )  # fmt: skip
+    return ConnectionState(*after)
+
+
+@cache
+def _kernel() -> Any:
+    """The compiled form, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.devices.ride_through import connection_kernel
+
+    return connection_kernel
 
 
 def _measured(xp: Any, supply: Supply, elements: Any) -> Array:
@@ -182,7 +203,7 @@ def _measured(xp: Any, supply: Supply, elements: Any) -> Array:
 
 def _repeated(values: Array, times: int) -> Array:
     """Values with a further axis along which they repeat."""
-    return namespace(values).broadcast_to(values[..., None], (*values.shape, times))
+    return namespace(values).broadcast_to(values[..., None], (*values.shape, times)) + 0.0
 
 
 def _sags(sags: Any) -> Any:

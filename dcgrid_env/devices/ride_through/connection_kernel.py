@@ -1,0 +1,77 @@
+"""The compiled form of ``connection.advance``: one pass over lanes and slots, to the bit what the array form gives."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True)
+def _note(ages_s, age_s, window_s):
+    """Put a new age in front of the others, and say whether the oldest then lies within the window."""
+    n = ages_s.shape[0]
+    for k in range(n - 1, 0, -1):
+        ages_s[k] = ages_s[k - 1]
+    if n > 0:
+        ages_s[0] = age_s
+    return n > 0 and ages_s[n - 1] <= window_s
+
+
+@numba.njit(cache=True)
+def advance_lanes(
+    before, volts, sags, pace, threshold, time_s, n_under, delay_s, release_s, longest_s, remembered_s, window_s, dt_s
+):
+    """The fields of ``ConnectionState`` after an interval, ``lost_kw`` 0.
+
+    ``before`` are the first six fields, ``volts`` the lowest and highest voltage, (lane, slot) each; ``sags`` are
+    (lane, n_sag, 3), ``pace`` (lane, slot), thresholds and times of elements (slot, n_element), delays (slot,).
+    """
+    share_in, timer_in, wait_in, events_in, returns_in, locked_in = before
+    low, high = volts
+    lanes, slots = share_in.shape
+    share, wait, locked = np.empty_like(share_in), np.empty_like(share_in), np.empty_like(share_in)
+    tripped, lost = np.empty_like(share_in), np.zeros_like(share_in)
+    timer, events, returns = np.empty_like(timer_in), np.empty_like(events_in), np.empty_like(returns_in)
+    soon = 1e-3 * dt_s
+    for i in range(lanes):
+        for j in range(slots):
+            connected, out_of_order, event = share_in[i, j] > 0.0, False, False
+            for k in range(threshold.shape[1]):
+                v = low[i, j] if k < n_under else -high[i, j]
+                timer[i, j, k] = 0.0
+                if v < threshold[j, k]:
+                    out_of_order = True
+                    timer[i, j, k] = timer_in[i, j, k] + dt_s
+                    event = event or (connected and timer[i, j, k] + soon >= time_s[j, k])
+            may_go, was_locked = pace[i, j] > 0.0 and not out_of_order, locked_in[i, j] > 0.0
+            released = was_locked and wait_in[i, j] + soon >= release_s[j] and may_go
+            is_locked = was_locked and not released
+            for k in range(events.shape[2]):
+                aged = events_in[i, j, k] + dt_s
+                events[i, j, k] = remembered_s if released or aged > remembered_s else aged
+            since = 0.0 if out_of_order else wait_in[i, j] + dt_s
+            if event:
+                since = dt_s
+                is_locked = _note(events[i, j], dt_s, window_s) or is_locked
+            for s in range(sags.shape[1]):
+                duration_s, retained, rest_s = sags[i, s, 0], sags[i, s, 1], sags[i, s, 2]
+                fell = False
+                for k in range(threshold.shape[1] if duration_s > 0.0 else 0):
+                    v = low[i, j] if k < n_under else -high[i, j]
+                    fell = fell or (v * retained < threshold[j, k] and timer[i, j, k] + duration_s > time_s[j, k])
+                if fell:
+                    event, since = True, rest_s
+                    is_locked = _note(events[i, j], rest_s, window_s) or is_locked
+            for k in range(returns.shape[2]):
+                returns[i, j, k] = min(returns_in[i, j, k] + dt_s, remembered_s)
+            waited = wait_in[i, j] + soon >= (0.0 if released else delay_s[j])
+            allowed = returns.shape[2] == 0 or returns[i, j, returns.shape[2] - 1] >= 60.0
+            start = not connected and not event and not is_locked and waited and may_go and allowed
+            if start:
+                _note(returns[i, j], 0.0, 0.0)
+            here = (connected or start) and not event
+            share[i, j] = min(share_in[i, j] + pace[i, j], 1.0) if here else 0.0
+            wait[i, j] = min(since, longest_s)
+            locked[i, j] = 1.0 if is_locked else 0.0
+            tripped[i, j] = 1.0 if event and connected else 0.0
+    return share, timer, wait, events, returns, locked, tripped, lost
