@@ -28,14 +28,15 @@ def _keys(kind: Any) -> tuple[str, ...]:
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
 
-    ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation alone,
-    for constrained learning. ``J`` is the cost so far as a share of the episode's: the sum of all terms since the reset
+    ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, and
+    trips where they have a weight, for constrained learning. ``J`` is the cost so far as a share of the episode's: the sum of all terms since the reset
     over T, and so in an episode's last step its J. Voltages are over buses other than the substation.
     """
     if level == "none":
         return {}
     costs = transition.costs
-    figures = dict(zip(_keys(type(costs)), (costs.violation, *costs, transition.j_so_far), strict=True))
+    constraint = costs.violation + costs.trips if hasattr(costs, "trips") else costs.violation
+    figures = dict(zip(_keys(type(costs)), (constraint, *costs, transition.j_so_far), strict=True))
     if level == "costs":
         return figures
     state = transition.state

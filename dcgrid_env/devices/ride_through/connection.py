@@ -165,6 +165,8 @@ def by_rule(rule: RideThrough, dt_s: float) -> float:
 def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
     """How near the slow trip is, 0 .. 1, (lane, slot): the largest share of its time that an element has counted."""
     xp, like = namespace(state.share), state.share
+    if isinstance(like, np.ndarray) and not state.timer_s.any():
+        return 0.0 * like
     time_s = as_like(rule.elements(like.shape[-1]).time_s, like)
     shares = xp.where(state.timer_s > 0.0, state.timer_s / (time_s + 1e-9), 0.0 * state.timer_s)
     largest = shares.max(-1) if isinstance(shares, np.ndarray) else shares.amax(-1)

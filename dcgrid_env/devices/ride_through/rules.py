@@ -68,7 +68,8 @@ class RideThrough(PickledByFields):
 
     def longest_wait_s(self, slots: int) -> float:
         """What a time since the last event is cut at, s: no rule looks further back."""
-        return max(float(times.max(initial=0.0)) for times in self.delays_s(slots))
+        latest = max(float(times.max(initial=0.0)) for times in self.delays_s(slots))
+        return max(latest, self.by_hand_s + self.stagger_s * max(slots - 1, 0))
 
     @cached_property
     def remembered_s(self) -> float:
@@ -100,7 +101,8 @@ class UpsRideThrough(RideThrough):
     others return by themselves. "staggered": the same, each slot ``stagger_s`` after that before it. "agent": the
     channel ``return`` says when and how fast, and releases."""
     by_hand_s: float = number(0.0, LONGEST_S, default=600.0)
-    """How long after the last event someone releases a site that is locked out, s. A choice: NERC says by hand."""
+    """How long after the last event someone releases a site that is locked out, s. A choice: NERC says by hand. Where
+    the agent decides, this and ``stagger_s`` say how far ``ups_wait`` is observed."""
     stagger_s: float = number(0.0, LONGEST_S, default=30.0)
     """How far apart slots return where they are staggered, s."""
     on_battery: Literal["serves", "waits"] = choice("serves", "waits", default="serves")

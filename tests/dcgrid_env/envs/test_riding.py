@@ -120,6 +120,15 @@ def test_the_interfaces_have_it_all():
     assert np.array_equal(final[0], observation)
 
 
+def test_trips_that_have_a_weight_stand_in_the_cost_of_constrained_learning():
+    rule = {"curve": "itic", "trip_weight": 50.0}
+    env = DcgridEnv(riding(datacenter_ride_through=rule, weights={"violation": 0.0}, horizon=40))
+    env.reset(seed=1)
+    infos = [env.step(at_top_clock(env.scenario))[4] for _ in range(40)]
+    assert [info["cost"] for info in infos] == [50.0 * info["ups_trips"] / 3 for info in infos]
+    assert sum(info["cost"] for info in infos) > 0.0
+
+
 def test_a_file_gives_the_same_scenario(tmp_path):
     scenario = riding(datacenter_ride_through={"curve": {"under": [[0.8, 0.5]]}, "release": "staggered"})
     scenario.to_toml(tmp_path / "riding.toml")

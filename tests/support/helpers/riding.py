@@ -22,3 +22,16 @@ def at_top_clock(scenario: Scenario, return_: float = 1.0) -> np.ndarray:
     """The joint action of top clocks, no reactive power and a channel ``return`` at a value, (n_action,)."""
     values = {"clock": 1.0, "return": return_}
     return np.array([values.get(channel, 0.0) for _, channel in action_layout(scenario).names])
+
+
+def ride_through_34(**changes: Any) -> Scenario:
+    """The three-phase 34-bus feeder with sites that leave and return as their agents say, in the sags of 2024."""
+    rule = {"curve": "itic", "release": "agent", "by_hand_s": 60.0, "stagger_s": 20.0, "battery_s": 300.0}
+    given = {
+        "name": "ride-through",
+        "horizon": 300,
+        "datacenter_ride_through": rule,
+        "inverter_ride_through": {"curve": "ieee1547-cat2"},
+        "sags": "virginia-2024",
+    }
+    return make_scenario("ieee34-3ph", **given | changes)

@@ -1,0 +1,47 @@
+"""Return by hand and staggered return: who is back when, in every interface."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario, parallel_env
+from dcgrid_env.baselines import Droop, ReturnByHand, StaggeredReturn, rollout
+from helpers.riding import ride_through_34
+
+
+def first_back_s(law):
+    """When each site first has power again after the lock-out at the third sag, s from the first that has."""
+    ups = rollout(ride_through_34(), law, [2]).lane(0).devices[0].ups
+    locked = np.flatnonzero(ups.locked.all(axis=1))[0]
+    back = locked + (ups.share[locked:] > 0.0).argmax(axis=0)
+    return (back - back.min()).tolist()
+
+
+def test_by_hand_all_return_at_once_and_staggered_one_after_the_other():
+    slots = ride_through_34().n_datacenters
+    assert first_back_s(ReturnByHand()) == [0] * slots
+    assert first_back_s(StaggeredReturn()) == [20 * i for i in range(slots)]
+
+
+def test_without_a_rule_they_return_at_once_and_trip_again():
+    scenario = ride_through_34()
+    hasty, by_hand = (rollout(scenario, law, [2]).metrics()[0] for law in (Droop(), ReturnByHand()))
+    assert hasty["ups_trips"] > by_hand["ups_trips"]
+    assert hasty["ups_away_s"] < by_hand["ups_away_s"]
+
+
+def test_agents_apart_are_driven_as_one():
+    scenario = ride_through_34(horizon=100)
+    env, law = parallel_env(scenario), StaggeredReturn()
+    observations, _ = env.reset(seed=2)
+    law.reset(scenario)
+    apart = []
+    while env.agents:
+        observations, rewards, _, _, _ = env.step(law.act(observations))
+        apart.append(rewards["dc_0"])
+    together = rollout(scenario, StaggeredReturn(), [2]).lane(0).cost_j
+    assert -np.array(apart) == pytest.approx(together, rel=1e-9)
+
+
+def test_a_scenario_without_the_channel_is_refused():
+    with pytest.raises(ValueError, match="return rules: the sites of scenario 'ieee33-weak' have no channel 'return'"):
+        ReturnByHand().reset(make_scenario("ieee33-weak"))
