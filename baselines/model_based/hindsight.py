@@ -187,6 +187,11 @@ def _check(scenario: Scenario) -> None:
     planned = _has_equipment_agents(scenario)
     if not planned:
         require_known_devices("hindsight", scenario)
+    if any(getattr(device, "ride_through", None) is not None for device in scenario.devices):
+        raise ValueError(
+            f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
+            "compare with the best that is known, or leave ride_through out"
+        )
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":

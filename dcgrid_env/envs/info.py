@@ -29,8 +29,9 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, and
-    trips where they have a weight, for constrained learning. ``J`` is the cost so far as a share of the episode's: the sum of all terms since the reset
-    over T, and so in an episode's last step its J. Voltages are over buses other than the substation.
+    trips where they have a weight, for constrained learning. ``J`` is the cost so far as a share of the episode's: the
+    sum of all terms since the reset over T, and so in an episode's last step its J. Voltages are over buses other than
+    the substation.
     """
     if level == "none":
         return {}

@@ -5,6 +5,7 @@ import pytest
 
 from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.baselines import Droop, ReturnByHand, StaggeredReturn, rollout
+from dcgrid_env.baselines.model_based.hindsight import hindsight
 from helpers.riding import ride_through_34
 
 
@@ -45,3 +46,8 @@ def test_agents_apart_are_driven_as_one():
 def test_a_scenario_without_the_channel_is_refused():
     with pytest.raises(ValueError, match="return rules: the sites of scenario 'ieee33-weak' have no channel 'return'"):
         ReturnByHand().reset(make_scenario("ieee33-weak"))
+
+
+def test_hindsight_refuses_what_no_linear_program_has():
+    with pytest.raises(ValueError, match="hindsight plans no trips, .* scenario 'ride-through' has ride_through"):
+        hindsight(ride_through_34(horizon=5), 0)
