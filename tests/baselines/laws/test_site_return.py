@@ -49,5 +49,5 @@ def test_a_scenario_without_the_channel_is_refused():
 
 
 def test_hindsight_refuses_what_no_linear_program_has():
-    with pytest.raises(ValueError, match="hindsight plans no trips, .* scenario 'ride-through' has ride_through"):
+    with pytest.raises(ValueError, match=r"hindsight plans no trips, .* scenario 'ride-through' has ride_through"):
         hindsight(ride_through_34(horizon=5), 0)
