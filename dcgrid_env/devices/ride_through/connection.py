@@ -210,7 +210,9 @@ def _repeated(values: Array, times: int) -> Array:
 
 def _sags(sags: Any) -> Any:
     """Duration, share left and rest of each sag that begins in the interval in any lane, (lane, 1) each, in turn."""
-    for i in range(0 if sags is None else sags.shape[1]):
+    if sags is None:
+        return
+    for i in range(sags.shape[1]):
         if bool((sags[:, i, 0] > 0.0).any()):
             yield sags[:, i, 0:1], sags[:, i, 1:2], sags[:, i, 2:3]
 

@@ -1,5 +1,7 @@
 """Episodes in which sites and inverters leave the grid and return: the same in every interface, and nothing is lost."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -192,4 +194,5 @@ def test_what_cannot_be_is_refused_by_field_value_and_remedy(changes, said):
 
 
 def test_a_sag_of_single_numbers_is_a_range_without_width():
-    assert Sag(begin_s=1.0, duration_s=0.1, retained_pu=0.5).begin_s == (1.0, 1.0)
+    figures: Any = {"begin_s": 1.0, "duration_s": 0.1, "retained_pu": 0.5}
+    assert Sag(**figures).begin_s == (1.0, 1.0)
