@@ -110,6 +110,7 @@ def test_the_interfaces_have_it_all():
     assert parallel.action_space("dc_0").shape == (3,)
     vector = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, scenario=scenario)
     vector.reset(seed=1)
+    observation, final = np.zeros(0), np.zeros((1, 1))
     for _ in range(40):
         joint = single.action_space.sample()
         observation, _, _, _, info = single.step(joint)
@@ -118,7 +119,7 @@ def test_the_interfaces_have_it_all():
         assert single.observation_space.contains(observation)
         assert {"ups_trips", "ups_lost_kw", "ups_away", "ups_locked", "battery_kw", "inverter_trips"} <= set(info)
         batch, _, _, _, infos = vector.step(np.stack([joint, joint]))
-    final = infos.get("final_obs", batch)
+        final = infos.get("final_obs", batch)
     assert np.array_equal(final[0], observation)
 
 

@@ -175,6 +175,7 @@ def test_the_speed_of_the_ramp_has_a_derivative():
     away = connection.initial(rule, zero)._replace(share=zero + 0.25)
     pace = torch.full((1, 1), 0.1, dtype=torch.float64, requires_grad=True)
     connection.advance(rule, away, Supply(None, zero + 1.0, zero + 1.0, None), pace, 1.0).share.sum().backward()
+    assert pace.grad is not None
     assert pace.grad.item() == 1.0
 
 
