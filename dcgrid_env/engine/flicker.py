@@ -109,7 +109,7 @@ def check_sampling(dt_s: float) -> None:
 
 
 def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_sample: int | None = None) -> np.ndarray:
-    """Pst of each interval as :func:`short_term_flicker` has it, with its input unchecked; a shorter series is one interval."""
+    """Pst of each interval, see :func:`short_term_flicker`, of voltages unchecked; a shorter series is one interval."""
     if lamp not in LAMPS:
         raise FieldError("flicker", "lamp", lamp, f"choose one of {', '.join(LAMPS)}")
     steps = math.ceil(dt_s / _LARGEST_STEP_S - 1e-6) if steps_per_sample is None else steps_per_sample
