@@ -13,9 +13,9 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine import equipment as feeder_equipment
 from dcgrid_env.engine.actions import action_layout
-from dcgrid_env.engine.limits import remembered_draws
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
+from dcgrid_env.engine.utility_limits import remembered_draws
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,11 +126,11 @@ def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_s
     return out.reshape(intervals, *v_pu.shape[1:])
 
 
-def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.ndarray:
     """Blocks 3 and 4 without the scale, of a change from where the filters are at rest."""
     from scipy import signal  # slow to import, and not needed by a step
 
-    weighted = signal.sosfilt(sections, change)
+    weighted: Any = signal.sosfilt(sections, change)
     return signal.lfilter(*smoothing, weighted * weighted)
 
 
@@ -146,7 +146,7 @@ def _severity_of(sensation: np.ndarray) -> float:
 
 
 @cache
-def _filters(lamp: str, step_s: float) -> tuple[np.ndarray, float, tuple[np.ndarray, np.ndarray]]:
+def _filters(lamp: str, step_s: float) -> tuple[np.ndarray, float, Any]:
     """Sections of block 3, the scale of block 4, and its low-pass, for steps of ``step_s``."""
     from scipy import signal
 
@@ -155,8 +155,8 @@ def _filters(lamp: str, step_s: float) -> tuple[np.ndarray, float, tuple[np.ndar
     zeros = np.array([0.0, 0.0, -w2])
     poles = np.array([-high_pass, *np.roots([1.0, 2.0 * damping, w1 * w1]), -w3, -w4])
     gain = of.k * w1 * w3 * w4 / w2
-    _, (response,) = signal.freqs_zpk(zeros, poles, gain, [seen])
-    amplitude = abs(response) * of.seen_pct / 200.0
+    response = gain * abs(np.prod(1j * seen - zeros) / np.prod(1j * seen - poles))
+    amplitude = response * of.seen_pct / 200.0
     ripple = 1.0 / math.hypot(1.0, 2.0 * seen * _SMOOTHING_S)  # what the low-pass leaves of the square's other half
     sections = signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1.0 / step_s))
     smoothing = signal.bilinear([1.0], [_SMOOTHING_S, 1.0], 1.0 / step_s)

@@ -14,7 +14,7 @@
 nowhere; an episode that ended before the first is taken as far as it went.
 (b) The swing is the square of the draw's difference from its mean, over frequency. A step of dt shows frequencies up to
 1 / (2 dt), so that with 0.1 s the band ends at 5 Hz.
-(c) Where the scenario has ``ramp_limit_kw_per_s``, (d) where it has ``voltage_step_limit_pu``; see ``limits``.
+(c) Where the scenario has ``ramp_limit_kw_per_s``, (d) where it has ``voltage_step_limit_pu``; see ``utility_limits``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.engine.flicker import INTERVAL_S, LARGEST_DT_S, check_sampling, severity
-from dcgrid_env.engine.limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
+from dcgrid_env.engine.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
 SWING_BAND_HZ = (0.1, 20.0)
@@ -37,7 +37,7 @@ class WorstFlicker(NamedTuple):
 
     pst: float
     node: str
-    """Bus, or bus and phase on a three-phase feeder, such as "671.2"."""
+    """Bus, or bus and phase on a three-phase feeder, such as "671.b"."""
     begin_s: float
     """When its 600 s begin, s after the reset."""
 

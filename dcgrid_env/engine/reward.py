@@ -9,7 +9,7 @@ their range, ``loss`` the feeder's loss as a share of its base load and the data
 feeder means are over nodes, and there are two more terms at weight 0: ``unbalance``, the mean over three-phase buses of
 the squared voltage unbalance factor, taken as 1 at most, and ``switching``, the mean number of taps and switchings over
 the regulators and capacitor banks that are not fixed. Where they have a weight there are ``ramp_excess``, the mean over
-sites, and ``voltage_step_excess``, the mean over buses, of what exceeds a utility's limit (see ``limits``).
+sites, and ``voltage_step_excess``, the mean over buses, of what exceeds a utility's limit (see ``utility_limits``).
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.equipment import largest_mean_switching, mean_controlled_switching, mean_switching
-from dcgrid_env.engine.limits import (
+from dcgrid_env.engine.parameters import parameters
+from dcgrid_env.engine.state import State
+from dcgrid_env.engine.utility_limits import (
     largest_ramp_excess,
     largest_voltage_step_excess,
     ramp_excess,
     sites,
     voltage_step_excess,
 )
-from dcgrid_env.engine.parameters import parameters
-from dcgrid_env.engine.state import State
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.cost import LIMIT_OF

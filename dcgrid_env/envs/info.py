@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env.engine.dynamics import step_kernels
-from dcgrid_env.engine.limits import constraint
+from dcgrid_env.engine.utility_limits import constraint
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
