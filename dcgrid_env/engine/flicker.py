@@ -131,7 +131,9 @@ def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.n
     from scipy import signal  # slow to import, and not needed by a step
 
     weighted: Any = signal.sosfilt(sections, change)
-    return signal.lfilter(*smoothing, weighted * weighted)
+    numerator, denominator = smoothing
+    smoothed: Any = signal.lfilter(numerator, denominator, weighted * weighted)
+    return smoothed
 
 
 def _severity_of(sensation: np.ndarray) -> float:
