@@ -209,6 +209,14 @@ def test_the_cost_has_a_derivative_by_every_action_in_the_window():
         assert float(slope[i]) == pytest.approx(float(numeric), rel=1e-3)
 
 
+def test_a_cut_stops_the_derivative_by_draws_before_it():
+    env = TensorEnv(limited("toy6", ramp_window_s=2.0), like=torch.empty(0, dtype=torch.float64))
+    env.reset([0])
+    env.step(torch.zeros((1, 4), dtype=torch.float64, requires_grad=True))
+    env.cut()
+    assert not env.step(torch.zeros((1, 4), dtype=torch.float64)).cost_j.requires_grad
+
+
 # --- bad input ---------------------------------------------------------------------------------------
 
 
