@@ -11,6 +11,7 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
@@ -108,6 +109,7 @@ __all__ = [
     "sensitivity",
     "sensitivity_between_agents",
     "sensitivity_to_agents",
+    "short_term_flicker",
     "solver_for",
     "under_own_control",
 ]

@@ -15,6 +15,7 @@ from dcgrid_env.engine import equipment as feeder_equipment
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
+from dcgrid_env.engine.utility_limits import remembered_draws
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario
@@ -46,7 +47,8 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
         phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, none, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
-    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
+    draws = (state.p_kw,) * remembered_draws(scenario) or None
+    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), solution
 
 
 def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
@@ -131,6 +133,7 @@ def _step(
         q_limit_kvar=q_limit,
         devices=own,
         three_phase=phases,
+        p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
     ), solution
 
 
