@@ -93,7 +93,7 @@ def _step(
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for i, device in enumerate(scenario.devices):
-        given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
+        given = _given(scenario, i, work, exogenous)
         after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
@@ -132,6 +132,15 @@ def _step(
         devices=own,
         three_phase=phases,
     ), solution
+
+
+def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
+    """What comes from outside for a device, see ``Device.input``."""
+    source = scenario.devices[i].input
+    if source == "connection":
+        available = exogenous.available
+        return None if available is None else available[..., device_slices(scenario)[i]]
+    return work if source == "workload" else exogenous.p_inverter_kw if source else None
 
 
 @cached_on_owner
