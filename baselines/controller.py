@@ -68,19 +68,25 @@ KNOWN_DEVICES = ("datacenter", "inverter")
 """Kinds of devices that controllers with a model, and policies, are made for, in the order of their agents."""
 
 
-def require_known_devices(who: str, scenario: Scenario) -> None:
-    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then."""
+def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...] = ()) -> None:
+    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then.
+
+    ``further`` are kinds that may follow behind these.
+    """
+    known = (*KNOWN_DEVICES, *further)
     kinds = [device.kind for device in scenario.devices if device.count]
-    foreign = [repr(kind) for kind in kinds if kind not in KNOWN_DEVICES]
+    foreign = [repr(kind) for kind in kinds if kind not in known]
+    words = ", ".join(("data centres", "inverters", *further))
     if foreign:
         raise ValueError(
-            f"{who} is made for data centres and inverters alone; scenario {scenario.name!r} has devices of kind "
-            f"{', '.join(foreign)}: use a controller that is made for these, or a law"
+            f"{who} is made for {' and '.join(words.rsplit(', ', 1))} alone; scenario {scenario.name!r} has devices of "
+            f"kind {', '.join(foreign)}: use a controller that is made for these, or a law"
         )
-    if kinds != [kind for kind in KNOWN_DEVICES if kind in kinds]:
+    if kinds != [kind for kind in known if kind in kinds]:
+        behind = "".join(f", then {kind}" for kind in further)
         raise ValueError(
-            f"{who} takes data centres first and inverters behind them; scenario {scenario.name!r} has the order "
-            f"{', '.join(kinds)}: make it with its devices in the other order"
+            f"{who} takes data centres first and inverters behind them{behind}; scenario {scenario.name!r} has the "
+            f"order {', '.join(kinds)}: make it with its devices in the other order"
         )
 
 

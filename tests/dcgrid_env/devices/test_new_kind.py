@@ -219,7 +219,7 @@ def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(n
 
 
 def test_hindsight_and_policies_refuse_devices_that_they_do_not_know():
-    with pytest.raises(ValueError, match="hindsight is made for data centres and inverters alone"):
+    with pytest.raises(ValueError, match="hindsight is made for data centres, inverters and storage alone"):
         hindsight(scenario(), 0)
     with pytest.raises(ValueError, match="scenario 'with-battery' has devices of kind 'battery': use a controller"):
         Policy.load("toy6-ppo").reset(scenario())

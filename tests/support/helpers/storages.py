@@ -5,14 +5,15 @@ from dcgrid_env import Scenario, Storages, make_scenario
 FIGURES = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
 
 
-def ieee33_weak_ups(**overrides) -> Scenario:
-    """ieee33-weak with a UPS of 300 kW and 5 min at each data centre, half of it for the grid's use.
+def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
+    """The proposal of a preset: ieee33-weak under bursts of requests, at each data centre what a UPS lends to the grid.
 
-    These constants are a proposal of a preset; docs/storage.md says what controllers reach on it.
+    Of a UPS of 1 MW and 5 min, 83 kWh, it is 300 kW and 5 kWh, a minute, half full; docs/storage.md says what
+    controllers reach on it.
     """
-    base = make_scenario("ieee33-weak")
-    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=5.0, s_rated_kva=300.0, initial_share=0.8)
-    return base.replace(name="ieee33-weak-ups", devices=(*base.devices, ups), **overrides)
+    base = make_scenario("ieee33-weak", trace=trace)
+    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
+    return base.replace(**({"name": "ieee33-weak-ups", "devices": (*base.devices, ups)} | overrides))
 
 
 def toy6_storage(horizon: int = 20, figures: dict | None = None, **overrides) -> Scenario:
