@@ -2,6 +2,8 @@
 
 from dcgrid_env import Scenario, Storages, make_scenario
 
+NEEDING_STORAGE = ("peak-shaving",)
+"""Controllers that refuse a scenario without storages."""
 FIGURES = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
 
 
