@@ -94,9 +94,9 @@ class StorageRows:
         reactive = np.flatnonzero(self.q_limit_kvar > 0)
         if not len(reactive):
             return parts
-        picked = sparse.identity(self.count, format="csr")[reactive]
+        picked = sparse.csr_array(np.eye(self.count)[reactive])
         own = sparse.kron(sparse.identity(self.steps), picked, format="csr")
-        behind = sparse.eye(self.count, self.n_agents, k=self.n_agents - self.count, format="csr")[reactive]
+        behind = sparse.csr_array(np.eye(self.count, self.n_agents, k=self.n_agents - self.count)[reactive])
         of_g = sparse.kron(sparse.identity(self.steps), behind, format="csr")
         room = np.tile(self.s_rated_kva[reactive], self.steps)
         for theta in tangents:

@@ -14,7 +14,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import refuse, settle
+from dcgrid_env.core.checked import FieldError, finite, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import Rating, check_each, check_rating, per_device, read_only
@@ -90,29 +90,31 @@ class Storages(PickledByFields):
     @classmethod
     def supercapacitors(cls, buses: tuple[int | str, ...], gpus: float | tuple[float, ...], **fields: Any) -> Storages:
         """Capacitors in the racks of sites of so many GPUs each, see ``sizes``; other fields as they are given."""
-        n = per_device(gpus, len(buses))
-        p_kw, energy = sizes.GPU_PEAK_SHARE * sizes.GPU_POWER_KW * n, sizes.GPU_ENERGY_J / 3.6e6 * n
-        figures = {"p_rated_kw": tuple(p_kw.tolist()), "energy_kwh": tuple(energy.tolist()), **sizes.SUPERCAPACITOR}
-        return cls(buses=buses, **figures | fields)
+        n = _each("gpus", gpus, buses)
+        power = tuple(sizes.GPU_PEAK_SHARE * sizes.GPU_POWER_KW * gpu for gpu in n)
+        energy = tuple(sizes.GPU_ENERGY_J / 3.6e6 * gpu for gpu in n)
+        return cls(**{"buses": buses, "p_rated_kw": power, "energy_kwh": energy} | sizes.SUPERCAPACITOR | fields)
 
     @classmethod
     def ups(
         cls, buses: tuple[int | str, ...], p_rated_kw: Rating, minutes: float = sizes.UPS_MINUTES, **fields: Any
     ) -> Storages:
         """Batteries that bear their sites' power for minutes, see ``sizes``; other fields as they are given."""
-        return cls._lasting(buses, p_rated_kw, minutes / 60.0, sizes.UPS | fields)
+        (lasting,) = _each("minutes", minutes, ("",))
+        return cls._lasting(buses, p_rated_kw, lasting / 60.0, sizes.UPS | fields)
 
     @classmethod
     def bess(
         cls, buses: tuple[int | str, ...], p_rated_kw: Rating, hours: float = sizes.BESS_HOURS, **fields: Any
     ) -> Storages:
         """Batteries at the grid that give their rated power for hours, see ``sizes``; other fields as given."""
-        return cls._lasting(buses, p_rated_kw, hours, sizes.BESS | fields)
+        (lasting,) = _each("hours", hours, ("",))
+        return cls._lasting(buses, p_rated_kw, lasting, sizes.BESS | fields)
 
     @classmethod
     def _lasting(cls, buses: Any, p_rated_kw: Rating, hours: float, fields: dict[str, Any]) -> Storages:
-        energy = tuple((per_device(p_rated_kw, len(buses)) * hours).tolist())
-        return cls(buses=buses, p_rated_kw=p_rated_kw, **{"energy_kwh": energy} | fields)
+        energy = tuple(hours * p_kw for p_kw in _each("p_rated_kw", p_rated_kw, buses))
+        return cls(**{"buses": buses, "p_rated_kw": p_rated_kw, "energy_kwh": energy} | fields)
 
     @property
     def count(self) -> int:
@@ -225,3 +227,14 @@ class Storages(PickledByFields):
             "storage_loss_kwh": loss,
             "storage_missing_kwh": sum_last(history.missing_kwh[-1]),
         }
+
+
+def _each(name: str, value: Any, buses: Any) -> tuple[float, ...]:
+    """A positive figure of each storage; FieldError for what is none. Wrong buses are for the group to refuse."""
+    n = len(buses) if isinstance(buses, tuple | list) else 1
+    values = tuple(value) if isinstance(value, tuple | list) else (value,) * n
+    if len(values) != n or not all(finite(v) and v > 0 for v in values):
+        raise FieldError(
+            "Storages", name, value, "give one positive number" + (f", or one for each of {n}" if n > 1 else "")
+        )
+    return values

@@ -1,5 +1,7 @@
 """Hindsight with storages: the program against the environment, and its energy against theirs."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -36,7 +38,7 @@ def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
 
 
 def test_the_programs_energy_is_the_environments():
-    figures = FIGURES | {
+    figures: Any = FIGURES | {
         "energy_kwh": 0.4,
         "standby_share_per_h": 0.3,
         "ageing_price": 0.0,

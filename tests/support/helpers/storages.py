@@ -1,10 +1,12 @@
 """Scenarios with storages."""
 
+from typing import Any
+
 from dcgrid_env import Scenario, Storages, make_scenario
 
 NEEDING_STORAGE = ("peak-shaving",)
 """Controllers that refuse a scenario without storages."""
-FIGURES = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
+FIGURES: dict[str, Any] = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
 
 
 def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
@@ -13,7 +15,7 @@ def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
     Of a UPS of 1 MW and 5 min, 83 kWh, it is 300 kW and 5 kWh, a minute, half full; docs/storage.md says what
     controllers reach on it.
     """
-    base = make_scenario("ieee33-weak", trace=trace)
+    base: Any = make_scenario("ieee33-weak", trace=trace)
     ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
     return base.replace(**({"name": "ieee33-weak-ups", "devices": (*base.devices, ups)} | overrides))
 

@@ -1,5 +1,7 @@
 """Storages as agents: every environment runs them alike, charges them and refuses bad figures by name."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from dcgrid_env.devices.storage import sizes
 from helpers.storages import FIGURES, toy6_storage
 from helpers.three_phase import ieee13
 
+MUCH: Any = "much"
+NONE: Any = None
 WITH_Q = {"s_rated_kva": (400.0, 500.0)}
 
 
@@ -58,7 +62,7 @@ def test_one_environment_a_batch_agents_and_tensors_agree(base):
     batch.reset(seed=[6, 7])
     agents.reset(seed=7)
     tensors.reset([7])
-    last = {}
+    last, over = {}, False
     for action in actions:
         _, reward, _, over, info = one.step(action)
         _, rewards, *_ = batch.step(np.stack((action, action)))
@@ -144,7 +148,9 @@ def test_sizes_from_a_capacitor_to_hours():
     ups, bess = Storages.ups((4, 2), (100.0, 200.0)), Storages.bess((2,), 100.0, hours=4.0, initial_share=0.25)
     np.testing.assert_allclose(ups.parameters.energy_kwh, np.array([100.0, 200.0]) * sizes.UPS_MINUTES / 60.0)
     assert bess.parameters.initial_kwh[0] == pytest.approx(100.0)
-    assert bess.charge_efficiency * bess.discharge_efficiency == pytest.approx(sizes.BESS_ROUND_TRIP)
+    assert bess.parameters.charge_efficiency[0] * bess.parameters.discharge_efficiency[0] == pytest.approx(
+        sizes.BESS_ROUND_TRIP
+    )
 
 
 @pytest.mark.parametrize(
@@ -169,6 +175,22 @@ def test_sizes_from_a_capacitor_to_hours():
 def test_bad_figures_are_refused_by_name(figures, message):
     with pytest.raises(ValueError, match=f"^Storages: {message}"):
         Storages(**({"buses": (4, 2)} | FIGURES | figures))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Storages.ups((4, 2), MUCH), "p_rated_kw is 'much'; give one positive number, or one for each of 2"),
+        (lambda: Storages.ups((4, 2), (1.0, 2.0, 3.0)), r"p_rated_kw is \(1.0, 2.0, 3.0\); give one positive number"),
+        (lambda: Storages.ups((4,), 1.0, minutes=-5.0), "minutes is -5.0; give one positive number"),
+        (lambda: Storages.bess((4,), 1.0, hours=float("inf")), "hours is inf; give one positive number"),
+        (lambda: Storages.supercapacitors((4,), gpus=0), "gpus is 0; give one positive number"),
+        (lambda: Storages.bess(NONE, 1.0), "buses is None; give a tuple of buses"),
+    ],
+)
+def test_bad_sizes_are_refused_by_name(make, message):
+    with pytest.raises(ValueError, match=f"^Storages: {message}"):
+        make()
 
 
 def test_a_bad_figure_of_a_scenario_file_is_named_with_its_path():
