@@ -10,9 +10,12 @@ Powers are those at the grid. A storage that is disconnected neither charges nor
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part
 
 
 class StorageParams(NamedTuple):
@@ -76,6 +79,8 @@ def step(
         Length of the interval, s.
     """
     xp, hours = namespace(asked_kw), dt_s / 3600.0
+    if is_rows(state.stored_kwh):
+        return _step_lanes(params, state, asked_kw, connected, hours)
     p_kw = xp.maximum(xp.minimum(asked_kw, state.charge_limit_kw), -state.discharge_limit_kw)
     if connected is not None:
         p_kw = p_kw * connected
@@ -95,3 +100,23 @@ def step(
         storage_loss_kwh=state.storage_loss_kwh + p_kw * hours - (stored - state.stored_kwh),
         missing_kwh=positive_part(params.returned_kwh - stored),
     )
+
+
+def _step_lanes(
+    params: StorageParams, state: StorageState, asked_kw: np.ndarray, connected: np.ndarray | None, hours: float
+) -> StorageState:
+    p, s = params, state
+    figures = (p.p_rated_kw, p.energy_kwh, p.charge_efficiency, p.discharge_efficiency, p.returned_kwh)
+    before = (s.stored_kwh, s.charge_limit_kw, s.discharge_limit_kw, s.throughput_kwh, s.storage_loss_kwh)
+    share = (1.0 - params.standby_share_per_h) ** hours
+    there = np.empty((0, 0)) if connected is None else connected
+    asked, there = np.ascontiguousarray(asked_kw, np.float64), np.ascontiguousarray(there, np.float64)
+    return StorageState(*_kernel().step_lanes(figures, share, before, asked, there, hours))
+
+
+@cache
+def _kernel() -> Any:
+    """The compiled form, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.devices.storage import energy_kernel
+
+    return energy_kernel
