@@ -211,3 +211,15 @@ def test_random_steps_stay_finite_and_rest_costs_stand_by_alone():
         observation, reward, *_ = env.step(rng.uniform(-1.0, 1.0, (64, 6)).astype(np.float32))
         assert np.isfinite(observation).all()
         assert np.isfinite(reward).all()
+
+
+def test_a_collapse_is_charged_at_the_largest_cost():
+    s = toy6_storage(figures={"p_rated_kw": 1e6, "energy_kwh": 1e4, "initial_share": 0.1})
+    env = DcgridVectorEnv(1, s)
+    env.reset(seed=0)
+    env.step(np.ones((1, 6), np.float32))
+    transition = env.transition
+    assert transition.terminated[0]
+    assert transition.costs.ageing[0] == pytest.approx(0.05 * s.horizon)
+    assert transition.costs.missing[0] == pytest.approx(9.0 * 1e3 * 3600.0 / 1e6)
+    assert np.isfinite(transition.state.v_pu).all()
