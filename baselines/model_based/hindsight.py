@@ -32,13 +32,18 @@ from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
+from dcgrid_env.baselines.model_based.storage_rows import storages_of
 
 STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Shares of the reactive power that there is, under which regulators take the courses of taps that are tried."""
 HOPELESS = 0.01
 """Share of J by which the first program of a course is worse than the best replay where it is given up."""
-SHORTER = (0.5, 0.25, 0.1)
+SHORTER = (0.5, 0.25, 0.1, 0.03)
 """Shares of the way to a solution that are tried too where there are storages."""
+ROUNDS_SHORTENED = 14
+"""Linear programs for an episode at most where there are storages: J settles early there, the bound later."""
+GAP_SHORTENED = 7e-5
+"""Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
@@ -72,7 +77,7 @@ class Hindsight(NamedTuple):
 
 
 def hindsight(
-    scenario: Scenario, seed: int, rounds: int = ROUNDS, tolerance: float = TOLERANCE, *, keep_band: bool = False
+    scenario: Scenario, seed: int, rounds: int | None = None, tolerance: float = TOLERANCE, *, keep_band: bool = False
 ) -> Hindsight:
     """Solve the first episode of a seed.
 
@@ -84,7 +89,7 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most.
+        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -97,6 +102,8 @@ def hindsight(
         the constraint that cannot be met, where and when.
     """
     _check(scenario)
+    if rounds is None:
+        rounds = ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -144,11 +151,12 @@ def _settled(
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
         program.follow(replay(scenario, program.actions(), seed))
+    shortens = isinstance(program, EpisodeProgram) and program.n_storages > 0
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
-        if isinstance(program, EpisodeProgram) and program.n_storages and done > 1:
+        if isinstance(program, EpisodeProgram) and shortens and done > 1:
             actions, recorder = _shortened(program, seed, actions, recorder)
         if has_equipment and not program.has_own_taps:
             program.follow(recorder)
@@ -161,6 +169,8 @@ def _settled(
             best = best._replace(rounds=done)
         else:  # a program around a better trajectory knows better
             best = best._replace(bound=bound, rounds=done)
+        if shortens:  # an unchanged J says nothing there of the bound
+            settled = abs(best.gap) <= max(tolerance, GAP_SHORTENED) * abs(best.J)
         if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
     assert best is not None

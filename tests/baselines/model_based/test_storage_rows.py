@@ -16,7 +16,7 @@ from helpers.three_phase import ieee13
 @pytest.fixture(scope="module")
 def solved():
     scenario = ieee33_weak_ups(trace="inference", split="validation")
-    return scenario, {seed: hindsight(scenario, seed) for seed in (0, 3)}
+    return scenario, {seed: hindsight(scenario, seed) for seed in (0, 5)}
 
 
 def test_the_environment_agrees_with_the_program(solved):
