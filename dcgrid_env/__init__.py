@@ -1,6 +1,14 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
-from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
+from dcgrid_env.devices import (
+    DataCenters,
+    Device,
+    Inverters,
+    LinearDvfs,
+    PrefillDecodeDvfs,
+    Storages,
+    register_device,
+)
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.engine.acting_relays import ActingRelays, BankControl, acting_relays
@@ -84,6 +92,7 @@ __all__ = [
     "Sensitivity",
     "Series",
     "Solution",
+    "Storages",
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",

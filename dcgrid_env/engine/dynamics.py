@@ -95,7 +95,7 @@ def _step(
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for i, device in enumerate(scenario.devices):
-        given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
+        given = _given(scenario, i, work, exogenous)
         after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
         devices.append(after)
         draws.append(p_kw)
@@ -135,6 +135,15 @@ def _step(
         three_phase=phases,
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
     ), solution
+
+
+def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
+    """What comes from outside for a device, see ``Device.input``."""
+    source = scenario.devices[i].input
+    if source == "connection":
+        available = exogenous.available
+        return None if available is None else available[..., device_slices(scenario)[i]]
+    return work if source == "workload" else exogenous.p_inverter_kw if source else None
 
 
 @cached_on_owner

@@ -21,6 +21,15 @@
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
 
+Where there are storages, over all of them, see ``devices.storage``:
+
+| metric | meaning |
+|---|---|
+| stored_end_pct, stored_lowest_pct | stored energy at the end and at its lowest, as a share of what they can store |
+| storage_throughput_kwh | energy charged and energy discharged, at the grid, over the steps 1 .. T |
+| storage_loss_kwh | energy drawn that is neither given back nor stored at the end, the same |
+| storage_missing_kwh | what is missing at the end of the energy that is to be returned |
+
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
 ``devices.datacenter.request_delay``:
 

@@ -4,10 +4,12 @@ import pytest
 
 from dcgrid_env import METRICS, Metric, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
+from helpers.storages import toy6_storage
 from helpers.three_phase import ieee13
 
 OF_REQUESTS = {name for name in METRICS if name.startswith(("requests", "ttft", "e2e"))}
 OF_THREE_PHASES = {"cost_unbalance", "cost_switching", "unbalance_mean_pct", "unbalance_max_pct"}
+OF_STORAGE = {name for name in METRICS if name.startswith("stor")} | {"cost_ageing", "cost_missing"}
 OF_THREE_PHASES |= {"nema_unbalance_max_pct", "tap_moves", "capacitor_switchings"}
 OF_LIMITS = {"cost_ramp_excess", "ramp_max_kw_per_s", "ramp_excess_pct"}
 OF_LIMITS |= {"cost_voltage_step_excess", "voltage_step_max_pu", "voltage_step_excess_pct"}
@@ -23,13 +25,14 @@ LIMITED = {
 @pytest.mark.parametrize(
     ("scenario", "without"),
     [
-        (make_scenario("toy6", horizon=3), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS),
-        (make_scenario("toy6", horizon=3, **LIMITED), OF_REQUESTS | OF_THREE_PHASES | OF_TENTHS),
-        (make_scenario("toy6", horizon=6000, dt_s=0.1), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS),
-        (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), OF_THREE_PHASES | OF_LIMITS | OF_TENTHS),
-        (ieee13().replace(horizon=3), OF_REQUESTS | OF_LIMITS | OF_TENTHS),
+        (make_scenario("toy6", horizon=3), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_STORAGE),
+        (make_scenario("toy6", horizon=3, **LIMITED), OF_REQUESTS | OF_THREE_PHASES | OF_TENTHS | OF_STORAGE),
+        (make_scenario("toy6", horizon=6000, dt_s=0.1), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_STORAGE),
+        (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_STORAGE),
+        (ieee13().replace(horizon=3), OF_REQUESTS | OF_LIMITS | OF_TENTHS | OF_STORAGE),
+        (toy6_storage(3), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS),
     ],
-    ids=["balanced", "limits", "tenths of a second", "requests", "three phases"],
+    ids=["balanced", "limits", "tenths of a second", "requests", "three phases", "storage"],
 )
 def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, without):
     own = rollout(scenario, NoControl(), [0]).metrics()[0]
