@@ -5,6 +5,7 @@ from dcgrid_env.baselines.hindsight_costs import Published, published
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
@@ -35,6 +36,7 @@ __all__ = [
     "LocalController",
     "Mpc",
     "NoControl",
+    "PeakShaving",
     "Placed",
     "PlacementRule",
     "Published",

@@ -57,38 +57,48 @@ class Local(NamedTuple):
     """R_ii: drop of the own voltage for each MW drawn, p.u., (..., n_agent)."""
     x_pu_per_mvar: np.ndarray
     """X_ii: the same for each Mvar drawn, and so the rise for each injected, (..., n_agent)."""
+    stored_kwh: np.ndarray
+    """(..., n_storage)"""
 
 
 _OF_ALL = ("v_deviation", "p", "q", "r", "x")
 _OF_SITES = ("p_ref_next", "backlog")
-_CLOCK, _Q = "clock", "q"
+_STORED = "stored"
+_CLOCK, _Q, _P = "clock", "q", "p"
 
 
 KNOWN_DEVICES = ("datacenter", "inverter")
 """Kinds of devices that controllers with a model, and policies, are made for, in the order of their agents."""
 
 
-def require_known_devices(who: str, scenario: Scenario) -> None:
-    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then."""
+def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...] = ()) -> None:
+    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then.
+
+    ``further`` are kinds that may follow behind these.
+    """
+    known = (*KNOWN_DEVICES, *further)
     kinds = [device.kind for device in scenario.devices if device.count]
-    foreign = [repr(kind) for kind in kinds if kind not in KNOWN_DEVICES]
+    foreign = [repr(kind) for kind in kinds if kind not in known]
+    words = ", ".join(("data centres", "inverters", *further))
     if foreign:
         raise ValueError(
-            f"{who} is made for data centres and inverters alone; scenario {scenario.name!r} has devices of kind "
-            f"{', '.join(foreign)}: use a controller that is made for these, or a law"
+            f"{who} is made for {' and '.join(words.rsplit(', ', 1))} alone; scenario {scenario.name!r} has devices of "
+            f"kind {', '.join(foreign)}: use a controller that is made for these, or a law"
         )
-    if kinds != [kind for kind in KNOWN_DEVICES if kind in kinds]:
+    if kinds != [kind for kind in known if kind in kinds]:
+        behind = "".join(f", then {kind}" for kind in further)
         raise ValueError(
-            f"{who} takes data centres first and inverters behind them; scenario {scenario.name!r} has the order "
-            f"{', '.join(kinds)}: make it with its devices in the other order"
+            f"{who} takes data centres first and inverters behind them{behind}; scenario {scenario.name!r} has the "
+            f"order {', '.join(kinds)}: make it with its devices in the other order"
         )
 
 
 class LocalController:
     """Base of controllers that work on physical units: subclasses write ``control``.
 
-    It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device.
-    Other channels, of devices that it does not know, stay at rest. Regulators and capacitor banks that are agents are
+    It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device, and
+    the draws of storages where a subclass writes ``draw``. Other channels, of devices that it does not know, stay at
+    rest. Regulators and capacitor banks that are agents are
     driven beside it, see ``equipment_agents``. In :class:`Local` and in what ``control`` returns, data centres stand
     before all others, which follow in the scenario's order, without regulators and capacitor banks.
     """
@@ -114,6 +124,12 @@ class LocalController:
             for name in (*_OF_ALL, *_OF_SITES)
             if name in first
         }
+        self._storages = np.flatnonzero(kinds[order] == "storage")
+        """Positions of the storages among the agents in this order."""
+        if len(self._storages):
+            group = next(device for device in env_info.devices if device.kind == "storage")
+            self._energy_kwh = group.parameters.energy_kwh
+            self._at[_STORED] = starts[self._storages] + names["sto_0"].index(_STORED)
         devices = env_info.devices
         self._p_scale = np.concatenate([device.p_scale_kw for device in devices])[order]
         self._rated_kva = np.concatenate([device.converter_kva for device in devices])[order]
@@ -126,15 +142,24 @@ class LocalController:
         self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.n_datacenters]]
         self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
         self._q_at = [at[agents[i], _Q] for i in self._reactive]
+        self._p_at = [at[agents[i], _P] for i in self._storages]
         self._rest = at_rest(self.scenario)
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
         raise NotImplementedError
 
+    def draw(self, local: Local) -> np.ndarray | None:
+        """Draw of the storages, kW, negative to discharge, (..., n_storage); None leaves them at rest."""
+        return None
+
     def act(self, observations: Any) -> Any:
         """See :class:`Controller`."""
-        return self._equipment.act(observations, lambda joint: self._joint(*self.control(self._local(joint))))
+        return self._equipment.act(observations, self._act)
+
+    def _act(self, joint: np.ndarray) -> np.ndarray:
+        local = self._local(joint)
+        return self._joint(*self.control(local), self.draw(local))
 
     def _local(self, joint: np.ndarray) -> Local:
         rated = self.scenario.datacenter.p_rated_kw
@@ -150,9 +175,10 @@ class LocalController:
             backlog_kws=fields.get("backlog", none) * rated,
             r_pu_per_mw=band * fields["r"],
             x_pu_per_mvar=band * fields["x"],
+            stored_kwh=self._energy_kwh * fields[_STORED] if _STORED in fields else none,
         )
 
-    def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:
+    def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray, draw_kw: np.ndarray | None) -> np.ndarray:
         s = self.scenario
         span = s.f_max_mhz - s.f_min_mhz
         clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
@@ -160,4 +186,6 @@ class LocalController:
         actions = np.zeros((*q.shape[:-1], 1)) + self._rest
         actions[..., self._clock_at] = clock
         actions[..., self._q_at] = q[..., self._reactive]
+        if draw_kw is not None:
+            actions[..., self._p_at] = draw_kw / self._p_scale[self._storages]
         return np.clip(actions, -1.0, 1.0).astype(np.float32)

@@ -13,6 +13,7 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
@@ -39,6 +40,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
         DeadbandDroop,
     ),
     "switching": ("reactive droop to two references, for AI-training loads (arXiv 2603.15588)", SwitchingReference),
+    "peak-shaving": (
+        "storages hold their voltage above 0.95 p.u. and charge above it, the paper's droop beside them",
+        PeakShaving,
+    ),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
     "feedback": (

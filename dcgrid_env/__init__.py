@@ -1,6 +1,14 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
-from dcgrid_env.devices import DataCenters, Device, Inverters, LinearDvfs, PrefillDecodeDvfs, register_device
+from dcgrid_env.devices import (
+    DataCenters,
+    Device,
+    Inverters,
+    LinearDvfs,
+    PrefillDecodeDvfs,
+    Storages,
+    register_device,
+)
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -14,6 +22,7 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
@@ -89,6 +98,7 @@ __all__ = [
     "Sensitivity",
     "Series",
     "Solution",
+    "Storages",
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
@@ -115,6 +125,7 @@ __all__ = [
     "sensitivity",
     "sensitivity_between_agents",
     "sensitivity_to_agents",
+    "short_term_flicker",
     "solver_for",
     "under_own_control",
     "virginia_2024",

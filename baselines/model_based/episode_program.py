@@ -9,7 +9,8 @@ On the power flow linearised around a trajectory:
     with      |v_t + J_p (d_t - d0_t) + J_q (q_t - q0_t) - 1| <= e_t,  w_t >= e_t - band,
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
-so nothing is served before it arrives, and what is left at the end is charged as the environment charges it.
+so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
+add the unknowns and rows of ``storage_rows``; their draws stand behind the served work in d.
 ``voltage_rows`` leaves out the e and w that are not needed; where regulators follow a control of their own,
 ``same_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
 revised simplex method", Mathematical Programming Computation 10, 2018).
@@ -25,6 +26,7 @@ from scipy.optimize import linprog
 
 from dcgrid_env import Forecast, Scenario, acting_relays
 from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
+from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
 from dcgrid_env.baselines.model_based.voltage_rows import voltage_rows
 
@@ -33,29 +35,34 @@ Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is
 
 TANGENTS = 24
 """Tangents of a quadrant of the capability circle."""
+ANGLES = 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS
+"""Their angles."""
 
 
 class EpisodeProgram(Trajectory):
     """The linear program of an episode, around the trajectory of its last solution.
 
-    Unknowns, each (T, ...) and flattened: d, b (n_dc), q, g (n_agent), e, w (buses but the substation), z (relays).
+    Unknowns, each (T, ...) and flattened: d (n_dc, then storages), b (n_dc), q, g (n_agent), e, w (buses but the
+    substation), z (relays); behind them those of ``storage_rows``.
     """
 
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, same_taps: bool = False) -> None:
         super().__init__(scenario, episode)
         s, n_dc, self.keep_band = scenario, scenario.n_datacenters, keep_band
-        n_bus = len(s.feeder.load_nodes)
-        widths = {"d": n_dc, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
+        n_bus, self.storage_rows = len(s.feeder.load_nodes), StorageRows(s, episode.available)
+        widths = {"d": n_dc + self.n_storages, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
         relays = acting_relays(s) if same_taps else None
         self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
         self.has_own_taps = relays is not None
         self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
-        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
+        self.sizes |= self.storage_rows.sizes
+        of_storages = [(self._rows(**parts), most) for parts, most in self.storage_rows.limits(ANGLES)]
+        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability(), *of_storages]
 
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
-        s = self.scenario
+        s, self._before = self.scenario, (self.served_kw, self.storage_kw, self.q_kvar)
         solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
         voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.band_pu)
@@ -68,9 +75,23 @@ class EpisodeProgram(Trajectory):
         result = self._optimum(limits, prices, ranges)
         if result.status != 0:
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
-        self.served_kw = self._part(result.x, "d").reshape(s.horizon, -1)
+        d = self._part(result.x, "d").reshape(s.horizon, -1)
+        self.served_kw, self.storage_kw = d[:, : s.n_datacenters], d[:, s.n_datacenters :]
         self.q_kvar = self._part(result.x, "q").reshape(s.horizon, -1)
+        self._solution = (self.served_kw, self.storage_kw, self.q_kvar)
         return float(result.fun + price * voltages.at_zero), self.actions()
+
+    def go(self, share: float) -> np.ndarray:
+        """Go a share of the way to the last solution from the trajectory that it is around; the actions of that.
+
+        All constraints are linear, so that they hold all along it.
+        """
+        if share < 1.0:
+            ways = zip(self._before, self._solution, strict=True)
+            self.served_kw, self.storage_kw, self.q_kvar = (old + share * (new - old) for old, new in ways)
+        else:
+            self.served_kw, self.storage_kw, self.q_kvar = self._solution
+        return self.actions()
 
     def _optimum(self, limits: Limits, prices: np.ndarray, ranges: np.ndarray) -> Any:
         rows, bounds = zip(*limits, strict=True)
@@ -108,6 +129,7 @@ class EpisodeProgram(Trajectory):
     def begin(self, share: float) -> None:
         """Go back to serving all work as it arrives, with a share of the reactive power that there is."""
         self.served_kw, self.q_kvar = self.arrived_kw, share * self.q_limit_kvar
+        self.storage_kw = 0.0 * self.storage_kw
 
     @property
     def taps(self) -> np.ndarray:
@@ -129,7 +151,7 @@ class EpisodeProgram(Trajectory):
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
         n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
-        prices["z"] = PRICE * s.horizon
+        prices |= {"z": PRICE * s.horizon, **self.storage_rows.prices()}
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
             / s.horizon
@@ -144,11 +166,16 @@ class EpisodeProgram(Trajectory):
         # linear constraint says: there the program may do less than the environment.
         least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)
         q_kvar, inf = self.q_limit_kvar.ravel(), np.inf
+        d = (
+            np.concatenate(both, axis=1).ravel()
+            for both in zip((least_kw, top_kw), self.storage_rows.draws(), strict=True)
+        )
         ranges = {
-            "d": (least_kw.ravel(), top_kw.ravel()),
+            "d": tuple(d),
             "b": (0.0, inf),
             "q": (-q_kvar, q_kvar),
             "w": (0.0, inf if inf_w else 0.0),
+            **self.storage_rows.ranges(),
         }
         sides = [ranges.get(name, (0.0, inf)) for name in self.sizes]
         return np.concatenate(
@@ -159,10 +186,18 @@ class EpisodeProgram(Trajectory):
         )
 
     def _conservation(self) -> tuple[Sparse, np.ndarray]:
-        """b_t - b_{t-1} + d_t dt = a_t dt."""
+        """b_t - b_{t-1} + d_t dt = a_t dt, and what ``storage_rows`` has."""
         n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.n_datacenters
         step = sparse.identity(n, format="csr") - sparse.eye(n, k=-n_dc, format="csr")
-        return self._rows(d=dt_s * sparse.identity(n, format="csr"), b=step), self.arrived_kw.ravel() * dt_s
+        parts = [({"d": dt_s * self._in_d(0, n_dc), "b": step}, self.arrived_kw.ravel() * dt_s)]
+        parts += self.storage_rows.equalities(self._in_d(n_dc, self.n_storages))
+        rows, amounts = zip(*((self._rows(**of), amount) for of, amount in parts), strict=True)
+        return sparse.vstack(rows, format="csr"), np.concatenate(amounts)
+
+    def _in_d(self, first: int, count: int) -> Sparse:
+        """What picks so many unknowns d of each step, from the first on."""
+        width = self.scenario.n_datacenters + self.n_storages
+        return sparse.kron(sparse.identity(self.scenario.horizon), sparse.eye(count, width, k=first), format="csr")
 
     def _magnitude(self, sign: float) -> tuple[Sparse, np.ndarray]:
         """sign q - g <= 0."""
@@ -178,10 +213,10 @@ class EpisodeProgram(Trajectory):
         s, n_dc = self.scenario, self.scenario.n_datacenters
         most_kw = self.base_kw + np.maximum(s.datacenter.p_dynamic_kw, self.arrived_kw)
         s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], most_kw)
-        one = sparse.identity(self.sizes["d"], format="csr")
+        one = self._in_d(0, n_dc)
         theirs = sparse.kron(sparse.identity(s.horizon), sparse.eye(n_dc, s.n_agents), format="csr")
         limits = []
-        for theta in 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS:
+        for theta in ANGLES:
             room = s_rated_kva - np.cos(theta) * self.base_kw
             limits.append((self._rows(d=np.cos(theta) * one, g=np.sin(theta) * theirs), room.ravel()))
         return limits

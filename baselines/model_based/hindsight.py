@@ -8,7 +8,8 @@ between that trajectory and a better one, a few 1e-5 of J where that was looked 
 Where regulators follow a control of their own, taps change as what is done makes them, which no linear program says. So
 programs are solved around several courses of taps, those under steady shares of reactive power, with rows that make the
 relays change the taps at these steps and at no other; the best replay is taken. Where regulators or capacitor banks are
-agents, ``equipment_program`` plans their positions too.
+agents, ``equipment_program`` plans their positions too. Storages are planned by ``storage_rows``, and not beside such
+equipment.
 """
 
 from __future__ import annotations
@@ -31,11 +32,18 @@ from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
+from dcgrid_env.baselines.model_based.storage_rows import storages_of
 
 STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Shares of the reactive power that there is, under which regulators take the courses of taps that are tried."""
 HOPELESS = 0.01
 """Share of J by which the first program of a course is worse than the best replay where it is given up."""
+SHORTER = (0.5, 0.25, 0.1, 0.03)
+"""Shares of the way to a solution that are tried too where there are storages."""
+ROUNDS_SHORTENED = 14
+"""Linear programs for an episode at most where there are storages: J settles early there, the bound later."""
+GAP_SHORTENED = 7e-5
+"""Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
@@ -69,7 +77,7 @@ class Hindsight(NamedTuple):
 
 
 def hindsight(
-    scenario: Scenario, seed: int, rounds: int = ROUNDS, tolerance: float = TOLERANCE, *, keep_band: bool = False
+    scenario: Scenario, seed: int, rounds: int | None = None, tolerance: float = TOLERANCE, *, keep_band: bool = False
 ) -> Hindsight:
     """Solve the first episode of a seed.
 
@@ -81,7 +89,7 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most.
+        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -94,6 +102,8 @@ def hindsight(
         the constraint that cannot be met, where and when.
     """
     _check(scenario)
+    if rounds is None:
+        rounds = ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -141,10 +151,13 @@ def _settled(
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
         program.follow(replay(scenario, program.actions(), seed))
+    shortens = isinstance(program, EpisodeProgram) and program.n_storages > 0
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
         recorder = replay(scenario, actions, seed)
+        if isinstance(program, EpisodeProgram) and shortens and done > 1:
+            actions, recorder = _shortened(program, seed, actions, recorder)
         if has_equipment and not program.has_own_taps:
             program.follow(recorder)
         cost = recorder.metrics()[0]["J"]
@@ -156,10 +169,31 @@ def _settled(
             best = best._replace(rounds=done)
         else:  # a program around a better trajectory knows better
             best = best._replace(bound=bound, rounds=done)
+        if shortens:  # an unchanged J says nothing there of the bound
+            settled = abs(best.gap) <= max(tolerance, GAP_SHORTENED) * abs(best.J)
         if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
     assert best is not None
     return best
+
+
+def _shortened(
+    program: EpisodeProgram, seed: int, actions: np.ndarray, recorder: Recorder
+) -> tuple[np.ndarray, Recorder]:
+    """The actions that do best on the way to the last solution, and their replay; the next program is around them.
+
+    Storages shift energy to where losses are least, which solutions of the linear program overdo: around each the next
+    does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for quadratic programming"
+    (1956), its line searched at a few places.
+    """
+    tried = [(recorder.metrics()[0]["J"], 1.0, actions, recorder)]
+    for share in SHORTER:
+        shorter = program.go(share)
+        replayed = replay(program.scenario, shorter, seed)
+        tried.append((replayed.metrics()[0]["J"], share, shorter, replayed))
+    _, share, actions, recorder = min(tried, key=lambda one: one[0])
+    program.go(share)
+    return actions, recorder
 
 
 def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
@@ -186,7 +220,7 @@ def _has_equipment_agents(scenario: Scenario) -> bool:
 def _check(scenario: Scenario) -> None:
     planned = _has_equipment_agents(scenario)
     if not planned:
-        require_known_devices("hindsight", scenario)
+        require_known_devices("hindsight", scenario, further=("storage",))
     if any(getattr(device, "ride_through", None) is not None for device in scenario.devices):
         raise ValueError(
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "

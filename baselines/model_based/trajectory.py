@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, nodes_by_bus, solver_for
+from dcgrid_env.baselines.model_based.storage_rows import storages_of
 from dcgrid_env.baselines.model_based.voltage_rows import Linear
 
 _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
 
 class Trajectory:
-    """Work served and reactive power in every step of an episode, and the grid linearised around them.
+    """What is done in every step of an episode, and the grid linearised around it: work served, draws, reactive power.
 
-    Agents are those with a converter, data centres first, n of them.
+    Agents are those with a converter, n of them: data centres, inverters, storages. The unknown d is work served, and
+    behind it the draws of the storages, (T, n_d).
     """
 
     n_further = 0
@@ -28,13 +30,22 @@ class Trajectory:
         self.scenario, self.episode = s, episode
         self.base_kw = np.minimum(episode.p_ref_kw, dc.p_idle_kw)
         self.arrived_kw = np.maximum(episode.p_ref_kw - dc.p_idle_kw, 0.0)
-        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva))
+        group = storages_of(s)
+        self.n_storages = 0 if group is None else group.count
+        converters = np.zeros(0) if group is None else group.converter_kva
+        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva, converters))
         self.n = len(self.s_rated_kva)
+        self.is_active = np.arange(self.n) < n_dc
+        """Which agents have an unknown d, (n,)."""
+        self.is_active |= np.arange(self.n) >= self.n - self.n_storages
+        self.storage_kw = np.zeros((s.horizon, self.n_storages))
+        """Draw of the storages, kW, (T, n_storages)."""
         # It begins with serving all work as it arrives, without reactive power.
         self.served_kw, self.q_kvar = self.arrived_kw, np.zeros((s.horizon, self.n))
-        room = np.sqrt(np.maximum(self.s_rated_kva[n_dc:] ** 2 - episode.p_inverter_kw**2, 0.0))
+        inverters = slice(n_dc, self.n - self.n_storages)
+        room = np.sqrt(np.maximum(self.s_rated_kva[inverters] ** 2 - episode.p_inverter_kw**2, 0.0))
         self.q_limit_kvar = np.tile(s.q_scale_kvar[: self.n], (s.horizon, 1))
-        self.q_limit_kvar[:, n_dc:] = np.minimum(self.q_limit_kvar[:, n_dc:], room)
+        self.q_limit_kvar[:, inverters] = np.minimum(self.q_limit_kvar[:, inverters], room)
         self.q_limit_kvar *= episode.available[:, : self.n]
         self._first_tap, self._tap, self._on = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
 
@@ -49,12 +60,12 @@ class Trajectory:
         self._first_tap, self._tap, self._on = phases.equipment.regulators.tap[0], taps, on
 
     def _around(self) -> Any:
-        """Power flows (1 + n_dc + n_agent + n_further, T), flattened.
+        """Power flows (1 + n_d + n_agent + n_further, T), flattened.
 
         They are of the trajectory, with each power moved by itself, and with the powers of the trajectory again.
         """
-        s, episode, n_dc = self.scenario, self.episode, self.scenario.n_datacenters
-        p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw), axis=1)
+        s, episode = self.scenario, self.episode
+        p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw, self.storage_kw), axis=1)
         p_agent *= episode.available[:, : self.n]
         p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
         shares = self._shares()
@@ -63,8 +74,9 @@ class Trajectory:
         moved = _SPAN * shares
         none = np.zeros((1, s.feeder.n_leg))
         still = np.zeros((self.n_further, s.feeder.n_leg))
-        by_p = np.concatenate((none, moved[:n_dc], 0.0 * moved, still))[:, None]
-        by_q = np.concatenate((none, 0.0 * moved[:n_dc], moved, still))[:, None]
+        active = moved[self.is_active]
+        by_p = np.concatenate((none, active, 0.0 * moved, still))[:, None]
+        by_q = np.concatenate((none, 0.0 * active, moved, still))[:, None]
         loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
         solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(len(by_p)))
         unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))
@@ -77,14 +89,16 @@ class Trajectory:
 
     def _linear(self, values: np.ndarray) -> Linear:
         """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q."""
-        s, n_dc = self.scenario, self.scenario.n_datacenters
+        s, n_d = self.scenario, self.scenario.n_datacenters + self.n_storages
         values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
-        drawn = np.concatenate((self.episode.available[:, :n_dc], np.ones((s.horizon, self.n))), axis=1)
-        moved_by_one = values[1 : 1 + n_dc + self.n]
+        seen = self.episode.available[:, : self.n][:, self.is_active]
+        drawn = np.concatenate((seen, np.ones((s.horizon, self.n))), axis=1)
+        moved_by_one = values[1 : 1 + n_d + self.n]
         slopes = np.moveaxis(moved_by_one - values[0], 0, -1) / _SPAN * drawn[:, None]
-        by_d, by_q = slopes[..., :n_dc], slopes[..., n_dc:]
-        moved = np.einsum("tnd,td->tn", by_d, self.served_kw) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
+        by_d, by_q = slopes[..., :n_d], slopes[..., n_d:]
+        d = np.concatenate((self.served_kw, self.storage_kw), axis=1)
+        moved = np.einsum("tnd,td->tn", by_d, d) + np.einsum("tna,ta->tn", by_q, self.q_kvar)
         return Linear(values[0] - moved, by_d, by_q)
 
     def _shares(self) -> np.ndarray:
@@ -109,7 +123,7 @@ class Trajectory:
         return Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
     def actions(self) -> np.ndarray:
-        """(T, n_action) in [-1, 1]: the clock whose ceiling is the work served, and shares of the reactive limit."""
+        """(T, n_action) in [-1, 1]: clocks whose ceiling is the work served, draws of storages, reactive shares."""
         s, dc = self.scenario, self.scenario.datacenter
         ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         f_mhz = np.clip(self.served_kw / ceiling_kw * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz)
@@ -117,4 +131,8 @@ class Trajectory:
         scale = s.q_scale_kvar[: self.n]
         q = self.q_kvar / np.where(scale > 0, scale, 1.0)
         clock = 2.0 * (f_mhz - dc.f_min_mhz) / span - 1.0
-        return np.clip(action_layout(s).joint(clock=clock, q=q), -1.0, 1.0)
+        layout, storages = action_layout(s), storages_of(s)
+        channels = {"clock": clock, "q": q[:, layout.reactive[: self.n] >= 0]}
+        if storages is not None:
+            channels["p"] = self.storage_kw / storages.p_scale_kw
+        return np.clip(layout.joint(**channels), -1.0, 1.0)

@@ -8,6 +8,8 @@ from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, GridChan
 from dcgrid_env.devices.inverter import Inverters
 from dcgrid_env.devices.ratings import DataCenterParams, InverterParams
 from dcgrid_env.devices.registry import DEVICE_REGISTRY, device_kind, is_known, register_device
+from dcgrid_env.devices.storage.energy_balance import StorageParams
+from dcgrid_env.devices.storage.storages import Storages
 
 __all__ = [
     "DEVICE_REGISTRY",
@@ -24,6 +26,8 @@ __all__ = [
     "LinearDvfs",
     "PrefillDecodeDvfs",
     "Q",
+    "StorageParams",
+    "Storages",
     "Work",
     "converter",
     "device_kind",

@@ -92,7 +92,8 @@ class Device(Protocol):
     prefix: ClassVar[str]
     """What its agents' ids begin with."""
     input: ClassVar[str | None]
-    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (lane, slot)), or None."""
+    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (lane, slot)), "connection" (1 where
+    it is connected to the grid and 0 where not, (lane, slot), or None where all are), or None."""
     levels: ClassVar[tuple[str, ...]]
     """Fields of the state that are amounts at an instant, and so have a value at t = 0; the others are of a step."""
 

@@ -8,6 +8,10 @@
 | | s_rated_kva | kVA | >= p_rated_kw |
 | | q_max_kvar | kvar | 0 < q_max <= s_rated_kva |
 | inverter | s_rated_kva | kVA | > 0 |
+| storage | p_rated_kw | kW | > 0 |
+| | energy_kwh | kWh | > 0 |
+| | s_rated_kva | kVA | None, or >= p_rated_kw |
+| | others | | the table of ``storage.storages`` |
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array
-from dcgrid_env.core.checked import is_number, refuse
+from dcgrid_env.core.checked import finite, is_number, refuse
 
 Rating = float | tuple[float, ...]
 """One number for all devices of a kind, or one for each."""
@@ -51,6 +55,14 @@ def check_rating(owner: Any, name: str, n: int) -> None:
     if len(values) != n or not all(is_number(v) and 0 < v <= LARGEST_RATING for v in values):
         remedy = f"give one positive number of at most {LARGEST_RATING:g}, or one for each of the {n} devices"
         raise refuse(owner, name, remedy)
+
+
+def check_each(owner: Any, name: str, n: int, low: float, high: float) -> None:
+    """Raise FieldError unless a field of a dataclass instance is a number in [low, high], or one for each device."""
+    value = getattr(owner, name)
+    values = value if isinstance(value, tuple) else (value,)
+    if (isinstance(value, tuple) and len(values) != n) or not all(finite(v, low, high) for v in values):
+        raise refuse(owner, name, f"give one finite number in [{low:g}, {high:g}], or one for each of the {n} devices")
 
 
 def per_device(value: Rating, n: int) -> np.ndarray:

@@ -8,16 +8,18 @@ from dcgrid_env.core.plugins import Entry, PluginError, Registry
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.device import Device
 from dcgrid_env.devices.inverter import Inverters
+from dcgrid_env.devices.storage.storages import Storages
 
 ENTRIES: dict[str, Entry] = {
     DataCenters.kind: ("work that waits or is served as the clock allows, and reactive power", DataCenters),
     Inverters.kind: ("reactive power by command, active power by schedule", Inverters),
+    Storages.kind: ("active power by command as far as its energy goes, and reactive power", Storages),
 }
 """What a kind is, in a few words, and its class: this package's own, and what ``register_device`` adds."""
 DEVICE_REGISTRY = Registry("dcgrid.devices", "kind of device", Device, ENTRIES)
 """All kinds of devices that have a name, those of other packages too."""
 
-INPUTS = ("workload", "injection", None)
+INPUTS = ("workload", "injection", "connection", None)
 """What may drive a device from outside."""
 RESERVED = (
     "capacitor", "workload", "background", "sensing", "cost", "grid_control", "tap_changer", "capacitor_bank",

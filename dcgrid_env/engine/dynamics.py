@@ -16,6 +16,7 @@ from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.leaving import connected_share, leaving, supply
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
+from dcgrid_env.engine.utility_limits import remembered_draws
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.scenario import Scenario
@@ -47,7 +48,8 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
         phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, none, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
-    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu), solution
+    draws = (state.p_kw,) * remembered_draws(scenario) or None
+    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), solution
 
 
 def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
@@ -95,7 +97,7 @@ def _step(
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
     for i, device in enumerate(scenario.devices):
-        given = work if device.input == "workload" else exogenous.p_inverter_kw if device.input else None
+        given = _given(scenario, i, work, exogenous)
         if i in may_leave:
             given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
         after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
@@ -138,7 +140,17 @@ def _step(
         q_limit_kvar=q_limit,
         devices=own,
         three_phase=phases,
+        p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
     ), solution
+
+
+def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
+    """What comes from outside for a device, see ``Device.input``."""
+    source = scenario.devices[i].input
+    if source == "connection":
+        available = exogenous.available
+        return None if available is None else available[..., device_slices(scenario)[i]]
+    return work if source == "workload" else exogenous.p_inverter_kw if source else None
 
 
 @cached_on_owner

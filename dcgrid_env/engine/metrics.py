@@ -17,8 +17,18 @@
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+| pst_max, swing_*, ramp_*, voltage_step_max_pu, voltage_step_excess_pct | see ``fluctuation``; where they can be had |
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
+
+Where there are storages, over all of them, see ``devices.storage``:
+
+| metric | meaning |
+|---|---|
+| stored_end_pct, stored_lowest_pct | stored energy at the end and at its lowest, as a share of what they can store |
+| storage_throughput_kwh | energy charged and energy discharged, at the grid, over the steps 1 .. T |
+| storage_loss_kwh | energy drawn that is neither given back nor stored at the end, the same |
+| storage_missing_kwh | what is missing at the end of the energy that is to be returned |
 
 Where devices may leave the grid (docs/ride-through.md), over all sites, or inverters, and the steps 1 .. T:
 
@@ -51,6 +61,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.engine.fluctuation import WorstFlicker, fluctuation, worst_flicker
 from dcgrid_env.engine.leaving import after_loss
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
@@ -70,7 +81,8 @@ class Series:
         states = [t.state for t in transitions]
         steps = transitions[1:]
         self.v_pu = np.array([s.v_pu[lane] for s in states])
-        self.p_kw = np.array([s.p_kw[lane] for s in states[1:]])
+        self._p_kw = np.array([s.p_kw[lane] for s in states])
+        self.p_kw = self._p_kw[1:]
         self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
         self.devices = tuple(_history([s.devices[i] for s in states], lane) for i in range(len(scenario.devices)))
         """State of each device over time, from the reset on."""
@@ -115,6 +127,7 @@ class Series:
             "steps": len(v),
             "power_flow_converged": self.converged,
         }
+        figures |= fluctuation(s, self.v_pu, self._p_kw)
         if isinstance(s.feeder, ThreePhaseFeeder):
             figures |= self._unbalance(s.feeder) | self._moves()
         for device, history in zip(s.devices, self.devices, strict=True):
@@ -122,6 +135,13 @@ class Series:
             figures |= device.metrics(history, s.dt_s, requests)
         figures |= after_loss(s, self.devices, v)
         return {name: float(value) for name, value in figures.items()}
+
+    def worst_flicker(self, lamp: str = "120V-60Hz") -> WorstFlicker:
+        """Largest Pst of the episode, and where and when it was, in the light of a lamp of ``flicker.LAMPS``.
+
+        ValueError for steps of more than 0.1 s, or a scenario whose episodes are shorter than 600 s.
+        """
+        return worst_flicker(self.scenario, self.v_pu[1:], lamp)
 
     def _unbalance(self, feeder: ThreePhaseFeeder) -> dict[str, float]:
         """Figures of the unbalance of a three-phase feeder's voltages."""

@@ -8,7 +8,8 @@ terms have weight 0 by default: ``step`` is mean|V_t - V_{t-1}|, ``clock`` the m
 their range, ``loss`` the feeder's loss as a share of its base load and the data centres' ratings. On a three-phase
 feeder means are over nodes, and there are two more terms at weight 0: ``unbalance``, the mean over three-phase buses of
 the squared voltage unbalance factor, taken as 1 at most, and ``switching``, the mean number of taps and switchings over
-the regulators and capacitor banks that are not fixed.
+the regulators and capacitor banks that are not fixed. Where they have a weight there are ``ramp_excess``, the mean over
+sites, and ``voltage_step_excess``, the mean over buses, of what exceeds a utility's limit (see ``utility_limits``).
 """
 
 from __future__ import annotations
@@ -29,8 +30,16 @@ from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.equipment import largest_mean_switching, mean_controlled_switching, mean_switching
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
+from dcgrid_env.engine.utility_limits import (
+    largest_ramp_excess,
+    largest_voltage_step_excess,
+    ramp_excess,
+    sites,
+    voltage_step_excess,
+)
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import AnySolution
+from dcgrid_env.scenario.cost import LIMIT_OF
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -53,6 +62,9 @@ VOLTAGE, VIOLATION, EFFORT, STEP, LOSS = map(Costs._fields.index, ("voltage", "v
 
 UNBALANCE, SWITCHING = OF_THREE_PHASES = ("unbalance", "switching")
 """The terms of the grid that a three-phase feeder alone has."""
+
+RAMP, VOLTAGE_STEP = LIMIT_OF
+"""The terms that charge what exceeds a limit, which are there where they have a weight."""
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
@@ -101,6 +113,12 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
     if state.three_phase is not None and w.switching:
         moves = mean_switching(scenario, state.three_phase.equipment)
         costs[t.kind._fields.index(SWITCHING)] = none + moves * w.switching
+    if w.ramp_excess:
+        over = ramp_excess(scenario, state)
+        costs[t.kind._fields.index(RAMP)] = sum_last(over) * (w.ramp_excess / over.shape[-1])
+    if w.voltage_step_excess:
+        over = voltage_step_excess(scenario, state.v_pu[..., t.judged], state.v_last_pu[..., t.judged])
+        costs[t.kind._fields.index(VOLTAGE_STEP)] = sum_last(over) * (w.voltage_step_excess / t.n_judged)
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -149,6 +167,12 @@ def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: A
         costs = costs._replace(
             **{SWITCHING: _own_switching(scenario, state, state.three_phase.equipment, none) * w.switching}
         )
+    if w.ramp_excess:
+        cut, own = sites(scenario), ramp_excess(scenario, state) * w.ramp_excess
+        costs = costs._replace(**{RAMP: xp.concat((none[..., : cut.start], own, none[..., cut.stop :]), axis=-1)})
+    if w.voltage_step_excess:
+        own = voltage_step_excess(scenario, state.v_agent_pu, state.v_agent_last_pu) * w.voltage_step_excess
+        costs = costs._replace(**{VOLTAGE_STEP: own})
     for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i])
@@ -198,7 +222,8 @@ def terms(scenario: Scenario) -> Terms:
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
     of_grid = () if isinstance(scenario.feeder, Feeder) else OF_THREE_PHASES
-    names = (*of_grid, *(term.name for _, term, _ in own_terms))
+    of_limits = tuple(name for name in LIMIT_OF if weights[name])
+    names = (*of_grid, *of_limits, *(term.name for _, term, _ in own_terms))
     more = tuple(dict.fromkeys(name for name in names if name not in Costs._fields))
     kind = _costs(more)
     own_terms.sort(key=lambda entry: (entry[0], entry[1].amount))
@@ -237,6 +262,10 @@ def largest_costs(scenario: Scenario) -> Costs:
     if UNBALANCE in of_devices:
         of_devices[UNBALANCE] += w.unbalance
         of_devices[SWITCHING] += w.switching * largest_mean_switching(scenario)
+    if w.ramp_excess:
+        of_devices[RAMP] += w.ramp_excess * largest_ramp_excess(scenario)
+    if w.voltage_step_excess:
+        of_devices[VOLTAGE_STEP] += w.voltage_step_excess * largest_voltage_step_excess(scenario)
     return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
         violation=w.violation * (1.0 - scenario.band_pu),

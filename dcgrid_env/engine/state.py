@@ -86,6 +86,8 @@ class State(NamedTuple):
     """State of each of the scenario's devices, a NamedTuple of arrays (lane, slot, ..)."""
     three_phase: ThreePhaseState | None = None
     """None on a balanced feeder."""
+    p_window_kw: tuple[Array, ...] | None = None
+    """``p_kw`` of the steps before, the beginning of the ramp limit's window first; None where no ramp is charged."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env.engine.dynamics import step_kernels
+from dcgrid_env.engine.utility_limits import constraint
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -21,23 +22,22 @@ INFO_LEVELS: tuple[InfoLevel, ...] = get_args(InfoLevel)
 
 @cache
 def _keys(kind: Any) -> tuple[str, ...]:
-    """Keys of the violation, of all cost terms, and of J."""
+    """Keys of the constraint, of all cost terms, and of J."""
     return ("cost", *(f"cost_{name}" for name in kind._fields), "J")
 
 
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
 
-    ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, and
-    trips where they have a weight, for constrained learning. ``J`` is the cost so far as a share of the episode's: the
-    sum of all terms since the reset over T, and so in an episode's last step its J. Voltages are over buses other than
-    the substation.
+    ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, what
+    exceeds a limit, and trips where these have a weight, for constrained learning. ``J`` is the cost so far as a share
+    of the episode's: the sum of all terms since the reset over T, and so in an episode's last step its J. Voltages are
+    over buses other than the substation.
     """
     if level == "none":
         return {}
     costs = transition.costs
-    constraint = costs.violation + costs.trips if hasattr(costs, "trips") else costs.violation
-    figures = dict(zip(_keys(type(costs)), (constraint, *costs, transition.j_so_far), strict=True))
+    figures = dict(zip(_keys(type(costs)), (constraint(costs), *costs, transition.j_so_far), strict=True))
     if level == "costs":
         return figures
     state = transition.state

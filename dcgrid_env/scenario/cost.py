@@ -28,6 +28,15 @@ class CostWeights(NamedTuple):
     switching: float = 0.0
     """Weighs the mean number of taps and switchings in a step, over the regulators and capacitor banks that are not
     fixed; a three-phase feeder alone has it."""
+    ramp_excess: float = 0.0
+    """Weighs the mean over sites of what their ramp exceeds ``ramp_limit_kw_per_s`` by, as a share of that limit."""
+    voltage_step_excess: float = 0.0
+    """Weighs the mean over buses of what their change of voltage in a step exceeds ``voltage_step_limit_pu`` by, as a
+    share of that limit."""
+
+
+LIMIT_OF = {"ramp_excess": "ramp_limit_kw_per_s", "voltage_step_excess": "voltage_step_limit_pu"}
+"""The limit without which a weight has no meaning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +51,12 @@ class Cost:
     """Form of the voltage cost."""
     reward: RewardScope = choice("shared", "local", default="shared")
     """Whether every agent is paid the team's reward, or each for its own voltage, work and effort."""
+    ramp_limit_kw_per_s: float | None = None
+    """Limit on how fast a site's draw may rise or fall, kW/s, on average over ``ramp_window_s``; None for no limit."""
+    ramp_window_s: float | None = None
+    """What a ramp is averaged over, s, a whole number of steps; None for one step."""
+    voltage_step_limit_pu: float | None = None
+    """Limit on the change of a bus's voltage from a step to the next, p.u.; None for no limit."""
 
     def __post_init__(self) -> None:
         settle(self, weights=lambda given: changed_weights(CostWeights(), given))
@@ -51,6 +66,16 @@ class Cost:
         for name, value in self.weights._asdict().items():
             if not finite(value, 0.0):
                 raise FieldError("Cost", f"weights.{name}", value, "give a finite number >= 0")
+        for name in ("ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"):
+            value = getattr(self, name)
+            if value is not None and not finite(value, 1e-9, 1e9):
+                raise refuse(self, name, "give a finite number above 0, or None")
+        for name, limit in LIMIT_OF.items():
+            if getattr(self.weights, name) and getattr(self, limit) is None:
+                remedy = f"give {limit} too, which it weighs the excess over, or set it to 0"
+                raise FieldError("Cost", f"weights.{name}", getattr(self.weights, name), remedy)
+        if self.ramp_window_s is not None and self.ramp_limit_kw_per_s is None:
+            raise refuse(self, "ramp_window_s", "give ramp_limit_kw_per_s too, or leave it out")
 
 
 def changed_weights(weights: CostWeights, given: Any) -> Any:

@@ -93,3 +93,6 @@ class FlatNames:
     band_pu = Flat[float]("cost", "band_pu")
     voltage_cost = Flat[VoltageCost]("cost", "voltage")
     reward = Flat[RewardScope]("cost", "reward")
+    ramp_limit_kw_per_s = Flat[float | None]("cost", "ramp_limit_kw_per_s")
+    ramp_window_s = Flat[float | None]("cost", "ramp_window_s")
+    voltage_step_limit_pu = Flat[float | None]("cost", "voltage_step_limit_pu")

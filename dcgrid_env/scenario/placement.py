@@ -31,8 +31,11 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
 
 
 def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> None:
-    """Raise ScenarioError unless every device can have a bus of its own, not the substation; equipment takes none."""
-    fixed: list[tuple[str, Any, str | None]] = []
+    """Raise ScenarioError unless every device can have a bus of its own, not the substation; equipment takes none.
+
+    A group with a class attribute ``shares_bus`` that is True may stand where devices of other kinds do.
+    """
+    fixed: list[tuple[str, str, Any, str | None]] = []
     drawn = 0
     for device in reversed([device for device in devices if not is_equipment(device)]):
         if device.buses is None:
@@ -45,13 +48,15 @@ def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> N
                 f"{count}={device.count} and as many {buses}, or {buses}=None to have them drawn among the load buses"
             )
         where = next((name for name, of in FLAT.items() if of == (device.kind, "buses")), f"{device.kind}.buses")
-        fixed += ((where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
-    taken: dict[int, Any] = {}
-    for where, bus, phases in fixed:
+        among = device.kind if getattr(device, "shares_bus", False) else ""
+        fixed += ((among, where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
+    taken: set[tuple[str, int]] = set()
+    for among, where, bus, phases in fixed:
         at = _position(name, feeder, where, bus, phases)
-        if at in taken:
-            raise ScenarioError(f"scenario {name!r}: more than one device at bus {bus!r}; give each its own")
-        taken[at] = bus
+        if (among, at) in taken:
+            of_kind = f"{among} " if among else ""
+            raise ScenarioError(f"scenario {name!r}: more than one {of_kind}device at bus {bus!r}; give each its own")
+        taken.add((among, at))
     free = len(free_load_buses(feeder, devices))
     if drawn > free:
         count, buses = _words(next(device for device in devices if device.buses is None))

@@ -28,6 +28,7 @@ from dcgrid_env.scenario.feeder_kind import check_feeder_kind
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
+from dcgrid_env.scenario.ramp_limit import check_ramp_limit
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import ALL_SPLITS
@@ -93,6 +94,7 @@ class Scenario(PickledByFields, FlatNames):
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
+        check_ramp_limit(self)
         for device in self.devices:
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):

@@ -14,6 +14,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
+from helpers.storages import NEEDING_STORAGE
 
 
 def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
@@ -27,6 +28,7 @@ def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
         backlog_kws=np.full(n_dc, backlog_kws),
         r_pu_per_mw=np.full(n, 0.01),
         x_pu_per_mvar=np.full(n, 0.02),
+        stored_kwh=np.zeros(0),
     )
 
 
@@ -91,8 +93,13 @@ def test_inverters_only_leaves_the_data_centres_alone():
     assert q == pytest.approx([0.0, 20.0, 20.0])
 
 
+LOCAL = [
+    name for name, (_, make) in CONTROLLERS.items() if name not in NEEDING_STORAGE and not isinstance(make(), Placed)
+]
+
+
 @pytest.mark.parametrize("law", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"])
-@pytest.mark.parametrize("name", [name for name, (_, make) in CONTROLLERS.items() if not isinstance(make(), Placed)])
+@pytest.mark.parametrize("name", LOCAL)
 def test_one_object_drives_every_interface(name, law):
     """Joined, per agent and batched observations lead to the same course of the same episode."""
     scenario = make_scenario("ieee123", horizon=15, **law)

@@ -23,6 +23,7 @@ def on_toy6(law, v_pu, p_kw=575.0, p_ref_kw=575.0, p_ref_next_kw=575.0, backlog_
         backlog_kws=backlog_kws * column,
         r_pu_per_mw=np.zeros((1, 3)),
         x_pu_per_mvar=np.zeros((1, 3)),
+        stored_kwh=np.zeros((1, 0)),
     )
     limit = np.array([[825.0, 1000.0, 1000.0]])
     return Estimate(seen, np.full((1, 5), v_pu), limit, known.by_p, known.by_q, p_ref_kw * column)

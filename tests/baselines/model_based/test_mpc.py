@@ -200,6 +200,7 @@ def toy6_estimate(controller, p_ref_kw, p_ref_next_kw, **overrides):
         v_pu=np.ones((1, 3)), p_kw=np.array([[p_ref_kw, 0.0, 0.0]]), q_kvar=np.zeros((1, 3)),
         p_ref_next_kw=np.array([[p_ref_next_kw]]), backlog_kws=np.zeros((1, 1)),
         r_pu_per_mw=np.full((1, 3), 0.01), x_pu_per_mvar=np.full((1, 3), 0.02),
+        stored_kwh=np.zeros((1, 0)),
     )  # fmt: skip
     by_p, by_q = slopes(scenario, np.array([[4, 3, 5]]))
     return Estimate(seen, np.ones((1, 5)), np.full((1, 3), 800.0), by_p, by_q, np.array([[p_ref_kw]]))

@@ -17,7 +17,7 @@ from dcgrid_env.devices import DEVICE_REGISTRY
 PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 REGISTRIES = (CONTROLLER_REGISTRY, SCENARIO_REGISTRY, FEEDER_REGISTRY, DEVICE_REGISTRY)
 GROUPS = {registry.group: registry for registry in REGISTRIES}
-STORAGE = Path(__file__).parents[1] / "devices" / "storage.py"
+BATTERY = Path(__file__).parents[1] / "devices" / "battery.py"
 
 GOOD = """
 from dataclasses import replace
@@ -106,9 +106,9 @@ def test_a_scenario_takes_the_name_of_another_packages_feeder(site):
 
 
 DEVICES = """
-DEVICES = {"storage": ("batteries", Storages), "no-class": ("a slip", len), "dynamo": ("another slip", Storages)}
+DEVICES = {"battery": ("batteries", Batteries), "no-class": ("a slip", len), "dynamo": ("another slip", Batteries)}
 """
-WITH_STORAGE = """
+WITH_BATTERY = """
 base = "toy6"
 horizon = 3
 [[devices]]
@@ -118,7 +118,7 @@ p_rated_kw = 100.0
 s_rated_share = 1.0
 q_max_share = 0.3
 [[devices]]
-kind = "storage"
+kind = "battery"
 buses = ["2"]
 p_rated_kw = 10.0
 energy_kwh = 5.0
@@ -127,20 +127,20 @@ energy_kwh = 5.0
 
 def test_a_scenario_file_names_another_packages_kind_of_device(site):
     points = "[dcgrid.devices]\nall = stores_toy:DEVICES\n"
-    folder = site("stores-toy", STORAGE.read_text() + DEVICES, points)
-    (folder / "a.toml").write_text(WITH_STORAGE)
+    folder = site("stores-toy", BATTERY.read_text() + DEVICES, points)
+    (folder / "a.toml").write_text(WITH_BATTERY)
     ran = python(folder, "-m", "dcgrid_env.cli", "run", "--scenario", "a.toml", "--controllers", "none")
     assert (ran.returncode, ran.stderr) == (0, ""), ran.stderr
     listed = python(folder, "-m", "dcgrid_env.cli", "list").stdout
-    assert "storage batteries (stores-toy 1.0)" in [" ".join(text.split()) for text in listed.splitlines()]
+    assert "battery batteries (stores-toy 1.0)" in [" ".join(text.split()) for text in listed.splitlines()]
     code = (
         "import sys\nfrom dcgrid_env import make_scenario\nmake_scenario('toy6')\nprint('stores_toy' in sys.modules)\n"
         "s = make_scenario('a.toml')\nprint(s.agents[1], make_scenario('toy6').replace(devices=s.devices).n_agents)\n"
         "s.to_toml('b.toml')\nprint(make_scenario('b.toml', name='a').difference(s))"
     )
-    assert printed(folder, code) == ["False", "sto_0", "2", "None"]
-    for slip, why in (("no-class", "is no class; give a class of devices"), ("dynamo", "its kind is 'storage'")):
-        (folder / "slip.toml").write_text(WITH_STORAGE.replace('"storage"', f'"{slip}"'))
+    assert printed(folder, code) == ["False", "bat_0", "2", "None"]
+    for slip, why in (("no-class", "is no class; give a class of devices"), ("dynamo", "its kind is 'battery'")):
+        (folder / "slip.toml").write_text(WITH_BATTERY.replace('"battery"', f'"{slip}"'))
         ran = python(folder, "-m", "dcgrid_env.cli", "run", "--scenario", "slip.toml")
         assert ran.returncode == 2
         assert f"kind of device {slip!r} of stores-toy 1.0 cannot be used: " in ran.stderr
@@ -150,12 +150,15 @@ def test_a_scenario_file_names_another_packages_kind_of_device(site):
 
 def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_missed(site):
     folder = site("broken-toy", "import not_there", "[dcgrid.devices]\nall = broken_toy:DEVICES\n")
-    (folder / "a.toml").write_text(WITH_STORAGE)
+    (folder / "a.toml").write_text(WITH_BATTERY)
     ran = python(folder, "-m", "dcgrid_env.cli", "run", "--scenario", "a.toml")
     warned, error = ran.stderr.splitlines()
     assert ran.returncode == 2
     assert "is left out: ModuleNotFoundError" in warned
-    assert "devices[1].kind: unknown kind of device 'storage'; there are datacenter, inverter; entry point" in error
+    assert (
+        "devices[1].kind: unknown kind of device 'battery'; there are datacenter, inverter, storage; entry point"
+        in error
+    )
 
 
 def test_nothing_is_loaded_before_it_is_asked_for(site):

@@ -34,6 +34,7 @@ CHANGES = {
     "inverter_s_kva": 51.0,
     "datacenter_buses": (1, 3, 4, 5, 6),
     "preview": False,
+    "ramp_limit_kw_per_s": 100.0,
 }
 
 
@@ -152,7 +153,9 @@ def test_the_schema_lists_every_published_field():
     listed = {name.removesuffix("?") for name in fingerprint.SCHEMA_1[Scenario].fields}
     own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
     later = {"datacenter_phases", "inverter_phases", "regulators", "capacitor_banks", "capacitor_settings"}
+    later |= {"ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"}
     later |= {"datacenter_ride_through", "inverter_ride_through", "sags"}
     assert listed | later == own | set(FLAT)
     assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
-    assert (*fingerprint.SCHEMA_1[CostWeights].fields, "unbalance", "switching") == CostWeights._fields
+    later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess")
+    assert (*fingerprint.SCHEMA_1[CostWeights].fields, *later_weights) == CostWeights._fields

@@ -71,6 +71,9 @@ PLAIN = {
     "band_pu": 0.03,
     "voltage_cost": "l2",
     "reward": "local",
+    "ramp_limit_kw_per_s": 100,
+    "ramp_window_s": 5.0,
+    "voltage_step_limit_pu": 0.02,
     "observe": "neighbours",
     "preview": False,
     "r_model_share": 0.9,
@@ -89,6 +92,7 @@ WITH = {
     "n_datacenters": {"datacenter_buses": None},
     "feeder": {"datacenter_buses": [27, 65, 35]},
     "recording_split": {},
+    "ramp_window_s": {"ramp_limit_kw_per_s": 100.0},
     "sags": {"datacenter_ride_through": "itic"},
 }
 """What a field's value needs besides."""

@@ -56,12 +56,22 @@ TABLE = {
         "inference", 0.05, 120,
     ),
     "ieee123-3ph": ("ieee123-3ph", 1.0, 5, 280.0, 1.1, None, I123, 50.0, "inference", 0.05, 120),
+    "ieee123-3ph-day": ("ieee123-3ph", 1.0, 5, 280.0, 1.1, None, I123, 300.0, "inference", 0.05, 1440),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
     "ieee13-3ph": {"power_flow": "sweep"},
     "ieee34-3ph": {"power_flow": "sweep"},
     "ieee123-3ph": {"power_flow": "sweep"},
+    "ieee123-3ph-day": {
+        "power_flow": "sweep",
+        "inverter_trace": "pv",
+        "regulators": "agent",
+        "capacitor_banks": "agent",
+        "start_hour": 0.0,
+        "dt_s": 60.0,
+        "weights": CostWeights(leftover=0.15, switching=10.0),
+    },
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
     "training": {"dt_s": 0.1, "weights": CostWeights(leftover=90.0)},
@@ -84,7 +94,7 @@ COMMON = {
     "capacitors": True, "idle_share": 0.23, "f_min_mhz": 210.0, "f_max_mhz": 1410.0, "q_max_share": 0.33,
     "boost_share": 1.0, "trace_window": "random", "site_correlation": 0.0, "inverter_trace": None, "faults": (),
     "load_rho": 0.9, "voltage_noise_pu": 0.0, "measurement_delay": 0, "dt_s": 1.0, "power_flow": "distflow",
-    "regulators": "controlled", "capacitor_banks": "fixed",
+    "regulators": "controlled", "capacitor_banks": "fixed", "start_hour": None,
     "split": "train", "weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "band_pu": 0.05,
     "voltage_cost": "l1", "reward": "shared", "observe": "local", "preview": True, "r_model_share": 1.0,
     "x_model_share": 1.0,

@@ -26,44 +26,45 @@ from dcgrid_env.agents import Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.devices import Channel, device_kind
+from helpers.storages import NEEDING_STORAGE
 
-SPEC = importlib.util.spec_from_file_location("storage_of_the_tests", Path(__file__).with_name("storage.py"))
+SPEC = importlib.util.spec_from_file_location("battery_of_the_tests", Path(__file__).with_name("battery.py"))
 assert SPEC is not None
 assert SPEC.loader is not None
-storage = importlib.util.module_from_spec(SPEC)
-sys.modules[SPEC.name] = storage
-SPEC.loader.exec_module(storage)
-STORAGES = register_device(storage.Storages)
+batteries = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = batteries
+SPEC.loader.exec_module(batteries)
+BATTERIES = register_device(batteries.Batteries)
 
 
 def scenario(**overrides) -> Scenario:
     """toy6 with a battery of 500 kW and 5 kWh at bus 2, between the data centre and the inverters."""
     base = make_scenario("toy6", horizon=40)
     sites, inverters = base.devices
-    battery = STORAGES(buses=(2,), p_rated_kw=500.0, energy_kwh=5.0, cycling_weight=2.0)
-    return base.replace(name="with-storage", devices=(sites, battery, inverters), **overrides)
+    battery = BATTERIES(buses=(2,), p_rated_kw=500.0, energy_kwh=5.0, cycling_weight=2.0)
+    return base.replace(name="with-battery", devices=(sites, battery, inverters), **overrides)
 
 
 def test_it_is_a_device_and_known_by_its_kind():
     assert isinstance(scenario().devices[1], Device)
-    assert device_kind("storage") is STORAGES
-    with pytest.raises(ValueError, match="device kind 'storage' is that of Storages; choose another name"):
-        register_device(type("Other", (STORAGES,), {}))
+    assert device_kind("battery") is BATTERIES
+    with pytest.raises(ValueError, match="device kind 'battery' is that of Batteries; choose another name"):
+        register_device(type("Other", (BATTERIES,), {}))
 
 
 def test_agents_actions_and_observations():
     s = scenario()
-    assert s.agents == ("dc_0", "sto_0", "inv_0", "inv_1")
+    assert s.agents == ("dc_0", "bat_0", "inv_0", "inv_1")
     layout = dcgrid_env.action_layout(s)
-    assert layout.names == (("dc_0", "clock"), ("dc_0", "q"), ("sto_0", "power"), ("inv_0", "q"), ("inv_1", "q"))
+    assert layout.names == (("dc_0", "clock"), ("dc_0", "q"), ("bat_0", "power"), ("inv_0", "q"), ("inv_1", "q"))
     env = dcgrid_env.parallel_env(s)
     observations, infos = env.reset(seed=0)
-    assert env.action_space("sto_0").shape == (1,)
-    assert dcgrid_env.field_names(s)["sto_0"][-1] == "stored"
-    assert observations["sto_0"][-1] == pytest.approx(0.5)
-    assert infos["sto_0"]["bus"] in (2, "2")
+    assert env.action_space("bat_0").shape == (1,)
+    assert dcgrid_env.field_names(s)["bat_0"][-1] == "stored"
+    assert observations["bat_0"][-1] == pytest.approx(0.5)
+    assert infos["bat_0"]["bus"] in (2, "2")
     observations, rewards, *_, infos = env.step({a: np.zeros(env.action_space(a).shape or ()) for a in env.agents})
-    assert env.observation_space("sto_0").contains(observations["sto_0"])
+    assert env.observation_space("bat_0").contains(observations["bat_0"])
     assert env.state_space.contains(env.state())
     assert infos["dc_0"]["stored_kwh"] == pytest.approx(2.5)
     assert set(rewards) == set(s.agents)
@@ -99,7 +100,7 @@ def test_energy_is_conserved_and_the_grid_feels_the_draw():
 def test_its_cost_is_charged_to_the_team_and_to_itself():
     one = dcgrid_env.parallel_env(scenario(reward="local"))
     one.reset(seed=0)
-    action = {a: np.zeros(one.action_space(a).shape or ()) for a in one.agents} | {"sto_0": np.ones(1)}
+    action = {a: np.zeros(one.action_space(a).shape or ()) for a in one.agents} | {"bat_0": np.ones(1)}
     _, paid, *_, infos = one.step(action)
     shared = gymnasium.make("dcgrid/Toy6-v0", scenario=scenario())
     shared.reset(seed=0)
@@ -107,11 +108,11 @@ def test_its_cost_is_charged_to_the_team_and_to_itself():
     joint[2] = 1.0
     *_, info = shared.step(joint)
     assert info["cost_cycling"] == pytest.approx(2.0)
-    assert infos["sto_0"]["cost_cycling"] == pytest.approx(2.0)
+    assert infos["bat_0"]["cost_cycling"] == pytest.approx(2.0)
     free = dcgrid_env.parallel_env(scenario(reward="local"))
     free.reset(seed=0)
-    _, idle, *_ = free.step(action | {"sto_0": np.zeros(1)})
-    assert paid["sto_0"] < idle["sto_0"] - 1.9
+    _, idle, *_ = free.step(action | {"bat_0": np.zeros(1)})
+    assert paid["bat_0"] < idle["bat_0"] - 1.9
 
 
 def test_gradients_pass_and_tensors_agree_with_arrays():
@@ -139,11 +140,11 @@ def test_scenario_files_pickles_and_hashes(tmp_path):
         != dcgrid_env.scenario_hash(make_scenario("toy6"))
     )
     assert pickle.loads(pickle.dumps(s)).difference(s) is None
-    larger = STORAGES(buses=(2,), p_rated_kw=501.0, energy_kwh=5.0)
+    larger = BATTERIES(buses=(2,), p_rated_kw=501.0, energy_kwh=5.0)
     other = s.replace(devices=(s.devices[0], larger, s.devices[2]))
     assert other.difference(s) == "devices"
     with pytest.raises(ScenarioError, match=r"devices\[0\].energy_kwh is -1.0; give one positive number"):
-        s.replace(devices=[{"kind": "storage", "buses": ["2"], "p_rated_kw": 1.0, "energy_kwh": -1.0}])
+        s.replace(devices=[{"kind": "battery", "buses": ["2"], "p_rated_kw": 1.0, "energy_kwh": -1.0}])
 
 
 def test_a_picture_calls_it_by_its_own_kind_and_name():
@@ -153,16 +154,16 @@ def test_a_picture_calls_it_by_its_own_kind_and_name():
     assert np.ndim(env.render()) == 3
     figure: Any = env._viewer._figure
     named = {text.get_text() for text in figure.axes[0].texts}
-    assert {"dc_0 (4)", "sto_0 (2)", "inv_0 (3)", "inv_1 (5)"} <= named
+    assert {"dc_0 (4)", "bat_0 (2)", "inv_0 (3)", "inv_1 (5)"} <= named
     signs = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert signs.count("storage, inverter") == 2  # the triangle on the map, and the curves
+    assert signs.count("battery, inverter") == 2  # the triangle on the map, and the curves
     env.close()
 
 
 MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc")
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in MADE_FOR_TWO_KINDS])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_STORAGE)])
 def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
     s = scenario()
     run = rollout(s, make_controller(name), [0]).lane(0)
@@ -175,7 +176,7 @@ def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
 
 
 def test_a_law_gives_reactive_power_by_whatever_device_has_the_channel():
-    class Condensers(STORAGES):
+    class Condensers(BATTERIES):
         kind = "condenser"
 
         @property
@@ -196,11 +197,11 @@ def test_a_law_gives_reactive_power_by_whatever_device_has_the_channel():
     controller = ConstantQ(q_share=0.5)
     controller.reset(s)
     actions = controller.act(dcgrid_env.parallel_env(s).reset(seed=0)[0])
-    np.testing.assert_array_equal(actions["sto_0"], [0.5, 1.0])  # its power at rest, which is the rating
+    np.testing.assert_array_equal(actions["bat_0"], [0.5, 1.0])  # its power at rest, which is the rating
     np.testing.assert_array_equal(actions["inv_1"], [0.5])
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in MADE_FOR_TWO_KINDS])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_STORAGE)])
 def test_a_law_does_the_same_whatever_the_order_of_the_devices(name):
     base = make_scenario("toy6", horizon=10)
     turned = base.replace(devices=base.devices[::-1])
@@ -211,7 +212,7 @@ def test_a_law_does_the_same_whatever_the_order_of_the_devices(name):
 
 @pytest.mark.parametrize("name", MADE_FOR_TWO_KINDS)
 def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(name):
-    with pytest.raises(ValueError, match=r"data centres and inverters alone; .* has devices of kind 'storage'"):
+    with pytest.raises(ValueError, match=r"data centres and inverters alone; .* has devices of kind 'battery'"):
         rollout(scenario(), make_controller(name), [0])
     base = make_scenario("toy6")
     with pytest.raises(ValueError, match=r"data centres first .* has the order inverter, datacenter"):
@@ -219,16 +220,16 @@ def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(n
 
 
 def test_hindsight_and_policies_refuse_devices_that_they_do_not_know():
-    with pytest.raises(ValueError, match="hindsight is made for data centres and inverters alone"):
+    with pytest.raises(ValueError, match="hindsight is made for data centres, inverters and storage alone"):
         hindsight(scenario(), 0)
-    with pytest.raises(ValueError, match="scenario 'with-storage' has devices of kind 'storage': use a controller"):
+    with pytest.raises(ValueError, match="scenario 'with-battery' has devices of kind 'battery': use a controller"):
         Policy.load("toy6-ppo").reset(scenario())
 
 
 def test_a_bus_is_taken_once_however_it_is_written():
     base = make_scenario("toy6")
     for buses in (("3",), (3,), (4,), ("2", 2)):
-        extra = STORAGES(buses=buses, p_rated_kw=1.0, energy_kwh=1.0)
+        extra = BATTERIES(buses=buses, p_rated_kw=1.0, energy_kwh=1.0)
         with pytest.raises(ScenarioError, match="more than one device at bus"):
             base.replace(devices=(*base.devices, extra))
 
@@ -243,7 +244,7 @@ def test_a_bus_is_taken_once_however_it_is_written():
 )
 def test_a_class_that_is_no_device_is_refused_by_name(changes, message):
     members = {
-        name: value for name, value in vars(STORAGES).items() if name not in ("__dict__", "__weakref__")
+        name: value for name, value in vars(BATTERIES).items() if name not in ("__dict__", "__weakref__")
     } | changes
     if members["step"] is None:
         del members["step"]
@@ -254,7 +255,7 @@ def test_a_class_that_is_no_device_is_refused_by_name(changes, message):
 
 @pytest.mark.parametrize("name", ["voltage", "loss"])
 def test_what_is_the_grids_no_device_may_call_its_own(name):
-    class Greedy(STORAGES):
+    class Greedy(BATTERIES):
         kind = "greedy"
 
         def cost_terms(self, horizon, dt_s):

@@ -16,7 +16,7 @@ from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_on
 from dcgrid_env.grid import buses_as_text
 
 
-class StorageParameters(NamedTuple):
+class BatteryParameters(NamedTuple):
     """Figures of the batteries, each (slot,)."""
 
     p_rated_kw: Array
@@ -25,7 +25,7 @@ class StorageParameters(NamedTuple):
     """Share of the energy that is left after one way, in or out."""
 
 
-class StorageState(NamedTuple):
+class BatteryState(NamedTuple):
     """State after a step, each (lane, slot)."""
 
     stored_kwh: Array
@@ -34,11 +34,11 @@ class StorageState(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Storages(PickledByFields):
+class Batteries(PickledByFields):
     """Batteries that are charged and discharged by a setpoint."""
 
-    kind: ClassVar[str] = "storage"
-    prefix: ClassVar[str] = "sto"
+    kind: ClassVar[str] = "battery"
+    prefix: ClassVar[str] = "bat"
     input: ClassVar[str | None] = None
     levels: ClassVar[tuple[str, ...]] = ("stored_kwh",)
     changes_grid: ClassVar[bool] = False
@@ -60,9 +60,9 @@ class Storages(PickledByFields):
         return len(self.buses)
 
     @cached_property
-    def parameters(self) -> StorageParameters:
+    def parameters(self) -> BatteryParameters:
         rated, energy = per_device(self.p_rated_kw, self.count), per_device(self.energy_kwh, self.count)
-        return StorageParameters(*map(read_only, (rated, energy, np.full(self.count, self.efficiency))))
+        return BatteryParameters(*map(read_only, (rated, energy, np.full(self.count, self.efficiency))))
 
     @property
     def p_scale_kw(self) -> np.ndarray:
@@ -95,31 +95,31 @@ class Storages(PickledByFields):
     def check_episode(self, horizon: int) -> None:
         pass
 
-    def initial(self, parameters: StorageParameters, zero: Array) -> StorageState:
-        return StorageState(zero + 0.5 * parameters.energy_kwh, zero)
+    def initial(self, parameters: BatteryParameters, zero: Array) -> BatteryState:
+        return BatteryState(zero + 0.5 * parameters.energy_kwh, zero)
 
     def step(
-        self, parameters: StorageParameters, state: StorageState, setpoints: tuple[Array, ...], given: Any, dt_s: float
-    ) -> tuple[StorageState, Array]:
+        self, parameters: BatteryParameters, state: BatteryState, setpoints: tuple[Array, ...], given: Any, dt_s: float
+    ) -> tuple[BatteryState, Array]:
         (asked_kw,) = setpoints
         xp, hours = namespace(asked_kw), dt_s / 3600.0
         room_kw = (parameters.energy_kwh - state.stored_kwh) / (parameters.efficiency * hours)
         left_kw = state.stored_kwh * parameters.efficiency / hours
         p_kw = xp.maximum(xp.minimum(asked_kw, room_kw), -left_kw)
         gained = xp.where(p_kw > 0, p_kw * parameters.efficiency, p_kw / parameters.efficiency)
-        return StorageState(state.stored_kwh + gained * hours, p_kw), p_kw
+        return BatteryState(state.stored_kwh + gained * hours, p_kw), p_kw
 
-    def grid_change(self, parameters: StorageParameters, state: StorageState) -> GridChange:
+    def grid_change(self, parameters: BatteryParameters, state: BatteryState) -> GridChange:
         return GridChange()
 
-    def observe(self, parameters: StorageParameters, state: StorageState, given_next: Any) -> tuple[Array, ...]:
+    def observe(self, parameters: BatteryParameters, state: BatteryState, given_next: Any) -> tuple[Array, ...]:
         return (state.stored_kwh,)
 
-    def amount(self, name: str, parameters: StorageParameters, state: StorageState) -> Array:
+    def amount(self, name: str, parameters: BatteryParameters, state: BatteryState) -> Array:
         return namespace(state.charged_kw).abs(state.charged_kw)
 
-    def totals(self, state: StorageState) -> dict[str, Array]:
+    def totals(self, state: BatteryState) -> dict[str, Array]:
         return {"stored_kwh": state.stored_kwh.sum(-1)}
 
-    def metrics(self, history: StorageState, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: BatteryState, dt_s: float, requests: Any) -> dict[str, float]:
         return {"stored_end_kwh": float(history.stored_kwh[-1].sum())}

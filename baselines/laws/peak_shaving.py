@@ -1,0 +1,63 @@
+"""Peak shaving: a storage holds the voltage of its own bus above a threshold and takes its energy back above it.
+
+    P_{t+1} = clip(P_t + g (V_t - V_hold) / R_ii, -p_rated, most)       P: draw of the storage, R_ii: p.u. for each MW
+    most    = min(p_rated, (E_0 - E_t) / (eta_c h))                     E_0: energy that is to be stored at the end
+
+At g = 1 the storage would by itself bring its voltage to the threshold in one step. The peak of the draws upstream is
+what pulls that voltage down, whether it is the site's own at the same bus or a neighbour's, so the rule needs no
+measurement but its own. It charges no further than to what it began with. Clocks and reactive power follow the paper's
+droop beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.controller import Local
+from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.parameter_checks import require_finite, require_non_negative
+
+
+@dataclass
+class PeakShaving(Droop):
+    """Storages that shave peaks, beside the droop.
+
+    Parameters
+    ----------
+    v_hold_pu
+        Voltage below which a storage discharges, and above which it charges, p.u.
+    gain
+        Share of the way to the threshold that a storage goes in a step (g above).
+    """
+
+    v_hold_pu: float = 0.95
+    gain: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_finite("peak-shaving", v_hold_pu=self.v_hold_pu)
+        require_non_negative("peak-shaving", gain=self.gain)
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin new episodes; ValueError for a scenario without storages."""
+        super().reset(env_info)
+        group = next((device for device in env_info.devices if device.kind == "storage" and device.count), None)
+        if group is None:
+            raise ValueError(
+                f"peak-shaving: scenario {env_info.name!r} has no storage; give it devices=(.., Storages(..)), or use "
+                "the law 'droop'"
+            )
+        self._figures = group.parameters
+
+    def draw(self, local: Local) -> np.ndarray:
+        """See :class:`LocalController`."""
+        figures, at = self._figures, self._storages
+        apart = local.v_pu[..., at] - self.v_hold_pu
+        wanted = local.p_kw[..., at] + 1000.0 * self.gain * apart / np.maximum(local.r_pu_per_mw[..., at], 1e-6)
+        hours = self.scenario.dt_s / 3600.0
+        lacking = np.maximum(figures.returned_kwh - local.stored_kwh, 0.0)
+        most = np.minimum(figures.p_rated_kw, lacking / (figures.charge_efficiency * hours))
+        return np.clip(wanted, -figures.p_rated_kw, most)

@@ -1,0 +1,1 @@
+"""Storage of electric energy: batteries, UPS and capacitors, at a bus of their own or at a site's."""

@@ -1,0 +1,122 @@
+"""The energy of storages over one interval: what goes in, what comes out, and what is lost on the way.
+
+    kept   = E (1 - s)^h                                 h: the interval in hours, s: standby loss as a share an hour
+    c      = min(asked, p_rated, (E_max - kept) / (eta_c h))      charge, kW, where power is asked for
+    d      = min(-asked, p_rated, kept eta_d / h)                 discharge, kW, where it is to be given
+    E'     = kept + (eta_c c - d / eta_d) h
+
+Powers are those at the grid. A storage that is disconnected neither charges nor discharges, and stands by as before.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part
+
+
+class StorageParams(NamedTuple):
+    """Figures of the storages, (slot,) each."""
+
+    p_rated_kw: Array
+    """Largest charge and discharge, kW."""
+    energy_kwh: Array
+    """Energy that can be used, kWh."""
+    charge_efficiency: Array
+    discharge_efficiency: Array
+    standby_share_per_h: Array
+    """Share of the stored energy that is lost in an hour."""
+    initial_kwh: Array
+    """Stored energy before t = 0, kWh."""
+    returned_kwh: Array
+    """Stored energy at the end of an episode, below which it is missing, kWh."""
+    ageing_price: Array
+    missing_price: Array
+
+
+class StorageState(NamedTuple):
+    """State of the storages after a step, (lane, slot) each; what is lost and put through is counted from t = 0."""
+
+    stored_kwh: Array
+    storage_kw: Array
+    """Draw from the grid over the step, kW, negative where it discharges."""
+    charge_limit_kw: Array
+    """Largest charge over the coming interval, kW."""
+    discharge_limit_kw: Array
+    """Largest discharge over the coming interval, kW."""
+    throughput_kwh: Array
+    """Energy charged and energy discharged, at the grid, kWh."""
+    storage_loss_kwh: Array
+    """Energy drawn from the grid that was neither given back nor is stored, and what stand-by has cost, kWh."""
+    missing_kwh: Array
+    """What the stored energy is below that which is to be returned, kWh."""
+
+
+def initial(params: StorageParams, zero: Array) -> StorageState:
+    """State before t = 0; ``zero`` is 0, (lane, slot)."""
+    stored = zero + params.initial_kwh
+    missing = positive_part(params.returned_kwh - stored)
+    return StorageState(stored, zero, zero, zero, zero, zero, missing)
+
+
+def step(
+    params: StorageParams, state: StorageState, asked_kw: Array, connected: Array | None, dt_s: float
+) -> StorageState:
+    """Advance the storages by one interval.
+
+    Parameters
+    ----------
+    params, state
+        Figures, and the state at the beginning.
+    asked_kw
+        Setpoint of the draw, kW, negative to discharge, (lane, slot).
+    connected
+        1 for a storage that is connected to the grid and 0 for one that is not, (lane, slot); None where all are.
+    dt_s
+        Length of the interval, s.
+    """
+    xp, hours = namespace(asked_kw), dt_s / 3600.0
+    if is_rows(state.stored_kwh):
+        return _step_lanes(params, state, asked_kw, connected, hours)
+    p_kw = xp.maximum(xp.minimum(asked_kw, state.charge_limit_kw), -state.discharge_limit_kw)
+    if connected is not None:
+        p_kw = p_kw * connected
+    share = (1.0 - params.standby_share_per_h) ** hours
+    charged, discharged = positive_part(p_kw), positive_part(-p_kw)
+    gained = charged * params.charge_efficiency - discharged / params.discharge_efficiency
+    # The bounds take off no more than the rounding of a storage that has just run full or empty.
+    stored = xp.minimum(positive_part(state.stored_kwh * share + gained * hours), params.energy_kwh)
+    kept = stored * share
+    room_kw = (params.energy_kwh - kept) / (params.charge_efficiency * hours)
+    return StorageState(
+        stored_kwh=stored,
+        storage_kw=p_kw,
+        charge_limit_kw=xp.minimum(params.p_rated_kw, room_kw),
+        discharge_limit_kw=xp.minimum(params.p_rated_kw, kept * params.discharge_efficiency / hours),
+        throughput_kwh=state.throughput_kwh + (charged + discharged) * hours,
+        storage_loss_kwh=state.storage_loss_kwh + p_kw * hours - (stored - state.stored_kwh),
+        missing_kwh=positive_part(params.returned_kwh - stored),
+    )
+
+
+def _step_lanes(
+    params: StorageParams, state: StorageState, asked_kw: np.ndarray, connected: np.ndarray | None, hours: float
+) -> StorageState:
+    p, s = params, state
+    figures = (p.p_rated_kw, p.energy_kwh, p.charge_efficiency, p.discharge_efficiency, p.returned_kwh)
+    before = (s.stored_kwh, s.charge_limit_kw, s.discharge_limit_kw, s.throughput_kwh, s.storage_loss_kwh)
+    share = (1.0 - params.standby_share_per_h) ** hours
+    there = np.empty((0, 0)) if connected is None else connected
+    asked, there = np.ascontiguousarray(asked_kw, np.float64), np.ascontiguousarray(there, np.float64)
+    return StorageState(*_kernel().step_lanes(figures, share, before, asked, there, hours))
+
+
+@cache
+def _kernel() -> Any:
+    """The compiled form, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.devices.storage import energy_kernel
+
+    return energy_kernel

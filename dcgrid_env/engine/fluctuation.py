@@ -1,0 +1,127 @@
+"""How unsteady an episode was: flicker at the buses, swings and ramps of the sites, changes of the voltage.
+
+| metric | meaning |
+|---|---|
+| pst_max | largest short-term flicker Pst of any node but the substation's in 600 s, lamp of 120 V and 60 Hz (a) |
+| swing_share_max_pct | largest share of a site's swing that lies between 0.1 and 20 Hz (a, b) |
+| swing_rms_max_pct | largest root mean square of that part of a site's draw, in % of its rating (a, b) |
+| ramp_max_kw_per_s | steepest ramp of a site over the limit's window (c) |
+| ramp_excess_pct | mean over sites and steps of what ramps exceed the limit by, in % of it (c) |
+| voltage_step_max_pu | largest change of a node's voltage in a step (d) |
+| voltage_step_excess_pct | mean over nodes and steps of what those changes exceed the limit by, in % of it (d) |
+
+(a) Where steps are of at most 0.1 s and an episode lasts at least 600 s. What is left after the last full 600 s counts
+nowhere; an episode that ended before the first is taken as far as it went.
+(b) The swing is the square of the draw's difference from its mean, over frequency. A step of dt shows frequencies up to
+1 / (2 dt), so that with 0.1 s the band ends at 5 Hz.
+(c) Where the scenario has ``ramp_limit_kw_per_s``, (d) where it has ``voltage_step_limit_pu``; see ``utility_limits``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.checked import FieldError
+from dcgrid_env.engine.flicker import INTERVAL_S, LARGEST_DT_S, check_sampling, severity
+from dcgrid_env.engine.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
+from dcgrid_env.scenario.scenario import Scenario
+
+SWING_BAND_HZ = (0.1, 20.0)
+"""Frequencies at which utilities fear swings of a load (arXiv 2508.14318)."""
+
+
+class WorstFlicker(NamedTuple):
+    """Where an episode flickers most."""
+
+    pst: float
+    node: str
+    """Bus, or bus and phase on a three-phase feeder, such as "671.b"."""
+    begin_s: float
+    """When its 600 s begin, s after the reset."""
+
+
+class Swing(NamedTuple):
+    """What of a draw lies in a band of frequencies."""
+
+    share: np.ndarray
+    """Part of the energy of the draw's difference from its mean, (n_site,); 0 of a constant draw."""
+    rms_kw: np.ndarray
+    """Root mean square of that part, kW, (n_site,)."""
+
+
+def shows_flicker(scenario: Scenario) -> bool:
+    """Whether an episode of the scenario is fine and long enough for flicker and for swings of a load."""
+    return scenario.dt_s <= LARGEST_DT_S + 1e-9 and scenario.horizon * scenario.dt_s >= INTERVAL_S - 1e-6
+
+
+def worst_flicker(scenario: Scenario, v_pu: np.ndarray, lamp: str = "120V-60Hz") -> WorstFlicker:
+    """Largest Pst of a node but the substation's, of voltages over the steps of an episode, p.u., (step, n_node).
+
+    ValueError where steps are too coarse or an episode is too short for flicker, see :func:`shows_flicker`.
+    """
+    check_sampling(scenario.dt_s)
+    if not shows_flicker(scenario):
+        least = int(np.ceil(INTERVAL_S / scenario.dt_s - 1e-6))
+        raise FieldError("flicker", "horizon", scenario.horizon, f"give an episode of at least {least} steps, 600 s")
+    feeder = scenario.feeder
+    pst = severity(v_pu[:, feeder.load_slice], scenario.dt_s, lamp)
+    interval, column = np.unravel_index(pst.argmax(), pst.shape)
+    node = feeder.node_ids[feeder.load_nodes[column]]
+    return WorstFlicker(float(pst[interval, column]), node, float(interval) * INTERVAL_S)
+
+
+def swing(p_kw: np.ndarray, dt_s: float, band_hz: tuple[float, float] = SWING_BAND_HZ) -> Swing:
+    """What of draws ``p_kw`` (step, n_site), steps of ``dt_s``, lies in a band of frequencies, both ends counted in.
+
+    ValueError for a band that steps of this length do not show any of, or that is none.
+    """
+    low_hz, high_hz = band_hz
+    if not 0.0 < low_hz < high_hz or low_hz > 0.5 / dt_s:
+        raise FieldError(
+            "swing", "band_hz", band_hz, f"give two rising frequencies above 0 Hz, one below {0.5 / dt_s:g}"
+        )
+    n = len(p_kw)
+    spectrum = np.abs(np.fft.rfft(p_kw - p_kw.mean(axis=0), axis=0)) ** 2
+    twice = np.full(len(spectrum), 2.0)  # each frequency stands for its negative too, but for 0 and the highest
+    twice[0] = 1.0
+    if n % 2 == 0:
+        twice[-1] = 1.0
+    mean_square = spectrum * (twice / n**2)[:, None]  # which sums to that of the difference (Parseval)
+    frequency_hz = np.fft.rfftfreq(n, dt_s)
+    inside = (frequency_hz >= low_hz - 1e-9) & (frequency_hz <= high_hz + 1e-9)
+    within, whole = mean_square[inside].sum(axis=0), mean_square.sum(axis=0)
+    moves = whole > (1e-9 * np.abs(p_kw).max(axis=0)) ** 2  # less is rounding
+    return Swing(np.divide(within, whole, out=np.zeros_like(whole), where=moves), np.sqrt(np.where(moves, within, 0.0)))
+
+
+def fluctuation(scenario: Scenario, v_pu: np.ndarray, p_kw: np.ndarray) -> dict[str, float]:
+    """The figures of the module's table that the scenario has.
+
+    Parameters
+    ----------
+    scenario
+        The scenario.
+    v_pu
+        Voltages from the reset on, p.u., (step + 1, n_node).
+    p_kw
+        Draws of the agents from the reset on, kW, (step + 1, n_agent).
+    """
+    figures: dict[str, float] = {}
+    own_kw = p_kw[:, sites(scenario)]
+    if shows_flicker(scenario):
+        figures["pst_max"] = worst_flicker(scenario, v_pu[1:]).pst
+        band = swing(own_kw[1:], scenario.dt_s)
+        figures["swing_share_max_pct"] = 100.0 * float(band.share.max(initial=0.0))
+        figures["swing_rms_max_pct"] = 100.0 * float((band.rms_kw / scenario.site_rated_kw).max(initial=0.0))
+    if scenario.ramp_limit_kw_per_s is not None:
+        before = np.concatenate((np.repeat(own_kw[:1], ramp_steps(scenario) - 1, axis=0), own_kw))
+        ramps = ramps_kw_per_s(scenario, own_kw[1:], before[: len(own_kw) - 1])
+        figures["ramp_max_kw_per_s"] = float(ramps.max())
+        figures["ramp_excess_pct"] = 100.0 * float(excess(ramps, scenario.ramp_limit_kw_per_s).mean())
+    if scenario.voltage_step_limit_pu is not None:
+        v = v_pu[:, scenario.feeder.load_slice]
+        figures["voltage_step_max_pu"] = float(np.abs(np.diff(v, axis=0)).max())
+        figures["voltage_step_excess_pct"] = 100.0 * float(voltage_step_excess(scenario, v[1:], v[:-1]).mean())
+    return figures

@@ -1,0 +1,27 @@
+"""Scenarios with storages."""
+
+from typing import Any
+
+from dcgrid_env import Scenario, Storages, make_scenario
+
+NEEDING_STORAGE = ("peak-shaving",)
+"""Controllers that refuse a scenario without storages."""
+FIGURES: dict[str, Any] = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
+
+
+def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
+    """The proposal of a preset: ieee33-weak under bursts of requests, at each data centre what a UPS lends to the grid.
+
+    Of a UPS of 1 MW and 5 min, 83 kWh, it is 300 kW and 5 kWh, a minute, half full; docs/storage.md says what
+    controllers reach on it.
+    """
+    base: Any = make_scenario("ieee33-weak", trace=trace)
+    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
+    return base.replace(**({"name": "ieee33-weak-ups", "devices": (*base.devices, ups)} | overrides))
+
+
+def toy6_storage(horizon: int = 20, figures: dict | None = None, **overrides) -> Scenario:
+    """toy6 with a storage of 300 kW and 5 kWh at the data centre's bus and one at a bus of its own."""
+    base = make_scenario("toy6", horizon=horizon)
+    storages = Storages(buses=(4, 2), **(FIGURES | (figures or {})))
+    return base.replace(name="toy6-storage", devices=(*base.devices, storages), **overrides)
