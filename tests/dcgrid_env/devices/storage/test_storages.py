@@ -220,6 +220,7 @@ def test_a_collapse_is_charged_at_the_largest_cost():
     env.step(np.ones((1, 6), np.float32))
     transition = env.transition
     assert transition.terminated[0]
-    assert transition.costs.ageing[0] == pytest.approx(0.05 * s.horizon)
-    assert transition.costs.missing[0] == pytest.approx(9.0 * 1e3 * 3600.0 / 1e6)
+    costs: Any = transition.costs
+    assert costs.ageing[0] == pytest.approx(0.05 * s.horizon)
+    assert costs.missing[0] == pytest.approx(9.0 * 1e3 * 3600.0 / 1e6)
     assert np.isfinite(transition.state.v_pu).all()
