@@ -92,7 +92,10 @@ def short_term_flicker(
     ValueError
         For samples too far apart, a series too short, a voltage that is not finite, or a lamp that there is not.
     """
-    v_pu = np.asarray(v_pu, dtype=np.float64)
+    try:
+        v_pu = np.asarray(v_pu, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refused("v_pu", "is no array of numbers; give RMS voltages as shares of the nominal voltage") from None
     check_sampling(dt_s)
     n = len(v_pu) if v_pu.ndim else 0
     if n * dt_s < INTERVAL_S - 1e-6:
@@ -110,7 +113,7 @@ def check_sampling(dt_s: float) -> None:
 
 def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_sample: int | None = None) -> np.ndarray:
     """Pst of each interval, see :func:`short_term_flicker`, of voltages unchecked; a shorter series is one interval."""
-    if lamp not in LAMPS:
+    if not isinstance(lamp, str) or lamp not in LAMPS:
         raise FieldError("flicker", "lamp", lamp, f"choose one of {', '.join(LAMPS)}")
     steps = math.ceil(dt_s / _LARGEST_STEP_S - 1e-6) if steps_per_sample is None else steps_per_sample
     if not is_number(steps) or steps != int(steps) or steps < 1:

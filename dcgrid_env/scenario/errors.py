@@ -29,6 +29,6 @@ def located(scenario: Any, part: str, flat: Mapping[str, str]) -> Iterator[None]
     try:
         yield
     except FieldError as error:
-        field, dot, rest = error.name.partition(".")
+        field, dot, rest = str(error.name).partition(".")
         path = flat.get(field) or (f"{part}.{field}" if part else field)
         raise ScenarioError(f"scenario {scenario!r}: {error.said(f'{path}{dot}{rest}')}") from None

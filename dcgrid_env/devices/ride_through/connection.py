@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace
-from dcgrid_env.devices.ride_through.rules import RideThrough
+from dcgrid_env.devices.ride_through.rules import ALL_BACK, RideThrough
 
 _MINUTE_S = 60.0
 
@@ -142,7 +142,7 @@ def advance_arrays(
         ready = ready & (return_s[..., -1] >= _MINUTE_S)
     start = ready & ~connected
     grown = before.share + pace
-    full = xp.where(grown > 1.0, 0.0 * grown + 1.0, grown)
+    full = xp.where(grown > ALL_BACK, 0.0 * grown + 1.0, grown)
     share = xp.where((connected | start) & ~event, full, 0.0 * full)
     longest_s = rule.longest_wait_s(slots)
     return ConnectionState(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from dcgrid_env.devices.ride_through.rules import ALL_BACK
+
 
 @numba.njit(cache=True)
 def _note(ages_s, age_s, window_s):
@@ -70,7 +72,8 @@ def advance_lanes(
             if start:
                 _note(returns[i, j], 0.0, 0.0)
             here = (connected or start) and not event
-            share[i, j] = min(share_in[i, j] + pace[i, j], 1.0) if here else 0.0
+            grown = share_in[i, j] + pace[i, j]
+            share[i, j] = 0.0 if not here else 1.0 if grown > ALL_BACK else grown
             wait[i, j] = min(since, longest_s)
             locked[i, j] = 1.0 if is_locked else 0.0
             tripped[i, j] = 1.0 if event and connected else 0.0

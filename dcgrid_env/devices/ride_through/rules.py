@@ -14,6 +14,8 @@ from dcgrid_env.core.cache import PickledByFields, cached_on_owner
 from dcgrid_env.core.checked import FieldError, check_fields, choice, count, number, refuse, settle
 from dcgrid_env.devices.ride_through.voltage_curve import Elements, RideThroughCurve, curves_of, plain_curve
 
+ALL_BACK = 1.0 - 1e-6
+"""A share beyond which a device is back as a whole: ten steps of a tenth add up to a little less than 1."""
 LONGEST_S = 1e6
 """Longest time of a rule, s: eleven days."""
 Release = Literal["by hand", "staggered", "agent"]
@@ -81,9 +83,9 @@ class RideThrough(PickledByFields):
 class UpsRideThrough(RideThrough):
     """A site behind a UPS: it goes over to its battery, and may be locked out there.
 
-    Events are voltages that the curve does not ride through, whether the site is connected or away; those that are
-    ridden through are never counted. An event transfers a connected site to its battery. So many within the window lock
-    the UPS out: it stays on battery until it is released.
+    Events are voltages that the curve does not ride through: sags whether the site is connected or away, slow ones
+    while it is connected alone. Those that are ridden through are never counted. An event transfers a connected site to
+    its battery. So many within the window lock the UPS out: it stays on battery until it is released.
     """
 
     return_delay_s: float = number(0.0, LONGEST_S, default=3.0)

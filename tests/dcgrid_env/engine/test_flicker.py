@@ -113,6 +113,8 @@ def test_the_lamp_of_230_v_shows_more():
         ({"v_pu": 1.0}, "v_pu has 0 samples"),
         ({"v_pu": np.append(np.ones(5999), np.nan)}, "v_pu has values that are not finite; give RMS voltages"),
         ({"lamp": "LED"}, "lamp is 'LED'; choose one of 120V-60Hz, 230V-50Hz"),
+        ({"lamp": ["LED"]}, r"lamp is \['LED'\]; choose one of"),
+        ({"v_pu": "low"}, "v_pu is no array of numbers"),
         ({"steps_per_sample": 0}, "steps_per_sample is 0; give a whole number of at least 1"),
         ({"steps_per_sample": 2.5}, "steps_per_sample is 2.5; give a whole number"),
     ],

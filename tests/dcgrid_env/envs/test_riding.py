@@ -17,6 +17,7 @@ from dcgrid_env import (
     parallel_env,
     scenario_hash,
 )
+from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.engine.drawn_events import drawn_sags
 from dcgrid_env.engine.simulation import Simulation
@@ -197,3 +198,18 @@ def test_what_cannot_be_is_refused_by_field_value_and_remedy(changes, said):
 def test_a_sag_of_single_numbers_is_a_range_without_width():
     figures: Any = {"begin_s": 1.0, "duration_s": 0.1, "retained_pu": 0.5}
     assert Sag(**figures).begin_s == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("walk_in_s", [9.0, 10.0, 20.0])
+def test_a_ramp_of_whole_steps_takes_no_step_more(walk_in_s):
+    """The sag takes the site off in one step; it waits for three and is back with the last step of its ramp."""
+    scenario = make_scenario(
+        "ieee33-weak", horizon=40, datacenter_ride_through={"curve": "itic", "walk_in_s": walk_in_s},
+        sags=[{"begin_s": 10.5, "duration_s": 0.05, "retained_pu": 0.3}],
+    )  # fmt: skip
+    assert rollout(scenario, NoControl(), [0]).metrics()[0]["ups_all_back_s"] == walk_in_s + 3.0
+
+
+def test_a_rule_with_a_key_that_is_no_text_is_refused():
+    with pytest.raises(ScenarioError, match=r"inverter\.1 is 2; is no field; there are curve"):
+        make_scenario("ieee33", inverter_ride_through={1: 2})
