@@ -98,9 +98,9 @@ class LocalController:
 
     It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device, and
     the draws of storages where a subclass writes ``draw``. Other channels, of devices that it does not know, stay at
-    rest. Regulators and capacitor banks that are agents are
-    driven beside it, see ``equipment_agents``. In :class:`Local` and in what ``control`` returns, data centres stand
-    before all others, which follow in the scenario's order, without regulators and capacitor banks.
+    rest. Regulators and capacitor banks that are agents are driven beside it, see ``equipment_agents``. In
+    :class:`Local` and in what ``control`` returns, data centres stand before all others, which follow in the scenario's
+    order, without regulators and capacitor banks.
     """
 
     moves_taps: ClassVar[bool] = True
@@ -158,6 +158,7 @@ class LocalController:
         return self._equipment.act(observations, self._act)
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
+        """The joint action for a joint observation, both without regulators and capacitor banks."""
         local = self._local(joint)
         return self._joint(*self.control(local), self.draw(local))
 

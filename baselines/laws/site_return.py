@@ -8,9 +8,8 @@ together. All times are those of the scenario's rule (``UpsRideThrough``), and b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,21 +37,13 @@ class ReturnByHand(Droop):
         self._delay_s = rule.return_delay_s + later
         self._release_s = max(rule.by_hand_s, rule.return_delay_s) + later
         self._longest_s = rule.longest_wait_s(slots)
-        self._agents, self._layout = env_info.agents, action_layout(env_info)
-        self._return_at = np.flatnonzero(self._layout.is_channel("return"))
-        names = [name for own in field_names(env_info).values() for name in own]
+        self._return_at = np.flatnonzero(action_layout(self.scenario).is_channel("return"))
+        names = [name for own in field_names(self.scenario).values() for name in own]
         of_sites = ("ups_share", "ups_locked", "ups_wait")
         self._seen_at = [[i for i, name in enumerate(names) if name == field] for field in of_sites]
 
-    def act(self, observations: Any) -> Any:
-        """See :class:`Controller`."""
-        actions = super().act(observations)
-        if not isinstance(observations, Mapping):
-            return self._with_return(np.asarray(observations), np.array(actions))
-        joint = np.concatenate([observations[agent] for agent in self._agents], axis=-1)
-        return self._layout.split(self._with_return(joint, self._layout.join(actions)))
-
-    def _with_return(self, joint: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    def _act(self, joint: np.ndarray) -> np.ndarray:
+        actions = super()._act(joint)
         share, locked, wait = (joint[..., at] for at in self._seen_at)
         due_s = np.where(locked > 0.5, self._release_s, self._delay_s)
         goes = (share > 0.0) | (wait * self._longest_s >= due_s - 1e-3)
