@@ -1,0 +1,149 @@
+"""The presets on balanced feeders, a function each; docs/scenarios.md says what they are for."""
+
+from __future__ import annotations
+
+from dcgrid_env.devices.faults import Fault
+from dcgrid_env.grid import load_feeder
+from dcgrid_env.scenario.cost import CostWeights
+from dcgrid_env.scenario.scenario import Scenario
+
+
+def toy6() -> Scenario:
+    """Make the preset ``toy6``."""
+    return Scenario(
+        name="toy6",
+        feeder=load_feeder("toy6"),
+        v0_pu=1.0,
+        n_datacenters=1,
+        datacenter_buses=(4,),
+        p_rated_kw=2500.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=(3, 5),
+        inverter_s_kva=1000.0,
+        trace="step",
+        trace_window="start",
+        load_sigma=0.02,
+        horizon=100,
+    )
+
+
+def ieee123() -> Scenario:
+    """Make the preset ``ieee123``."""
+    return Scenario(
+        name="ieee123",
+        feeder=load_feeder("ieee123"),
+        v0_pu=1.04375,
+        n_datacenters=5,
+        p_rated_kw=280.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=(2, 11, 40, 54, 87, 92, 103),
+        inverter_s_kva=50.0,
+    )
+
+
+def ieee33_weak() -> Scenario:
+    """Make the preset ``ieee33-weak``."""
+    return Scenario(
+        name="ieee33-weak",
+        feeder=load_feeder("ieee33"),
+        v0_pu=1.05,
+        n_datacenters=3,
+        datacenter_buses=(18, 33, 25),
+        p_rated_kw=1000.0,
+        s_rated_share=1.02,
+        q_max_share=0.33,
+        inverter_buses=(7, 14, 20, 30),
+        inverter_s_kva=100.0,
+    )
+
+
+def ieee33() -> Scenario:
+    """Make the preset ``ieee33``."""
+    return ieee33_weak().replace(
+        name="ieee33",
+        n_datacenters=4,
+        datacenter_buses=(18, 33, 25, 22),
+        p_rated_kw=600.0,
+        inverter_buses=(3, 7, 14, 20, 24, 30),
+        inverter_s_kva=500.0,
+    )
+
+
+def das69() -> Scenario:
+    """Make the preset ``das69``."""
+    return ieee33().replace(
+        name="das69",
+        feeder=load_feeder("das69"),
+        datacenter_buses=(27, 65, 35, 69),
+        p_rated_kw=1000.0,
+        inverter_buses=(5, 12, 21, 40, 50, 61),
+    )
+
+
+def khodr141() -> Scenario:
+    """Make the preset ``khodr141``."""
+    return ieee33().replace(
+        name="khodr141",
+        feeder=load_feeder("khodr141"),
+        datacenter_buses=(141, 32, 52, 87),
+        p_rated_kw=2500.0,
+        inverter_buses=(10, 40, 60, 75, 100, 120),
+        inverter_s_kva=600.0,
+    )
+
+
+def bursty() -> Scenario:
+    """Make the preset ``bursty``."""
+    return ieee33_weak().replace(name="bursty", trace="code")
+
+
+def sync() -> Scenario:
+    """Make the preset ``sync``."""
+    return ieee33().replace(name="sync", p_rated_kw=1000.0, inverter_s_kva=300.0, site_correlation=1.0)
+
+
+def training() -> Scenario:
+    """Make the preset ``training``."""
+    # What is left costs as if it waited 30 s more, which is 300 steps here.
+    return ieee33_weak().replace(
+        name="training", p_rated_kw=600.0, trace="training", dt_s=0.1, horizon=200, weights=CostWeights(leftover=90.0)
+    )
+
+
+def mixed() -> Scenario:
+    """Make the preset ``mixed``."""
+    return ieee33().replace(name="mixed", inverter_s_kva=1500.0, inverter_trace="pv", trace="mixed")
+
+
+def fault() -> Scenario:
+    """Make the preset ``fault``."""
+    lost = Fault(("inverter", "capacitor"), begin_s=(10.0, 60.0))
+    tripped = Fault(("datacenter",), begin_s=(10.0, 60.0), duration_s=(20.0, 40.0))
+    return ieee123().replace(name="fault", inverter_s_kva=150.0, faults=(lost, tripped))
+
+
+def robust() -> Scenario:
+    """Make the preset ``robust``."""
+    return ieee33().replace(
+        name="robust",
+        voltage_noise_pu=0.005,
+        measurement_delay=2,
+        preview=False,
+        r_model_share=0.8,
+        x_model_share=1.2,
+    )
+
+
+def scale_32() -> Scenario:
+    """Make the preset ``scale-32``."""
+    # An hour of hindsight for a hundred episodes would be too long with twice the steps.
+    return khodr141().replace(
+        name="scale-32",
+        n_datacenters=32,
+        datacenter_buses=None,
+        p_rated_kw=500.0,
+        inverter_buses=(10, 32, 40, 52, 60, 75, 100, 120),
+        horizon=60,
+    )

@@ -1,0 +1,69 @@
+"""The presets on three-phase feeders, a function each; docs/scenarios.md says what they are for."""
+
+from __future__ import annotations
+
+from dcgrid_env.grid import load_feeder
+from dcgrid_env.scenario.cost import CostWeights
+from dcgrid_env.scenario.scenario import Scenario
+
+
+def ieee123_3ph() -> Scenario:
+    """Make the preset ``ieee123-3ph``."""
+    return Scenario(
+        name="ieee123-3ph",
+        feeder=load_feeder("ieee123-3ph"),
+        source_voltage_pu=1.0,
+        power_flow="sweep",
+        n_datacenters=5,
+        p_rated_kw=280.0,
+        s_rated_share=1.1,
+        q_max_share=0.33,
+        inverter_buses=("2", "11", "40", "54", "87", "92", "103"),
+        inverter_s_kva=50.0,
+    )
+
+
+def ieee13_3ph() -> Scenario:
+    """Make the preset ``ieee13-3ph``."""
+    return ieee123_3ph().replace(
+        name="ieee13-3ph",
+        feeder=load_feeder("ieee13-3ph"),
+        source_voltage_pu=1.0001,
+        n_datacenters=2,
+        datacenter_buses=("671", "680"),
+        p_rated_kw=500.0,
+        inverter_buses=("633", "675", "611", "652"),
+        inverter_s_kva=(300.0, 400.0, 120.0, 120.0),
+    )
+
+
+def ieee34_3ph() -> Scenario:
+    """Make the preset ``ieee34-3ph``."""
+    return ieee123_3ph().replace(
+        name="ieee34-3ph",
+        feeder=load_feeder("ieee34-3ph"),
+        source_voltage_pu=1.05,
+        n_datacenters=2,
+        datacenter_buses=("840", "860"),
+        p_rated_kw=250.0,
+        inverter_buses=("816", "834", "848", "822", "838"),
+        inverter_s_kva=(100.0, 100.0, 100.0, 30.0, 30.0),
+    )
+
+
+def ieee123_3ph_day() -> Scenario:
+    """Make the preset ``ieee123-3ph-day``.
+
+    Its constants were chosen on the validation split (docs/decisions/0010-three-phase.md).
+    """
+    return ieee123_3ph().replace(
+        name="ieee123-3ph-day",
+        inverter_s_kva=300.0,
+        inverter_trace="pv",
+        regulators="agent",
+        capacitor_banks="agent",
+        start_hour=0.0,
+        dt_s=60.0,
+        horizon=1440,
+        weights=CostWeights(leftover=0.15, switching=10.0),
+    )
