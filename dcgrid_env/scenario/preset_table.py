@@ -114,5 +114,11 @@ TABLE = (
         "ieee123-3ph over a day in steps of a minute, PV at the inverters, regulators and capacitors as agents",
         three_phase.ieee123_3ph_day,
     ),
+    Preset(
+        "ieee33-weak-ups",
+        "dcgrid/IEEE33WeakUPS-v0",
+        "bursty with 300 kW and 5 kWh of a UPS at each data centre: storage beside the clock",
+        balanced.ieee33_weak_ups,
+    ),
 )
 """All presets, in the order in which they are listed."""
