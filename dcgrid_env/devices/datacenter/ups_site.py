@@ -15,7 +15,7 @@ from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
-from dcgrid_env.devices.ride_through import connection, ups_battery
+from dcgrid_env.devices.ride_through import connection, connection_surrogate, ups_battery
 from dcgrid_env.devices.ride_through.connection import ConnectionState, Supply
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
@@ -96,7 +96,10 @@ def step(
     pace: Any = connection.by_rule(rule, dt_s)
     if rule.release == "agent":
         rate = setpoints[1]
-        pace = xp.where(rate >= HOLD_SHARE / rule.walk_in_s, rate * dt_s, 0.0 * rate)
+        hold, fastest = HOLD_SHARE / rule.walk_in_s, 1.0 / rule.walk_in_s
+        pace = xp.where(rate >= hold, rate * dt_s, 0.0 * rate)
+        if supply.widths is not None:
+            pace = connection_surrogate.smoothed_pace(pace, rate, hold, fastest, dt_s, supply.widths)
     ups = connection.advance(rule, state.ups, supply, pace, dt_s)
     idle_kw = xp.minimum(supply.given.p_ref_kw, params.p_idle_kw)
     battery, grid_kw, works = ups_battery.step(
