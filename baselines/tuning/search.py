@@ -3,8 +3,9 @@
 Minimised is the mean J over episodes, on several scenarios together the mean of J as a share of the J of no control.
 The search is COBYQA's (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without derivatives) from the
 middle of the bounds; laws of up to three parameters, and those whose cost has steps, are also searched by differential
-evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are scipy's. The same call finds the
-same parameters. On ieee33's ten constant shares COBYQA needed 93 trials to what took Powell's method 300.
+evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are
+scipy's. The same call finds the same parameters. On ieee33's ten constant shares COBYQA needed 93 trials to what took
+Powell's method 300.
 """
 
 from __future__ import annotations
