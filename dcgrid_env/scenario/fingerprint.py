@@ -69,6 +69,9 @@ SCHEMA_1: dict[type[Any], Kind] = {
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
+_LATER_OF_GROUPS = ("ride_through",)
+"""Fields of data centres and inverters that came after groups were hashed whole, and are left out where None."""
+
 
 def scenario_hash(scenario: Scenario) -> str:
     """SHA-256 of a scenario by schema 1, 16 hexadecimal digits.
@@ -80,8 +83,9 @@ def scenario_hash(scenario: Scenario) -> str:
 
 def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     """What schema 1 hashes of a value; None for a kind of which it says nothing."""
-    if isinstance(value, DataCenters | Inverters) and value.ride_through is None:  # came after groups were hashed whole
-        return type(value).__name__, ((n, getattr(value, n)) for n in _defaults(type(value)) if n != "ride_through")
+    if isinstance(value, DataCenters | Inverters):
+        names = (n for n in _defaults(type(value)) if n not in _LATER_OF_GROUPS or getattr(value, n) is not None)
+        return type(value).__name__, ((n, getattr(value, n)) for n in names)
     kind = SCHEMA_1.get(type(value))
     if kind is None:
         return None

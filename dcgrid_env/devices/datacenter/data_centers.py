@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,12 +12,12 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
-from dcgrid_env.devices.datacenter import ups_site
-from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
+from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
-from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
-from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
+from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
+from dcgrid_env.devices.datacenter.site_metrics import site_metrics
+from dcgrid_env.devices.datacenter.ups_site import UpsSite
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
@@ -86,6 +87,11 @@ class DataCenters(PickledByFields):
         return work_classes_of(self.clock_law)
 
     @cached_property
+    def features(self) -> tuple[SiteFeature, ...]:
+        """What the sites have beside clock, queue and converter, from the chips towards the grid."""
+        return (UpsSite(self.ride_through),) if self.ride_through else ()
+
+    @cached_property
     def parameters(self) -> DataCenterParams:
         """Ratings as arrays over the sites."""
         p = per_device(self.p_rated_kw, self.count)
@@ -123,35 +129,35 @@ class DataCenters(PickledByFields):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Clock, then reactive power, then the return where the agent decides over it."""
-        p, q, rule = self.parameters, self.q_limit_kvar, self.ride_through
+        """Clock, then reactive power, then those of the features."""
+        p, q = self.parameters, self.q_limit_kvar
         return (
             Channel("clock", "MHz", p.f_min_mhz, p.f_max_mhz, rest=p.f_max_mhz),
             Channel(Q, "kvar", -q, q, rest=0.0 * q),
-            *(ups_site.channels(rule, self.count) if rule else ()),
+            *(channel for feature in self.features for channel in feature.channels(p)),
         )
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and where
-        the UPS stands."""
+        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and what
+        there is of the features."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
         longest_s = horizon * dt_s * boost
-        of_ups = ups_site.fields(self.ride_through, self.count) if self.ride_through else ()
+        of_features = [field for own in self.features for field in own.fields(self.parameters, horizon, dt_s)]
         common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog", "s at the rating", 0.0, longest_s, rated),
         )
         if self.work_classes == 1:
-            return (*common, *of_ups)
+            return (*common, *of_features)
         return (
             *common,
             Field("p_ref_next_compute", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog_compute", "s at the rating", 0.0, longest_s, rated),
-            *of_ups,
+            *of_features,
         )
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Work that waits, work that is left over, and the movement of the clock."""
+        """Work that waits, work that is left over, the movement of the clock, and what the features are charged for."""
         rated = self.parameters.p_rated_kw
         of_all = float(rated.sum()) or 1.0
         queued = (self.boost_share - self.idle_share) * horizon * dt_s
@@ -160,19 +166,21 @@ class DataCenters(PickledByFields):
             CostTerm("backlog", "backlog_kws", rated, of_all, queued),
             CostTerm("clock", "clock_movement", one, float(max(self.count, 1)), 1.0),
             CostTerm("leftover", "backlog_kws", rated, of_all, queued, at_end=True),
-            *(ups_site.cost_terms(self.ride_through, rated) if self.ride_through else ()),
+            *(term for own in self.features for term in own.cost_terms(self.parameters, horizon, dt_s)),
         )
 
     def check_episode(self, horizon: int) -> None:
         """Nothing of a data centre depends on the length of an episode."""
 
     def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
-        """Empty queues, the clocks at their top, and where there is a UPS all on the grid."""
+        """Empty queues, the clocks at their top, and the features as they begin."""
         xp = namespace(zero)
         by_class = xp.stack((zero, zero), axis=-1) if self.work_classes == 2 else zero
         top = zero + parameters.f_max_mhz
         site = DataCenterState(zero, top, top, zero, zero, by_class, by_class, by_class)
-        return ups_site.initial(self.ride_through, parameters, site, zero) if self.ride_through else site
+        if not self.features:
+            return site
+        return SiteState(*site, tuple(feature.initial(parameters, zero) for feature in self.features))
 
     def step(
         self,
@@ -182,14 +190,22 @@ class DataCenters(PickledByFields):
         given: Any,
         dt_s: float,
     ) -> tuple[Any, Array]:
-        """Serve work as the clock allows, see ``datacenter.step``; and where there is a UPS, ``ups_site.step``."""
-        if self.ride_through is None:
+        """Serve work as the clock allows, see ``datacenter.step``; then the features act, see ``site_features``."""
+        if not self.features:
             return self._serve(parameters, state, setpoints[0], given, dt_s)
+        given = Given(given, None) if self.ride_through is None else Given(given.given, given)
+        site, p_kw = self._serve(parameters, state.site, setpoints[0], given.work, dt_s)
+        after = []
+        for feature, own, at in zip(self.features, state.features, self._channels_at, strict=True):
+            own, site, p_kw = feature.step(parameters, own, site, p_kw, setpoints[at], given, dt_s)
+            after.append(own)
+        return SiteState(*site, tuple(after)), p_kw
 
-        def serve(site: DataCenterState, f_mhz: Array, work: Work) -> tuple[DataCenterState, Array]:
-            return self._serve(parameters, site, f_mhz, work, dt_s)
-
-        return ups_site.step(self.ride_through, parameters, state, setpoints, given, dt_s, serve)
+    @cached_property
+    def _channels_at(self) -> tuple[slice, ...]:
+        """Where the setpoints of each feature stand, behind the clock's."""
+        ends = np.cumsum([1, *(len(feature.channels(self.parameters)) for feature in self.features)]).tolist()
+        return tuple(map(slice, ends[:-1], ends[1:]))
 
     def connected(self, state: Any) -> Array:
         """Share of each site's power that is on the grid, see ``device.may_leave``."""
@@ -216,58 +232,38 @@ class DataCenters(PickledByFields):
     def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
         """Raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
-        of_ups = ups_site.observe(self.ride_through, parameters, state) if self.ride_through else ()
+        of_features = [figure for own, at in self._with_states(state) for figure in own.observe(parameters, at)]
         if self.work_classes == 1:
-            return (coming, waiting, *of_ups)
+            return (coming, waiting, *of_features)
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
-        return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_ups
+        return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_features
 
     def amount(self, name: str, parameters: DataCenterParams, state: Any) -> Array:
-        """Queued work, kW s, or the clock's movement as a share of its range; or what the UPS is charged for."""
+        """Queued work, kW s, or the clock's movement as a share of its range; or what a feature is charged for."""
         if name == "backlog_kws":
             return state.backlog_kws
-        if self.ride_through:
-            of_ups = ups_site.amount(self.ride_through, name, parameters, state)
-            if of_ups is not None:
-                return of_ups
+        for feature, own in self._with_states(state):
+            if name in feature.amounts:
+                return feature.amount(name, parameters, own)
         span = self.f_max_mhz - self.f_min_mhz or 1.0
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Queued work of all sites, kW s, and where their UPS stand."""
-        own = {"backlog_kws": sum_last(state.backlog_kws)}
-        return own | ups_site.totals(state) if self.ride_through else own
+        """Queued work of all sites, kW s, and what there is of the features."""
+        figures = {"backlog_kws": sum_last(state.backlog_kws)}
+        for feature, own in self._with_states(state):
+            figures |= feature.totals(own)
+        return figures
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
-        """Waiting times, clocks, and times of requests where the load is made of them."""
-        arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
-        delays = fcfs_delays(arrived, served, dt_s)
-        clock = history.f_mhz[1:].mean() / self.f_max_mhz if self.count else 1.0
-        return {
-            "delay_mean_s": delays.mean_s,
-            "delay_p50_s": delays.p50_s,
-            "delay_p95_s": delays.p95_s,
-            "delay_p99_s": delays.p99_s,
-            "arrived_kws": delays.arrived_kws,
-            "unserved_kws": delays.unserved_kws,
-            "clock_mean_pct": 100.0 * clock,
-            **(self._request_delays(history, dt_s, requests)._asdict() if requests else {}),
-            **self._ups_metrics(history, dt_s),
-        }
+        """Waiting times, clocks, times of requests, and what there is of the features."""
+        figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests)
+        for feature, own in self._with_states(history):
+            figures |= feature.metrics(self.parameters, history, own, dt_s)
+        return figures
 
-    def _ups_metrics(self, history: Any, dt_s: float) -> dict[str, float]:
-        rule = self.ride_through
-        return ups_site.metrics(rule, self.parameters.p_rated_kw, history, dt_s) if rule else {}
-
-    def _request_delays(self, history: DataCenterState, dt_s: float, requests: Any) -> RequestDelays:
-        """Figures over the requests of all sites."""
-        parts = (history.class_arrived_kw[1:], history.class_served_kw[1:])
-        arrived, served = (w.reshape(*w.shape[:2], -1) for w in parts)
-        speed = speed_share(self.clock_law, self.parameters, history.f_mhz[1:])
-        return request_delays(
-            serve_requests(times, begin_s, arrived[:, i], served[:, i], speed[:, i], dt_s)
-            for i, (times, begin_s) in enumerate(requests)
-        )
+    def _with_states(self, state: Any) -> Iterable[tuple[SiteFeature, Any]]:
+        return zip(self.features, state.features, strict=True) if self.features else ()
 
 
 def _clock_law(value: Any) -> Any:

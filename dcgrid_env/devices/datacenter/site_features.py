@@ -1,0 +1,141 @@
+"""What data centres may have beside clock, queue and converter: a UPS, and whatever else stands between chips and grid.
+
+What a site serves and draws by its clock is settled first. Then its features act one after the other, from the chips
+towards the grid, each on the work served and the draw that those before it have left: one may delay work, which goes
+back into the queue, or draw more or less than the work takes. A feature is a field of ``DataCenters`` that is None for
+sites without it, and a class here or beside that has what ``SiteFeature`` lists.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+from dcgrid_env.core.arrays import Array, sum_last
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
+from dcgrid_env.devices.ratings import DataCenterParams
+from dcgrid_env.devices.ride_through.connection import Supply
+
+
+class SiteState(NamedTuple):
+    """State of data centres that have features: what ``DataCenterState`` has, and the state of each feature.
+
+    A field of a feature's state is read by its name too: ``state.battery``.
+    """
+
+    backlog_kws: Array
+    f_mhz: Array
+    f_last_mhz: Array
+    arrived_kw: Array
+    served_kw: Array
+    class_backlog_kws: Array
+    class_arrived_kw: Array
+    class_served_kw: Array
+    features: tuple[Any, ...]
+
+    def __getattr__(self, name: str) -> Any:
+        for own in self.features:
+            if name in own._fields:
+                return getattr(own, name)
+        raise AttributeError(f"neither the sites nor a feature of theirs have a field {name!r}")
+
+    @property
+    def site(self) -> DataCenterState:
+        """The state without features."""
+        return DataCenterState(*self[: len(DataCenterState._fields)])
+
+
+class Given(NamedTuple):
+    """What comes from outside for the features of a group of sites over an interval."""
+
+    work: Work
+    supply: Supply | None
+    """The voltage, and sags; None where no feature makes a site leave the grid."""
+
+
+class SiteFeature(Protocol):
+    """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (lane, slot, ..)."""
+
+    amounts: ClassVar[tuple[str, ...]]
+    """The amounts that its cost terms charge, see ``CostTerm.amount``."""
+
+    def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
+        """What controls it."""
+        ...
+
+    def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """What agents observe of it, in the order of ``observe``."""
+        ...
+
+    def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """What it is charged for."""
+        ...
+
+    def initial(self, params: DataCenterParams, zero: Array) -> Any:
+        """State before t = 0; ``zero`` is 0, (lane, slot)."""
+        ...
+
+    def step(
+        self,
+        params: DataCenterParams,
+        own: Any,
+        site: DataCenterState,
+        p_kw: Array,
+        setpoints: tuple[Array, ...],
+        given: Given,
+        dt_s: float,
+    ) -> tuple[Any, DataCenterState, Array]:
+        """Advance by one interval.
+
+        Parameters
+        ----------
+        params
+            Ratings of the sites.
+        own
+            Its state of before.
+        site, p_kw
+            State of the sites at the end, and their draw over the interval, kW, (lane, slot), as the features before it
+            have left them.
+        setpoints
+            What each of its channels is set to, (lane, slot) each.
+        given
+            What comes from outside.
+        dt_s
+            Length of the interval, s.
+
+        Returns
+        -------
+        own, site, p_kw
+            Its state at the end, and what it has made of the other two.
+        """
+        ...
+
+    def observe(self, params: DataCenterParams, own: Any) -> tuple[Array, ...]:
+        """Raw figures of the fields, (lane, slot) each."""
+        ...
+
+    def amount(self, name: str, params: DataCenterParams, own: Any) -> Array:
+        """What a cost term charges, one of ``amounts``, (lane, slot)."""
+        ...
+
+    def totals(self, own: Any) -> dict[str, Array]:
+        """Figures of all slots together that stand in ``info``, (lane,) each."""
+        ...
+
+    def metrics(self, params: DataCenterParams, history: SiteState, own: Any, dt_s: float) -> dict[str, float]:
+        """Figures of an episode from the sites' state over time and from its own, (T + 1, slot, ..) each."""
+        ...
+
+
+def with_share_served(site: DataCenterState, share: Array, dt_s: float) -> DataCenterState:
+    """The state with this share of the work served, (lane, slot); the rest is back in the queue."""
+    by_class = share if site.class_served_kw.ndim == share.ndim else share[..., None]
+    waiting = site.class_served_kw * (1.0 - by_class) * dt_s
+    served, backlog = site.class_served_kw * by_class, site.class_backlog_kws + waiting
+    one = by_class is share
+    return site._replace(
+        backlog_kws=backlog if one else sum_last(backlog),
+        served_kw=served if one else sum_last(served),
+        class_backlog_kws=backlog,
+        class_served_kw=served,
+    )
