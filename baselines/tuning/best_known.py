@@ -11,12 +11,12 @@ the best quarter so far, from the tuned rule on. All candidates of all episodes 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Local
 from dcgrid_env.baselines.laws.site_return import HOLD_SHARE, StaggeredReturn, return_rule
 from dcgrid_env.baselines.rollout import rollout
@@ -27,6 +27,8 @@ LANES = 800
 """Lanes of a batch."""
 SEARCH = "search"
 """What is named where nobody reached less than the search."""
+DIGITS = 6
+"""Digits of parameters, with which they are tried and kept."""
 _BEST = 8
 _KEPT = 0.3
 
@@ -37,6 +39,8 @@ class BestKnown(NamedTuple):
     J: float
     by: str
     """Who reached it: a controller's name, or ``SEARCH``."""
+    x: tuple[float, ...] = ()
+    """Parameters of :class:`LaneReturn` where it was the search."""
 
 
 class LaneReturn(StaggeredReturn):
@@ -89,7 +93,6 @@ def best_known(
     scenario: Scenario,
     seeds: Sequence[int],
     controllers: Mapping[str, Controller],
-    on_generation: Callable[[], None] | None = None,
 ) -> list[BestKnown]:
     """The least cost that is known of each episode.
 
@@ -101,8 +104,6 @@ def best_known(
         One episode each. What is found of an episode does not depend on the others.
     controllers
         Who else is asked, by name.
-    on_generation
-        Called after each generation of the search (for progress).
 
     Raises
     ------
@@ -110,28 +111,45 @@ def best_known(
         For a scenario without the channel, or without a tuned staggered return.
     """
     each = max(1, LANES // CANDIDATES)
-    found = [
-        _searched(scenario, seeds[i : i + each], on_generation or (lambda: None)) for i in range(0, len(seeds), each)
-    ]
-    least, by = np.concatenate(found), [SEARCH] * len(seeds)
+    found = [own for i in range(0, len(seeds), each) for own in _searched(scenario, seeds[i : i + each])]
     for name, controller in controllers.items():
-        j = rollout(scenario, controller, seeds, name=name).costs()
-        by = [name if own < known else who for own, known, who in zip(j, least, by, strict=True)]
-        least = np.minimum(least, j)
-    return [BestKnown(float(j), who) for j, who in zip(least, by, strict=True)]
+        j = rollout(scenario, controller, seeds, name=name).costs().tolist()
+        found = [BestKnown(own, name) if own < known.J else known for own, known in zip(j, found, strict=True)]
+    return found
 
 
-def _searched(scenario: Scenario, seeds: Sequence[int], on_generation: Callable[[], None]) -> np.ndarray:
-    """The least cost that the search reaches in each episode, (n_episode,)."""
+def replayed(
+    scenario: Scenario, records: Sequence[Mapping[str, Any]], find: Callable[[str, Scenario], Controller]
+) -> Iterator[tuple[list[int], Recorder]]:
+    """Drive episodes again as their records say; the seeds that one controller drove together, and their episodes.
+
+    Parameters
+    ----------
+    scenario
+        What the records are of.
+    records
+        Records of ``dcgrid dev best-known``.
+    find
+        Makes a controller from its name.
+    """
+    for who in dict.fromkeys(record["by"] for record in records):
+        own = [record for record in records if record["by"] == who]
+        controller = LaneReturn(np.array([record["x"] for record in own])) if who == SEARCH else find(who, scenario)
+        seeds = [record["seed"] for record in own]
+        yield seeds, rollout(scenario, controller, seeds, name=who)
+
+
+def _searched(scenario: Scenario, seeds: Sequence[int]) -> list[BestKnown]:
+    """The least cost that the search reaches in each episode."""
     low, high = bounds(scenario)
     draws = [np.random.default_rng([7, seed]) for seed in seeds]
     middle = np.repeat(np.clip(start(scenario), low, high)[None], len(seeds), axis=0)
     spread = np.repeat(0.25 * (high - low)[None], len(seeds), axis=0)
-    best_x, best_j = middle.copy(), np.full(len(seeds), np.inf)
+    best_x, best_j = np.round(middle, DIGITS), np.zeros(len(seeds))
     lanes = np.repeat(np.asarray(seeds), CANDIDATES).tolist()
     for _ in range(GENERATIONS):
         noise = np.stack([draw.standard_normal((CANDIDATES, len(low))) for draw in draws])
-        x = np.clip(middle[:, None] + spread[:, None] * noise, low, high)
+        x = np.round(np.clip(middle[:, None] + spread[:, None] * noise, low, high), DIGITS)
         x[:, 0] = best_x
         j = rollout(scenario, LaneReturn(x.reshape(-1, len(low))), lanes).costs().reshape(len(seeds), CANDIDATES)
         order = np.argsort(j, axis=1, kind="stable")[:, :_BEST]
@@ -139,5 +157,4 @@ def _searched(scenario: Scenario, seeds: Sequence[int], on_generation: Callable[
         best_x, best_j = elite[:, 0], np.take_along_axis(j, order[:, :1], axis=1)[:, 0]
         middle = _KEPT * middle + (1.0 - _KEPT) * elite.mean(axis=1)
         spread = _KEPT * spread + (1.0 - _KEPT) * elite.std(axis=1)
-        on_generation()
-    return best_j
+    return [BestKnown(float(j), SEARCH, tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]

@@ -114,5 +114,6 @@ def search(task: Task) -> dict[int, dict[str, Any]]:
     found = best_known(scenario, list(task.seeds), asked)
     return {
         seed: {"seed": seed, "hash": episode_hash(scenario, seed), "J": best.J, "by": best.by}
+        | ({"x": list(best.x)} if best.x else {})
         for seed, best in zip(task.seeds, found, strict=True)
     }
