@@ -22,6 +22,7 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
@@ -109,6 +110,7 @@ __all__ = [
     "action_layout",
     "believed_sensitivity",
     "distflow",
+    "end_costs",
     "env",
     "episode_hash",
     "field_names",
