@@ -92,18 +92,22 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     ValueError
         Where the scenario's file in the folder is damaged; one of another scenario of that name counts for nothing.
     """
-    shipped = _shipped(scenario.name)
-    about = scenario_hash(scenario)
+    episodes = records(scenario, folder)
+    if not episodes:
+        return None
+    seeds, j, bound = (np.array([e.get(key, -np.inf) for e in episodes]) for key in ("seed", "J", "bound"))
+    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+
+
+def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, Any]]:
+    """The records of the episodes of exactly this scenario by their seeds, of which ``published`` makes arrays."""
+    about, shipped = scenario_hash(scenario), _shipped(scenario.name)
     solved: dict[int, dict[str, Any]] = {}
     if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in content["episodes"]}
     if shipped is not None and shipped["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in shipped["episodes"]}
-    if not solved:
-        return None
-    episodes = [solved[seed] for seed in sorted(solved)]
-    seeds, j, bound = (np.array([e.get(key, -np.inf) for e in episodes]) for key in ("seed", "J", "bound"))
-    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+    return [solved[seed] for seed in sorted(solved)]
 
 
 def hindsight_file(folder: Path, name: str) -> Path:
