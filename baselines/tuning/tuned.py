@@ -84,13 +84,9 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
 
 
 def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
-    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`; ValueError also where the scenario
-    has nothing that the law drives."""
-    if not TUNABLE[law].applies(scenario):
-        raise ValueError(
-            f"{law} drives devices of kind {TUNABLE[law].needs!r}, of which scenario {scenario.name!r} has none; give "
-            "it some, or use 'droop-tuned'"
-        )
+    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`; untuned where it refuses it."""
+    if not TUNABLE[law].fits(scenario):
+        return TUNABLE[law].law()  # which says why when it is given the scenario
     return TUNABLE[law].law(**tuned_parameters(law, scenario, path).parameters)
 
 

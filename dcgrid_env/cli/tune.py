@@ -37,8 +37,8 @@ class Tune(Command):
     """
 
     laws: str = "all"
-    """Laws separated by commas: droop, droop-q, deadband, peak-shaving, constant-q, placement; or all, without those
-    that have nothing to drive in a scenario."""
+    """Laws separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return,
+    constant-q, placement; or all, of which those that a scenario has nothing for are left out."""
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""
@@ -65,8 +65,7 @@ class Tune(Command):
         from dcgrid_env.baselines.tuning.search import TUNABLE
 
         specs = scenario_specs(self.scenarios, self.set, SPLIT)
-        everything = self.laws.strip() == "all"
-        laws = list(TUNABLE) if everything else split_names(self.laws)
+        laws = list(TUNABLE) if self.laws.strip() == "all" else split_names(self.laws)
         unknown = [law for law in laws if law not in TUNABLE]
         if unknown or not laws:
             raise ValueError(f"laws is {self.laws!r}; choose among {', '.join(TUNABLE)}, or all")
@@ -74,8 +73,9 @@ class Tune(Command):
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         jobs = processes(self.jobs)
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
-        searches = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
-        asked = [search for search in searches if search.applies] if everything else searches
+        asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+        if self.laws.strip() == "all":  # those that fit; a law that is named and does not is refused by itself
+            asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
         _kept(self.out)  # ValueError for another kind of file, before a folder is made
         with alone_in(self.out.parent, "dcgrid dev tune"):
             _search(self, asked, jobs)
@@ -92,13 +92,6 @@ class Search(NamedTuple):
     def key(self) -> str:
         """Where it stands among the law's entries."""
         return ",".join(self.names)
-
-    @property
-    def applies(self) -> bool:
-        """Whether every scenario has what the law needs."""
-        from dcgrid_env.baselines.tuning.search import TUNABLE
-
-        return all(TUNABLE[self.law].applies(spec.make(SPLIT)) for spec in self.specs)
 
 
 def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:

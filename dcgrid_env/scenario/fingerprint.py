@@ -20,6 +20,9 @@ from typing import Any, NamedTuple
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs, Storages
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
+from dcgrid_env.devices.ride_through.sags import Sag
+from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.grid import Feeder, bus_numbers
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.cost import CostWeights
@@ -55,6 +58,11 @@ _STORAGES = """
     returned_share ageing_price missing_price phases
 """
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
+_RULE = "curve return_delay_s walk_in_s trip_weight"
+_UPS_RULE = f"""
+    {_RULE} lockout_events lockout_window_s returns_per_minute release by_hand_s stagger_s on_battery battery_s
+    recharge_share charge_efficiency away_weight missing_weight
+"""
 
 SCHEMA_1: dict[type[Any], Kind] = {
     Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
@@ -64,6 +72,10 @@ SCHEMA_1: dict[type[Any], Kind] = {
     DataCenters: Kind("DataCenters", tuple(_DATA_CENTERS.split())),
     Inverters: Kind("Inverters", ("buses", "s_rated_kva", "injection", "phases")),
     Storages: Kind("Storages", tuple(_STORAGES.split())),
+    RideThroughCurve: Kind("RideThroughCurve", ("under", "over")),
+    RideThrough: Kind("RideThrough", tuple(_RULE.split())),
+    UpsRideThrough: Kind("UpsRideThrough", tuple(_UPS_RULE.split())),
+    Sag: Kind("Sag", ("begin_s", "duration_s", "retained_pu", "since")),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
