@@ -11,18 +11,19 @@ def has_storage(scenario: Scenario) -> bool:
     return any(device.kind == "storage" and device.count for device in scenario.devices)
 
 
-def stays_connected(scenario: Scenario) -> bool:
-    """Whether no device may leave the grid, which no linear model has."""
-    return all(getattr(device, "ride_through", None) is None for device in scenario.devices)
+def is_known_to_models(scenario: Scenario) -> bool:
+    """Whether controllers with a model know all of its devices: no storages, and none that may leave the grid."""
+    stays = all(getattr(device, "ride_through", None) is None for device in scenario.devices)
+    return stays and not has_storage(scenario)
 
 
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "peak-shaving": has_storage,
     "return-by-hand": has_return_channel,
     "staggered-return": has_return_channel,
-    "mpc": stays_connected,
-    "mpc-one-step": stays_connected,
-    "feedback": stays_connected,
+    "mpc": is_known_to_models,
+    "mpc-one-step": is_known_to_models,
+    "feedback": is_known_to_models,
 }
 NEEDING_A_DEVICE = ("peak-shaving", "return-by-hand", "staggered-return")
 """Controllers that refuse a scenario of data centres and inverters alone."""
