@@ -10,6 +10,7 @@ from dcgrid_env.devices import (
     register_device,
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
@@ -98,6 +99,7 @@ __all__ = [
     "Sensing",
     "Sensitivity",
     "Series",
+    "SiteStorage",
     "Solution",
     "Storages",
     "TensorEnv",

@@ -14,14 +14,15 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
+from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
-from dcgrid_env.devices.datacenter.ups_site import UpsSite
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
-from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from dcgrid_env.grid import buses_as_text
 
 
@@ -61,9 +62,11 @@ class DataCenters(PickledByFields):
     its bus has, which are all three where the bus is drawn."""
     ride_through: UpsRideThrough | None = None
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    storage: SiteStorage | None = None
+    """A storage behind the site's converter, which the site's agent drives; None for sites without one."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, clock_law=_clock_law, ride_through=lambda v: rule_of(UpsRideThrough, v))
+        settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(
@@ -76,10 +79,7 @@ class DataCenters(PickledByFields):
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
         check_phases(self, self.count)
-        if self.ride_through is not None:
-            if not isinstance(self.ride_through, UpsRideThrough):
-                raise refuse(self, "ride_through", "give UpsRideThrough(curve=..), a mapping of its fields, or None")
-            self.ride_through.check_slots(self.count)
+        check_settings(self)
 
     @cached_property
     def work_classes(self) -> int:
@@ -89,7 +89,7 @@ class DataCenters(PickledByFields):
     @cached_property
     def features(self) -> tuple[SiteFeature, ...]:
         """What the sites have beside clock, queue and converter, from the chips towards the grid."""
-        return (UpsSite(self.ride_through),) if self.ride_through else ()
+        return features_of(self)
 
     @cached_property
     def parameters(self) -> DataCenterParams:
