@@ -54,6 +54,20 @@ be some hundredth of that."""
 _ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, around positions at rest
 
 
+class Effort(NamedTuple):
+    """How far the episodes of a scenario are solved."""
+
+    rounds: int
+    """Linear programs for an episode at most."""
+    gap: float
+    """Gap between replay and program at which it has settled, as a share of J."""
+
+
+def effort_of(scenario: Scenario) -> Effort:
+    """How far episodes of this scenario are solved unless something else is asked for."""
+    return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
+
+
 class Hindsight(NamedTuple):
     """The least cost of an episode whose course is known from the beginning."""
 
@@ -89,7 +103,7 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages.
+        Linear programs to solve at most; None: those of :func:`effort_of`.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -103,7 +117,7 @@ def hindsight(
     """
     _check(scenario)
     if rounds is None:
-        rounds = ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
+        rounds = effort_of(scenario).rounds
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)

@@ -120,5 +120,11 @@ TABLE = (
         "34 nodes under the six dips of July 2024: 3 sites of 450 kW leave for their UPS and return, PV trips",
         three_phase.ride_through,
     ),
+    Preset(
+        "ieee33-weak-ups",
+        "dcgrid/IEEE33WeakUPS-v0",
+        "bursty with 300 kW and 5 kWh of a UPS at each data centre: storage beside the clock",
+        balanced.ieee33_weak_ups,
+    ),
 )
 """All presets, in the order in which they are listed."""
