@@ -13,15 +13,17 @@ from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
+from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_features, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
-from dcgrid_env.devices.datacenter.ups_site import UpsSite
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
-from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from dcgrid_env.grid import buses_as_text
 
 
@@ -48,7 +50,7 @@ class DataCenters(PickledByFields):
     f_min_mhz: float = number(1e-9, "f_max_mhz", default=210.0)
     """Lowest clock, MHz."""
     s_rated_share: float = number(1.0, float("inf"))
-    """Converter rating as a share of the rated power."""
+    """Converter rating as a share of the rated power, with cooling of what the site then draws, see ``cooling``."""
     q_max_share: float = number(0.0, "s_rated_share")
     """Reactive limit as a share of the rated power."""
     clock_law: Dvfs = field(default_factory=LinearDvfs)
@@ -61,9 +63,14 @@ class DataCenters(PickledByFields):
     its bus has, which are all three where the bus is drawn."""
     ride_through: UpsRideThrough | None = None
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    smoothing: PowerSmoothing | None = None
+    """GPU power smoothing; None for a draw that follows the work."""
+    cooling: Cooling | None = None
+    """What a site draws beside its computers; None for nothing. ``p_rated_kw`` is the rating of the computers. The
+    converter is then as much larger as the draw at the rating."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, clock_law=_clock_law, ride_through=lambda v: rule_of(UpsRideThrough, v))
+        settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(
@@ -76,10 +83,7 @@ class DataCenters(PickledByFields):
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
         check_phases(self, self.count)
-        if self.ride_through is not None:
-            if not isinstance(self.ride_through, UpsRideThrough):
-                raise refuse(self, "ride_through", "give UpsRideThrough(curve=..), a mapping of its fields, or None")
-            self.ride_through.check_slots(self.count)
+        check_features(self)
 
     @cached_property
     def work_classes(self) -> int:
@@ -89,7 +93,7 @@ class DataCenters(PickledByFields):
     @cached_property
     def features(self) -> tuple[SiteFeature, ...]:
         """What the sites have beside clock, queue and converter, from the chips towards the grid."""
-        return (UpsSite(self.ride_through),) if self.ride_through else ()
+        return features_of(self)
 
     @cached_property
     def parameters(self) -> DataCenterParams:
@@ -102,7 +106,7 @@ class DataCenters(PickledByFields):
             p_dynamic_kw=p - self.idle_share * p,
             f_min_mhz=self.f_min_mhz * one,
             f_max_mhz=self.f_max_mhz * one,
-            s_rated_kva=self.s_rated_share * p,
+            s_rated_kva=self.s_rated_share * (self.cooling.pue_at_rating * p if self.cooling else p),
             q_max_kvar=self.q_max_share * p,
         )
         return DataCenterParams(*map(read_only, params))
@@ -114,7 +118,7 @@ class DataCenters(PickledByFields):
 
     @property
     def p_scale_kw(self) -> np.ndarray:
-        """Rating that a draw is a share of, kW."""
+        """Rating that a draw is a share of, kW: that of the computers, whatever is drawn beside them."""
         return self.parameters.p_rated_kw
 
     @property
@@ -125,7 +129,7 @@ class DataCenters(PickledByFields):
     @property
     def largest_draw_share(self) -> float:
         """Highest draw as a share of the rating."""
-        return self.boost_share
+        return self.cooling.largest_draw_share(self.boost_share) if self.cooling else self.boost_share
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
