@@ -12,6 +12,7 @@ from dcgrid_env.devices import (
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
@@ -24,6 +25,7 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
@@ -101,6 +103,7 @@ __all__ = [
     "Sensing",
     "Sensitivity",
     "Series",
+    "SiteStorage",
     "Solution",
     "Storages",
     "TensorEnv",
@@ -113,6 +116,7 @@ __all__ = [
     "action_layout",
     "believed_sensitivity",
     "distflow",
+    "end_costs",
     "env",
     "episode_hash",
     "field_names",

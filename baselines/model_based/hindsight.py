@@ -226,6 +226,11 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
+    if any(getattr(device, "storage", None) is not None for device in scenario.devices):
+        raise ValueError(
+            f"hindsight plans storages that are agents; scenario {scenario.name!r} has them behind its data centres: "
+            "give Storages at their buses instead, or leave datacenter_storage out"
+        )
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":

@@ -57,7 +57,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
-_LATER_OF_GROUPS = ("ride_through", "smoothing", "cooling")
+_LATER_OF_GROUPS = ("ride_through", "storage", "smoothing", "cooling")
 """Fields of data centres and inverters that came after groups were hashed whole, and are left out where None."""
 
 

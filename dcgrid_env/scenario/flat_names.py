@@ -11,6 +11,7 @@ from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -64,6 +65,7 @@ class FlatNames:
     datacenter_ride_through = Flat[UpsRideThrough | None]("datacenter", "ride_through")
     datacenter_smoothing = Flat[PowerSmoothing | None]("datacenter", "smoothing")
     datacenter_cooling = Flat[Cooling | None]("datacenter", "cooling")
+    datacenter_storage = Flat[SiteStorage | None]("datacenter", "storage")
 
     inverter_buses = Flat[Buses]("inverter", "buses")
     inverter_s_kva = Flat[Rating]("inverter", "s_rated_kva")

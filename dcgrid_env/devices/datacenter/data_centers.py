@@ -15,11 +15,12 @@ from dcgrid_env.core.checked import FieldError, check_fields, count, number, ref
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
-from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_features, features_of
+from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
@@ -63,6 +64,8 @@ class DataCenters(PickledByFields):
     its bus has, which are all three where the bus is drawn."""
     ride_through: UpsRideThrough | None = None
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    storage: SiteStorage | None = None
+    """A storage behind the site's converter, which the site's agent drives; None for sites without one."""
     smoothing: PowerSmoothing | None = None
     """GPU power smoothing; None for a draw that follows the work."""
     cooling: Cooling | None = None
@@ -83,7 +86,7 @@ class DataCenters(PickledByFields):
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
         check_phases(self, self.count)
-        check_features(self)
+        check_settings(self)
 
     @cached_property
     def work_classes(self) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -11,7 +9,17 @@ from typing import Any, Literal
 import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields, cached_on_owner
-from dcgrid_env.core.checked import FieldError, check_fields, choice, count, number, refuse, settle
+from dcgrid_env.core.checked import (
+    FieldError,
+    changed_fields,
+    check_fields,
+    choice,
+    count,
+    from_mapping,
+    number,
+    refuse,
+    settle,
+)
 from dcgrid_env.devices.ride_through.voltage_curve import Elements, RideThroughCurve, curves_of, plain_curve
 
 ALL_BACK = 1.0 - 1e-6
@@ -132,24 +140,15 @@ class UpsRideThrough(RideThrough):
 def rule_of(kind: type[Any], value: Any) -> Any:
     """A rule out of its plain form, a mapping of its fields or the name of a curve; other values as they are.
 
-    FieldError for a field that there is not.
+    FieldError for a field that there is not, or no curve.
     """
     if isinstance(value, str):
         return kind(curve=value)
-    if not isinstance(value, Mapping):
-        return value
-    there = [field.name for field in dataclasses.fields(kind)]
-    for name in value:
-        if name not in there:
-            raise FieldError(kind.__name__, name, value[name], f"is no field; there are {', '.join(there)}")
-    if "curve" not in value:
-        raise FieldError(kind.__name__, "curve", ..., "is missing; give it, such as 'itic'")
-    return kind(**value)
+    return from_mapping(kind, value)
 
 
 def plain_rule(rule: RideThrough) -> dict[str, Any]:
     """The plain form of a rule: a mapping of its fields, those at their default left out."""
     curve = rule.curve
     plain = {"curve": list(map(plain_curve, curve)) if isinstance(curve, tuple) else plain_curve(curve)}
-    later = (field for field in dataclasses.fields(rule) if field.name != "curve")
-    return plain | {f.name: getattr(rule, f.name) for f in later if getattr(rule, f.name) != f.default}
+    return changed_fields(rule) | plain

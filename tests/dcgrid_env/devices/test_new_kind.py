@@ -22,7 +22,7 @@ from dcgrid_env import (
     make_scenario,
     register_device,
 )
-from dcgrid_env.agents import Policy
+from dcgrid_env.agents import Network, Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.devices import Channel, device_kind
@@ -222,8 +222,17 @@ def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(n
 def test_hindsight_and_policies_refuse_devices_that_they_do_not_know():
     with pytest.raises(ValueError, match="hindsight is made for data centres, inverters and storage alone"):
         hindsight(scenario(), 0)
-    with pytest.raises(ValueError, match="scenario 'with-battery' has devices of kind 'battery': use a controller"):
+    with pytest.raises(ValueError, match="toy6-ppo: has no network for agents of kind battery of with-battery"):
         Policy.load("toy6-ppo").reset(scenario())
+
+
+def test_a_policy_has_a_network_for_it():
+    networks = {
+        name: Network([(np.zeros((n_in, n_out)), np.full(n_out, 0.25))])
+        for name, (n_in, n_out) in {"datacenter": (9, 2), "battery": (8, 1), "inverter": (7, 1)}.items()
+    }
+    recorder = rollout(scenario(), Policy(networks, channels={"battery": ["power"]}), [0])
+    np.testing.assert_allclose(recorder.lane(0).charged_kw[1:, 0], 0.25 * 500.0)
 
 
 def test_a_bus_is_taken_once_however_it_is_written():
