@@ -14,6 +14,7 @@ from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
@@ -44,6 +45,11 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
         "storages hold their voltage above 0.95 p.u. and charge above it, the paper's droop beside them",
         PeakShaving,
     ),
+    "return-by-hand": (
+        "sites that left the grid all return at once, a while after they are locked out; the paper's droop beside",
+        ReturnByHand,
+    ),
+    "staggered-return": ("the same, one site after the other", StaggeredReturn),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
     "feedback": (

@@ -38,6 +38,7 @@ from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.devices.ride_through.connection_surrogate import Widths
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
@@ -61,6 +62,11 @@ class Analytic(Training):
     """At the beginning; it falls to nothing along a cosine."""
     max_grad_norm: float = 1.0
     """Gradients are cut to this norm."""
+    trip_width_pu: float = 0.0
+    """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
+    gradient of what is exact, which has none of them (docs/ride-through.md)."""
+    trip_width_s: float = 1.0
+    """Their width in the time to a slow trip, s."""
     dual_rate: float = 0.05
     """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
     validate_every: int = 8
@@ -72,6 +78,11 @@ class Analytic(Training):
     def limits(self) -> Limits:
         """What the policy must keep."""
         return Limits(self.delay_limit_s, self.violation_limit_pu)
+
+    @property
+    def trip_widths(self) -> Widths | None:
+        """Of the surrogate of trips and returns; None without one."""
+        return Widths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
 
 
 class Learner:
@@ -89,7 +100,8 @@ class Learner:
         self.cfg, self.device = cfg, device_of(cfg.device)
         kind = "shared" if cfg.view == "shared" else "joint"
         self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
-        self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
+        like, widths = torch.empty(0, device=self.device), cfg.trip_widths
+        self.envs = [TensorEnv(grid, like=like, trip_widths=widths) for grid in grids]
         made_for = {**self.chosen, "array": self._tensor, "clip": forgiving_clip}
         self.interfaces = [PolicyInterface(grid, kind, **made_for) for grid in grids]
         require_one_policy_fits(self.interfaces)
@@ -243,6 +255,9 @@ def check_settings(cfg: Analytic) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
     check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
     cfg.limits.check()
+    for name, least in (("trip_width_pu", 0.0), ("trip_width_s", 1e-9)):
+        if not least <= getattr(cfg, name) < math.inf:
+            raise ValueError(f"{name} is {getattr(cfg, name)}; give a number of at least {least:g}")
     if cfg.vary < 0:
         raise ValueError(f"vary is {cfg.vary}; give at least 0")
 

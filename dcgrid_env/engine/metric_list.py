@@ -106,6 +106,7 @@ _METRICS = (
     Metric("site_storage_loss_kwh", "energy lost in storage behind sites", "kWh", 2, "lower"),
     Metric("site_storage_missing_kwh", "energy missing in storage behind sites", "kWh", 2, "lower"),
     Metric("cost_trips", "trip cost", "", 4, "lower"),
+    Metric("cost_inverter_trips", "inverter trip cost", "", 4, "lower"),
     Metric("cost_away", "cost of time away", "", 4, "lower"),
     Metric("cost_recharge", "cost of energy missing in UPS", "", 4, "lower"),
     Metric("ups_trips", "sites tripped", "", 1, "lower"),

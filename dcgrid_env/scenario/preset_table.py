@@ -114,5 +114,11 @@ TABLE = (
         "ieee123-3ph over a day in steps of a minute, PV at the inverters, regulators and capacitors as agents",
         three_phase.ieee123_3ph_day,
     ),
+    Preset(
+        "ride-through",
+        "dcgrid/RideThrough-v0",
+        "34 nodes under the six dips of July 2024: 3 sites of 450 kW leave for their UPS and return, PV trips",
+        three_phase.ride_through,
+    ),
 )
 """All presets, in the order in which they are listed."""

@@ -15,7 +15,7 @@ from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
-from dcgrid_env.devices.ride_through import connection, ups_battery
+from dcgrid_env.devices.ride_through import connection, connection_surrogate, ups_battery
 from dcgrid_env.devices.ride_through.connection import ConnectionState
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
@@ -93,7 +93,10 @@ class UpsSite:
         pace: Any = connection.by_rule(rule, dt_s)
         if rule.release == "agent":
             rate = setpoints[0]
-            pace = xp.where(rate >= HOLD_SHARE / rule.walk_in_s, rate * dt_s, 0.0 * rate)
+            hold, fastest = HOLD_SHARE / rule.walk_in_s, 1.0 / rule.walk_in_s
+            pace = xp.where(rate >= hold, rate * dt_s, 0.0 * rate)
+            if supply.widths is not None:
+                pace = connection_surrogate.smoothed_pace(pace, rate, hold, fastest, dt_s, supply.widths)
         ups = connection.advance(rule, own.ups, supply, pace, dt_s)
         idle_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw)
         battery, grid_kw, works = ups_battery.step(

@@ -43,6 +43,8 @@ class RideThrough(PickledByFields):
     IEEE 1547 for entering service."""
     walk_in_s: float = number(0.0, LONGEST_S, default=300.0)
     """How long the ramp from nothing to all takes when it returns, s; 0 is at once."""
+    trip_weight: float = number(0.0, 1e9, default=0.0)
+    """Weight of the cost term ``trips`` of sites, ``inverter_trips`` of inverters: the share that leaves in a step."""
 
     lockout_events = 0
     returns_per_minute = 0
@@ -123,8 +125,6 @@ class UpsRideThrough(RideThrough):
     """Highest draw to recharge as a share of the rating, on top of the site's own, both at most the rating."""
     charge_efficiency: float = number(0.01, 1.0, default=0.95)
     """What is stored of what is drawn to recharge."""
-    trip_weight: float = number(0.0, 1e9, default=0.0)
-    """Weight of the cost term ``trips``: the share of sites that leave in a step."""
     away_weight: float = number(0.0, 1e9, default=0.0)
     """Weight of the cost term ``away``: the share of sites that are away."""
     missing_weight: float = number(0.0, 1e9, default=9.0)
