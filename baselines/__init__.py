@@ -7,6 +7,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
+from dcgrid_env.baselines.laws.smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
@@ -31,6 +32,7 @@ __all__ = [
     "DeadbandDroop",
     "Droop",
     "FeedbackOptimisation",
+    "FixedSmoothing",
     "ForScenario",
     "Local",
     "LocalController",

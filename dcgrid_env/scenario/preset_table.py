@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dcgrid_env.scenario import presets_balanced as balanced
+from dcgrid_env.scenario import presets_sites as sites
 from dcgrid_env.scenario import presets_three_phase as three_phase
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -119,6 +120,12 @@ TABLE = (
         "dcgrid/RideThrough-v0",
         "34 nodes under the six dips of July 2024: 3 sites of 450 kW leave for their UPS and return, PV trips",
         three_phase.ride_through,
+    ),
+    Preset(
+        "smoothing",
+        "dcgrid/Smoothing-v0",
+        "ieee33-weak with training jobs over ten minutes in steps of 0.1 s; agents set GPU power smoothing",
+        sites.smoothing,
     ),
 )
 """All presets, in the order in which they are listed."""

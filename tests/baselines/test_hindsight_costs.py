@@ -7,7 +7,7 @@ from dcgrid_env import PRESETS, acting_relays, make_scenario
 from dcgrid_env.baselines import CONTROLLERS, TUNED, make_controller, published, rollout
 from dcgrid_env.baselines.hindsight_costs import _shipped
 from dcgrid_env.baselines.model_based.hindsight import hindsight
-from helpers.storages import NEEDING_STORAGE
+from helpers.needs import drives
 
 EPISODES = 100
 LINEARISED = 1e-4
@@ -84,7 +84,7 @@ def test_where_regulators_act_nobody_is_better_than_hindsight_on_average(name):
     values = published(scenario)
     assert values is not None
     for controller in (*CONTROLLERS, *TUNED):
-        if controller != "mpc" and controller not in NEEDING_STORAGE:
+        if controller != "mpc" and drives(controller, scenario):
             cost = rollout(scenario, make_controller(controller, scenario), range(20)).costs()
             assert cost.mean() > values.J[:20].mean(), controller
 
@@ -99,7 +99,11 @@ def test_nobody_beats_the_bound_or_hindsight_by_more_than_its_gap(name):
     seeds = np.random.default_rng(PRESETS_SEED[name]).choice(EPISODES, 4, replace=False)
     gap = (values.J - values.bound)[seeds]
     for controller in (*CONTROLLERS, *TUNED):
-        if controller in ("mpc", *NEEDING_STORAGE) or (controller == "droop-one-step" and not scenario.preview):
+        if (
+            controller == "mpc"
+            or not drives(controller, scenario)
+            or (controller == "droop-one-step" and not scenario.preview)
+        ):
             continue
         cost = rollout(scenario, make_controller(controller, scenario), seeds.tolist()).costs()
         assert (cost > values.bound[seeds] * (1.0 - LINEARISED)).all(), controller

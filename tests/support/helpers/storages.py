@@ -4,8 +4,6 @@ from typing import Any
 
 from dcgrid_env import Scenario, Storages, make_scenario
 
-NEEDING_STORAGE = ("peak-shaving",)
-"""Controllers that refuse a scenario without storages."""
 FIGURES: dict[str, Any] = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
 
 
