@@ -4,10 +4,10 @@ from dcgrid_env.baselines.controller import Controller, Local, LocalController, 
 from dcgrid_env.baselines.hindsight_costs import Published, published
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
-from dcgrid_env.baselines.laws.smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar

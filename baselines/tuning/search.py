@@ -20,6 +20,7 @@ from dcgrid_env import Scenario, believed_sensitivity, nodes_by_bus, under_own_c
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.site_return import (
     HOLD_SHARE,
@@ -28,7 +29,6 @@ from dcgrid_env.baselines.laws.site_return import (
     has_return_channel,
     return_rule,
 )
-from dcgrid_env.baselines.laws.smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.rollout import rollout
 

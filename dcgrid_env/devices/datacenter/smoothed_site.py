@@ -32,7 +32,7 @@ class SmoothingState(NamedTuple):
     smoothed_kw: Array
     """Draw over the step, kW."""
     burnt_kw: Array
-    """Of that, beyond what idling and the work served take, kW."""
+    """What is drawn beyond what idling and the work served take, kW."""
     held_back_kw: Array
     """Dynamic power of the work that slow ramps have put back into the queue, kW."""
     quiet_s: Array
