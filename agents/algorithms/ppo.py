@@ -50,6 +50,9 @@ class Ppo(sb3.Config):
     """Largest change of the likelihood ratio that pays."""
     log_std: float = -0.7
     """Logarithm of the exploration's standard deviation at the beginning."""
+    further_begin: float | None = None
+    """Where the means of channels other than clocks and reactive power begin as setpoints, -1 to 1: at -1 sites that
+    left the grid stay away until the policy has learnt to return. Their rest unless given."""
     pull: float = 1.0
     """Weight that draws means back into the actions' range."""
     max_grad_norm: float = 0.5
@@ -213,6 +216,9 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
     set_random_seed(cfg.seed)
     normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
     rollout = vec_env.num_envs * vec_env.scenario.horizon
+    rest = vec_env.rest * (cfg.outputs == "setpoint")
+    if cfg.further_begin is not None:
+        rest = np.where([name in ("clock", "q") for name in vec_env.channels], rest, cfg.further_begin)
     model = LanePpo(
         LanePolicy,
         vec_env,
@@ -232,7 +238,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
             **normalisation,
             "group": vec_env.lanes_per_env,
             "used": vec_env.used,
-            "rest": vec_env.rest * (cfg.outputs == "setpoint"),
+            "rest": rest,
             "pull": cfg.pull,
         },
     )
@@ -251,6 +257,8 @@ def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
+    if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
+        raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
     with sb3.begin(cfg, "ppo", cfg.outputs) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(

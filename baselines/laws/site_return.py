@@ -15,8 +15,10 @@ import numpy as np
 from dcgrid_env import Scenario, action_layout, field_names
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
-from dcgrid_env.devices.datacenter.ups_site import HOLD_SHARE
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
+
+SLOWEST_PACE = 0.1
+"""Slowest ramp that is searched for, as a share of the fastest."""
 
 
 @dataclass
@@ -30,7 +32,7 @@ class ReturnByHand(Droop):
     release_s
         The same of one that is locked out; None for ``by_hand_s`` of the rule.
     pace
-        How fast a site walks in, as a share of the fastest, above ``HOLD_SHARE``, below which it stays away.
+        How fast a site walks in, as a share of the fastest.
     """
 
     return_delay_s: float | None = None
@@ -41,8 +43,8 @@ class ReturnByHand(Droop):
         super().__post_init__()
         given = {name: value for name, value in self._times().items() if value is not None}
         require_non_negative("return rules", pace=self.pace, **given)
-        if not HOLD_SHARE < self.pace <= 1.0:
-            raise ValueError(f"return rules: pace is {self.pace}; give more than {HOLD_SHARE}, at most 1")
+        if not 0.0 < self.pace <= 1.0:
+            raise ValueError(f"return rules: pace is {self.pace}; give more than 0, at most 1")
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes.
@@ -83,7 +85,7 @@ class ReturnByHand(Droop):
         share, locked, wait = (joint[..., at] for at in self._seen_at)
         due_s = np.where(locked > 0.5, self._release_s, self._delay_s)
         goes = (share > 0.0) | (wait * self._longest_s >= due_s - 1e-3)
-        actions[..., self._return_at] = np.where(goes, 2.0 * self.pace - 1.0, -1.0)
+        actions[..., self._return_at] = np.where(goes, self.pace, -1.0)
         return actions
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dcgrid_env import Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Local
-from dcgrid_env.baselines.laws.site_return import HOLD_SHARE, StaggeredReturn, return_rule
+from dcgrid_env.baselines.laws.site_return import SLOWEST_PACE, StaggeredReturn, return_rule
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
@@ -76,7 +76,7 @@ def bounds(scenario: Scenario) -> np.ndarray:
     """Lowest and highest of each parameter of :class:`LaneReturn`, (2, n)."""
     rule, sites = return_rule(scenario), scenario.n_datacenters
     times = [(np.log10(max(rule.return_delay_s, 1.0)), np.log10(rule.longest_wait_s(sites)))] * sites
-    return np.array([(0.0, 20.0), (-2.5, 1.0), (-2.5, 1.0), (0.95, 1.05), (2.0 * HOLD_SHARE, 1.0), *times]).T
+    return np.array([(0.0, 20.0), (-2.5, 1.0), (-2.5, 1.0), (0.95, 1.05), (SLOWEST_PACE, 1.0), *times]).T
 
 
 def start(scenario: Scenario) -> np.ndarray:

@@ -23,7 +23,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.site_return import (
-    HOLD_SHARE,
+    SLOWEST_PACE,
     ReturnByHand,
     StaggeredReturn,
     has_return_channel,
@@ -134,7 +134,7 @@ def _staggered(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
 
 def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
-    return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (2.0 * HOLD_SHARE, 1.0)]
+    return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (SLOWEST_PACE, 1.0)]
 
 
 def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:

@@ -14,7 +14,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
-from helpers.needs import NEEDS
+from helpers.needs import NEEDING_A_DEVICE
 
 
 def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
@@ -93,7 +93,9 @@ def test_inverters_only_leaves_the_data_centres_alone():
     assert q == pytest.approx([0.0, 20.0, 20.0])
 
 
-LOCAL = [name for name, (_, make) in CONTROLLERS.items() if name not in NEEDS and not isinstance(make(), Placed)]
+LOCAL = [
+    name for name, (_, make) in CONTROLLERS.items() if name not in NEEDING_A_DEVICE and not isinstance(make(), Placed)
+]
 
 
 @pytest.mark.parametrize("law", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"])

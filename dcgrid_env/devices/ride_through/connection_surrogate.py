@@ -8,7 +8,7 @@ so that every figure is exact, and has these slopes:
     beyond a threshold      b = S((threshold - v) / v_pu)            of the voltage; its timer b (timer + dt)
     trips slowly            b S((timer + dt - time) / time_s)        of both
     trips in a sag          the share that is on the grid            of that share, so that staying away avoids it
-    returns                 S((rate - hold) / (rate_share fastest))  of the channel ``return``, where it may return
+    returns                 S(rate / (rate_share fastest))           of the channel ``return``, where it may return
 
 with S(x) = 1 / (1 + exp(-x)). Lock-outs, counters and the delays before a return have no derivative.
 """
@@ -28,7 +28,7 @@ class Widths(NamedTuple):
     """Of a threshold, p.u."""
     time_s: float = 1.0
     """Of the time to a slow trip, s."""
-    rate_share: float = 0.1
+    rate_share: float = 0.3
     """Of what is to stay away and what to return, as a share of the fastest return."""
 
     def check(self) -> None:
@@ -52,9 +52,17 @@ def smooth_step(x: Array, width: float) -> Array:
     return 1.0 / (1.0 + xp.exp(-xp.clip(x / width, -30.0, 30.0)))
 
 
-def smoothed_pace(pace: Array, rate: Array, hold: float, fastest: float, dt_s: float, widths: Widths) -> Array:
-    """The pace of a return with a derivative by the rate that asks for it, share/s, on both sides of ``hold``."""
-    return pace.detach() + no_value(smooth_step(rate - hold, widths.rate_share * fastest) * rate * dt_s)
+def softplus(x: Array, width: float) -> Array:
+    """The integral of S(x / width), elementwise."""
+    xp = namespace(x)
+    return xp.where(x > 30.0 * width, x, width * xp.log(1.0 + xp.exp(xp.clip(x / width, -30.0, 30.0))))
+
+
+def smoothed_pace(pace: Array, rate: Array, fastest: float, dt_s: float, widths: Widths) -> Array:
+    """The pace of a return with a derivative by the rate that asks for it, share/s, on both sides of 0: that of a
+    softplus of this width."""
+    width = widths.rate_share * fastest
+    return pace.detach() + no_value(softplus(rate, width) * dt_s)
 
 
 def with_derivatives(

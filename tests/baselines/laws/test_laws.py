@@ -19,7 +19,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
-from helpers.needs import NEEDS, drives
+from helpers.needs import NEEDING_A_DEVICE, drives
 
 
 def seen(v_pu, q_kvar: Any = 0.0, p_ref_kw=2500.0, backlog_kws=0.0, p_kw=0.0, r: Any = 0.01, x: Any = 0.02):
@@ -216,7 +216,7 @@ def test_every_controller_runs_under_every_preset(preset, law):
         assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics), name
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in NEEDS])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in NEEDING_A_DEVICE])
 def test_every_controller_runs_without_data_centres_or_inverters(name):
     for overrides in ({"n_datacenters": 0, "datacenter_buses": None}, {"inverter_buses": ()}):
         rollout(make_scenario("ieee123", horizon=3, **overrides), make_controller(name), [0])

@@ -26,7 +26,7 @@ from dcgrid_env.agents import Network, Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.devices import Channel, device_kind
-from helpers.needs import NEEDS
+from helpers.needs import NEEDING_A_DEVICE
 
 SPEC = importlib.util.spec_from_file_location("battery_of_the_tests", Path(__file__).with_name("battery.py"))
 assert SPEC is not None
@@ -163,7 +163,7 @@ def test_a_picture_calls_it_by_its_own_kind_and_name():
 MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc")
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDS)])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])
 def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
     s = scenario()
     run = rollout(s, make_controller(name), [0]).lane(0)
@@ -201,7 +201,7 @@ def test_a_law_gives_reactive_power_by_whatever_device_has_the_channel():
     np.testing.assert_array_equal(actions["inv_1"], [0.5])
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDS)])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])
 def test_a_law_does_the_same_whatever_the_order_of_the_devices(name):
     base = make_scenario("toy6", horizon=10)
     turned = base.replace(devices=base.devices[::-1])

@@ -23,6 +23,7 @@ from dcgrid_env.scenario.fingerprint import fields
 from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.traces import PowerTrace
 
+RIDE_THROUGH_TEST = "8d380d7a65d816e0"
 CHANGES = {
     "horizon": 119,
     "split": "validation",
@@ -159,3 +160,14 @@ def test_the_schema_lists_every_published_field():
     assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
     later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess")
     assert (*fingerprint.SCHEMA_1[CostWeights].fields, *later_weights) == CostWeights._fields
+
+
+def test_a_rule_of_ride_through_keeps_its_hash_when_fields_are_added():
+    """The schema lists the rules' fields, so that a later one is left out at its default."""
+    scenario = make_scenario("ride-through")
+    for rule in (scenario.part("datacenter").ride_through, scenario.part("inverter").ride_through, scenario.sags[0]):
+        listed = fingerprint.SCHEMA_1[type(rule)]
+        assert set(listed.fields) == {field.name for field in dataclasses.fields(rule)}
+        assert fields(rule) is not None
+    assert scenario_hash(scenario) != scenario_hash(make_scenario("ride-through", sags=scenario.sags[:1]))
+    assert scenario_hash(make_scenario("ride-through", split="test")) == RIDE_THROUGH_TEST

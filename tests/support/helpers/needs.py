@@ -1,25 +1,45 @@
-"""What controllers need of a scenario to drive it at all."""
+"""Which scenarios a controller by its name can drive, for tests over all controllers."""
 
-from dcgrid_env import Scenario, action_layout
+from collections.abc import Callable
 
-NEEDS = {
-    "peak-shaving": "p",
-    "smoothing": "floor",
-    "smoothing-light": "floor",
-    "smoothing-strong": "floor",
-    "return-by-hand": "return",
-    "staggered-return": "return",
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
+from dcgrid_env.baselines.laws.site_return import has_return_channel
+
+
+def has_storage(scenario: Scenario) -> bool:
+    """Whether there are storages."""
+    return any(device.kind == "storage" and device.count for device in scenario.devices)
+
+
+def stays_connected(scenario: Scenario) -> bool:
+    """Whether no device may leave the grid, which no linear model has."""
+    return all(getattr(device, "ride_through", None) is None for device in scenario.devices)
+
+
+def can_be_planned(scenario: Scenario) -> bool:
+    """Whether no site leaves the grid or draws something else than what its work takes, which no linear model has."""
+    sites = scenario.part("datacenter")
+    return stays_connected(scenario) and sites.smoothing is None and sites.cooling is None
+
+
+NEEDS: dict[str, Callable[[Scenario], bool]] = {
+    "peak-shaving": has_storage,
+    "return-by-hand": has_return_channel,
+    "staggered-return": has_return_channel,
+    "smoothing": has_smoothing_channels,
+    "smoothing-light": has_smoothing_channels,
+    "smoothing-strong": has_smoothing_channels,
+    "mpc": can_be_planned,
+    "mpc-one-step": can_be_planned,
+    "feedback": can_be_planned,
 }
-"""The channel without which a controller refuses a scenario, by the controller's name, tuned or not."""
-
-
-MODELS = ("feedback", "mpc-one-step", "mpc")
-"""Controllers with a model, which refuse sites that draw something else than what their work takes."""
+NEEDING_A_DEVICE = (
+    "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
+)  # fmt: skip
+"""Controllers that refuse a scenario of data centres and inverters alone."""
 
 
 def drives(name: str, scenario: Scenario) -> bool:
-    """Whether a scenario has the channel that a controller needs, if any, and nothing that it refuses."""
-    if name in MODELS and any(getattr(scenario.part("datacenter"), field) for field in ("smoothing", "cooling")):
-        return False
-    needed = NEEDS.get(name.removesuffix("-tuned"))
-    return needed is None or bool(action_layout(scenario).is_channel(needed).any())
+    """Whether a controller, tuned or not, can drive a scenario."""
+    return NEEDS.get(name.removesuffix("-tuned"), lambda _: True)(scenario)
