@@ -10,6 +10,8 @@ from dcgrid_env.devices import (
     register_device,
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -73,6 +75,7 @@ __all__ = [
     "BankControl",
     "CapacitorControl",
     "Control",
+    "Cooling",
     "Cost",
     "CostWeights",
     "DataCenters",
@@ -89,6 +92,7 @@ __all__ = [
     "LinearDvfs",
     "Metric",
     "PowerFlowError",
+    "PowerSmoothing",
     "PrefillDecodeDvfs",
     "Recorder",
     "RideThrough",

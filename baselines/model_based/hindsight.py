@@ -28,7 +28,7 @@ from dcgrid_env import (
     acting_relays,
     forecast,
 )
-from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices
+from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
@@ -235,6 +235,7 @@ def _check(scenario: Scenario) -> None:
     planned = _has_equipment_agents(scenario)
     if not planned:
         require_known_devices("hindsight", scenario, further=("storage",))
+    require_draws_of_work("hindsight", scenario)
     if any(getattr(device, "ride_through", None) is not None for device in scenario.devices):
         raise ValueError(
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "

@@ -20,6 +20,7 @@ from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_b
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
 from dcgrid_env.baselines.laws.site_return import (
@@ -148,6 +149,19 @@ def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
     return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (SLOWEST_PACE, 1.0)]
 
 
+def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    """Gains of the droop, the floor, and ramps between the slowest and the fastest, by factors."""
+    settings = [smoothing_of(s) for s in scenarios]
+    slowest = min(np.log10(own.slowest_share) for own in settings)
+    up, down = (min(getattr(own, f"ramp_{way}_w_per_s") for own in settings) for way in ("up", "down"))
+    return {
+        **_droop(x[:3], scenarios),
+        "floor_share": _rounded(x[3] * min(own.floor_share for own in settings)),
+        "ramp_up_w_per_s": _rounded(up * 10.0 ** (slowest * x[4])),
+        "ramp_down_w_per_s": _rounded(down * 10.0 ** (slowest * x[5])),
+    }
+
+
 TUNABLE: dict[str, Tunable] = {
     "droop": Tunable(Droop, _droop, lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3)]),
     "droop-q": Tunable(
@@ -168,6 +182,12 @@ TUNABLE: dict[str, Tunable] = {
     "return-by-hand": Tunable(ReturnByHand, _by_hand, _return_bounds, 6, has_return_channel),
     "staggered-return": Tunable(
         StaggeredReturn, _staggered, lambda s: [*_return_bounds(s), (0.0, 1.0)], 6, has_return_channel
+    ),
+    "smoothing": Tunable(
+        FixedSmoothing,
+        _smoothing,
+        lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0)],
+        fits=has_smoothing_channels,
     ),
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
     # The cost has plateaus and several valleys: the rule saturates.
