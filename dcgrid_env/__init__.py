@@ -10,6 +10,9 @@ from dcgrid_env.devices import (
     register_device,
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
@@ -69,6 +72,7 @@ __all__ = [
     "ActionLayout",
     "Background",
     "BankControl",
+    "Batching",
     "CapacitorControl",
     "Control",
     "Cost",
@@ -91,12 +95,14 @@ __all__ = [
     "Recorder",
     "RideThrough",
     "RideThroughCurve",
+    "Routing",
     "Sag",
     "Scenario",
     "ScenarioError",
     "Sensing",
     "Sensitivity",
     "Series",
+    "ServiceLevels",
     "Solution",
     "Storages",
     "TensorEnv",

@@ -150,6 +150,8 @@ def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
     if source == "connection":
         available = exogenous.available
         return None if available is None else available[..., device_slices(scenario)[i]]
+    if source == "workload" and exogenous.available is not None:
+        return work._replace(available=exogenous.available[..., device_slices(scenario)[i]])
     return work if source == "workload" else exogenous.p_inverter_kw if source else None
 
 

@@ -57,7 +57,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
-_LATER_OF_GROUPS = ("ride_through",)
+_LATER_OF_GROUPS = ("ride_through", "routing", "batching", "service")
 """Fields of data centres and inverters that came after groups were hashed whole, and are left out where None."""
 
 

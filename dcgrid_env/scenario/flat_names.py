@@ -9,6 +9,9 @@ from typing import Any, Generic, Literal, TypeVar
 
 from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -60,6 +63,9 @@ class FlatNames:
     boost_share = Flat[float]("datacenter", "boost_share")
     datacenter_phases = Flat[Phases | None]("datacenter", "phases")
     datacenter_ride_through = Flat[UpsRideThrough | None]("datacenter", "ride_through")
+    datacenter_routing = Flat[Routing | None]("datacenter", "routing")
+    datacenter_batching = Flat[Batching | None]("datacenter", "batching")
+    datacenter_service = Flat[ServiceLevels | None]("datacenter", "service")
 
     inverter_buses = Flat[Buses]("inverter", "buses")
     inverter_s_kva = Flat[Rating]("inverter", "s_rated_kva")

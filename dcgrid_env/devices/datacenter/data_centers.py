@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,12 +12,17 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
+from dcgrid_env.devices.datacenter.batching import BatchedSites, Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
-from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.datacenter.feature_settings import settings_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
+from dcgrid_env.devices.datacenter.service_levels import ServedSites, ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
+from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.ups_site import UpsSite
+from dcgrid_env.devices.datacenter.work_routing import RoutedSites, Routing
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
@@ -61,9 +66,16 @@ class DataCenters(PickledByFields):
     its bus has, which are all three where the bus is drawn."""
     ride_through: UpsRideThrough | None = None
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    routing: Routing | None = None
+    """How arriving work may be moved between the sites; None for work that stays where it arrives."""
+    batching: Batching | None = None
+    """Batch sizes that the sites can be set to; None for those of the trace."""
+    service: ServiceLevels | None = None
+    """What work is to be served by when; None for work without a deadline."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, clock_law=_clock_law, ride_through=lambda v: rule_of(UpsRideThrough, v))
+        settle(self, **{name: partial(settings_of, name, kind) for name, kind in _SETTINGS.items()})
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(
@@ -80,6 +92,9 @@ class DataCenters(PickledByFields):
             if not isinstance(self.ride_through, UpsRideThrough):
                 raise refuse(self, "ride_through", "give UpsRideThrough(curve=..), a mapping of its fields, or None")
             self.ride_through.check_slots(self.count)
+        for name, kind in _SETTINGS.items():
+            if not isinstance(getattr(self, name), kind | None):
+                raise refuse(self, name, f"give {kind.__name__}(..), a mapping of its fields, or None")
 
     @cached_property
     def work_classes(self) -> int:
@@ -89,7 +104,18 @@ class DataCenters(PickledByFields):
     @cached_property
     def features(self) -> tuple[SiteFeature, ...]:
         """What the sites have beside clock, queue and converter, from the chips towards the grid."""
-        return (UpsSite(self.ride_through),) if self.ride_through else ()
+        latency_s = self.routing.move_latency_s if self.routing else 0.0
+        there = (
+            self.routing and RoutedSites(self.routing, self.boost_share),
+            self.batching and BatchedSites(self.batching),
+            self.ride_through and UpsSite(self.ride_through),
+            self.service and ServedSites(self.service, moves_late=latency_s > 0.0),
+        )
+        return tuple(feature for feature in there if feature)
+
+    @cached_property
+    def _steps(self) -> SiteSteps:
+        return SiteSteps(self.clock_law, self.boost_share, self.features, self.parameters)
 
     @cached_property
     def parameters(self) -> DataCenterParams:
@@ -141,7 +167,7 @@ class DataCenters(PickledByFields):
         """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and what
         there is of the features."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
-        longest_s = horizon * dt_s * boost
+        longest_s = horizon * dt_s * (boost + bool(self.routing))  # a site is given at most its rating beside its own
         of_features = [field for own in self.features for field in own.fields(self.parameters, horizon, dt_s)]
         common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
@@ -172,6 +198,13 @@ class DataCenters(PickledByFields):
     def check_episode(self, horizon: int) -> None:
         """Nothing of a data centre depends on the length of an episode."""
 
+    def check_step(self, dt_s: float) -> None:
+        """Raise FieldError for a feature that cannot serve steps of this length."""
+        for name in _SETTINGS:
+            settings = getattr(self, name)
+            if hasattr(settings, "check_step"):
+                settings.check_step(dt_s)
+
     def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
         """Empty queues, the clocks at their top, and the features as they begin."""
         xp = namespace(zero)
@@ -190,40 +223,15 @@ class DataCenters(PickledByFields):
         given: Any,
         dt_s: float,
     ) -> tuple[Any, Array]:
-        """Serve work as the clock allows, see ``datacenter.step``; then the features act, see ``site_features``."""
+        """Serve work as the clock allows, see ``datacenter.step``; features act on it, see ``site_features``."""
         if not self.features:
-            return self._serve(parameters, state, setpoints[0], given, dt_s)
+            return self._steps.plain(parameters, state, setpoints[0], given, dt_s)
         given = Given(given, None) if self.ride_through is None else Given(given.given, given)
-        site, p_kw = self._serve(parameters, state.site, setpoints[0], given.work, dt_s)
-        after = []
-        for feature, own, at in zip(self.features, state.features, self._channels_at, strict=True):
-            own, site, p_kw = feature.step(parameters, own, site, p_kw, setpoints[at], given, dt_s)
-            after.append(own)
-        return SiteState(*site, tuple(after)), p_kw
-
-    @cached_property
-    def _channels_at(self) -> tuple[slice, ...]:
-        """Where the setpoints of each feature stand, behind the clock's."""
-        ends = np.cumsum([1, *(len(feature.channels(self.parameters)) for feature in self.features)]).tolist()
-        return tuple(map(slice, ends[:-1], ends[1:]))
+        return self._steps.with_features(parameters, state, setpoints, given, dt_s)
 
     def connected(self, state: Any) -> Array:
         """Share of each site's power that is on the grid, see ``device.may_leave``."""
         return state.ups.share
-
-    def _serve(
-        self, parameters: DataCenterParams, state: DataCenterState, f_mhz: Array, given: Work, dt_s: float
-    ) -> tuple[DataCenterState, Array]:
-        share = given.compute_share if self.work_classes == 2 else None
-        boosts = self.boost_share > 1.0
-        done = step(
-            parameters, self.clock_law, state.class_backlog_kws, given.p_ref_kw, f_mhz, dt_s, share, boost=boosts
-        )
-        after = DataCenterState(
-            done.backlog_kws, f_mhz, state.f_mhz, done.arrived_kw, done.served_kw, done.class_backlog_kws,
-            done.class_arrived_kw, done.class_served_kw,
-        )  # fmt: skip
-        return after, done.p_kw
 
     def grid_change(self, parameters: DataCenterParams, state: DataCenterState) -> GridChange:
         """Leave the grid as it is."""
@@ -232,7 +240,10 @@ class DataCenters(PickledByFields):
     def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
         """Raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
-        of_features = [figure for own, at in self._with_states(state) for figure in own.observe(parameters, at)]
+        of_features = []
+        for own, at in self._with_states(state):
+            ahead = (given_next,) if getattr(own, "looks_ahead", False) else ()
+            of_features += own.observe(parameters, at, *ahead)
         if self.work_classes == 1:
             return (coming, waiting, *of_features)
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
@@ -264,6 +275,10 @@ class DataCenters(PickledByFields):
 
     def _with_states(self, state: Any) -> Iterable[tuple[SiteFeature, Any]]:
         return zip(self.features, state.features, strict=True) if self.features else ()
+
+
+_SETTINGS: dict[str, type[Any]] = {"routing": Routing, "batching": Batching, "service": ServiceLevels}
+"""Fields that hold the settings of features whose plain form is a mapping, and their kinds."""
 
 
 def _clock_law(value: Any) -> Any:
