@@ -14,6 +14,7 @@ from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
@@ -43,6 +44,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "peak-shaving": (
         "storages hold their voltage above 0.95 p.u. and charge above it, the paper's droop beside them",
         PeakShaving,
+    ),
+    "route-to-strongest": (
+        "work goes to the sites whose voltage will be high, the paper's droop beside it",
+        RouteToStrongest,
     ),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),

@@ -14,7 +14,7 @@ equipment.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,7 +103,8 @@ def hindsight(
     """
     _check(scenario)
     if rounds is None:
-        rounds = ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
+        shortened = storages_of(scenario) is not None or getattr(scenario.part("datacenter"), "routing", None)
+        rounds = ROUNDS_SHORTENED if shortened else ROUNDS
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -151,7 +152,7 @@ def _settled(
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
         program.follow(replay(scenario, program.actions(), seed))
-    shortens = isinstance(program, EpisodeProgram) and program.n_storages > 0
+    shortens = isinstance(program, EpisodeProgram) and _shifts(program)
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
@@ -175,6 +176,11 @@ def _settled(
             break
     assert best is not None
     return best
+
+
+def _shifts(program: EpisodeProgram) -> bool:
+    """Whether energy or work can go to another time or place, for little, so that steps are to be shortened."""
+    return program.n_storages > 0 or program.work_rows.routing is not None
 
 
 def _shortened(
@@ -226,6 +232,16 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
+    sites: Any = scenario.part("datacenter")
+    if sites.batching is not None:
+        raise ValueError(
+            f"hindsight plans no batch sizes, whose energy is no linear function; scenario {scenario.name!r} has "
+            "batching: leave it out, or compare with the best that is known"
+        )
+    if planned and (sites.routing is not None or sites.service is not None):
+        raise ValueError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
+    if sites.routing is not None and sites.boost_share > 1.0:
+        raise ValueError("hindsight plans routing for sites that stay within their rating; set boost_share to 1")
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":

@@ -20,6 +20,7 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.rollout import rollout
 
@@ -53,6 +54,10 @@ def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
     return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), "alpha_per_s": _power(x[2])}
 
 
+def _routing(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
+    return _droop(x[:3], _) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
+
+
 def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
     """Bounds of log10 k_q, an integral gain: the longer an episode, the slower it may be, and the longer a step, the
     sooner it oscillates.
@@ -60,6 +65,10 @@ def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
     episode_s = max(_EPISODE_S, *(s.horizon * s.dt_s for s in scenarios))
     step_s = max(1.0, min(s.dt_s for s in scenarios))
     return _LOG_K_Q[0] - float(np.log10(episode_s / _EPISODE_S)), _LOG_K_Q[1] - float(np.log10(step_s))
+
+
+def _droop_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
+    return [(0.0, 20.0), _k_q_bounds(scenarios), (-3.0, 0.3)]
 
 
 def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
@@ -107,7 +116,7 @@ def _distances(scenario: Scenario) -> np.ndarray:
 
 
 TUNABLE: dict[str, Tunable] = {
-    "droop": Tunable(Droop, _droop, lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3)]),
+    "droop": Tunable(Droop, _droop, _droop_bounds),
     "droop-q": Tunable(
         Droop, lambda x, _: {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": _power(x[0])}, lambda s: [_k_q_bounds(s)]
     ),
@@ -116,6 +125,7 @@ TUNABLE: dict[str, Tunable] = {
         lambda x, _: {"k_share_per_pu": _power(x[0]), "deadband_pu": _rounded(x[1])},
         lambda _: [(0.0, 3.5), (0.0, 0.03)],
     ),
+    "route-to-strongest": Tunable(RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)]),
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
     # The cost has plateaus and several valleys: the rule saturates.
     "placement": Tunable(PlacementRule, _placement, lambda _: [(-2.0, 2.0), (-3.5, 3.5), (-3.5, 3.5)], 12),
