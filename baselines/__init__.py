@@ -6,6 +6,7 @@ from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
@@ -41,6 +42,7 @@ __all__ = [
     "PlacementRule",
     "Published",
     "ReturnByHand",
+    "RouteToStrongest",
     "StaggeredReturn",
     "SwitchingReference",
     "VoltVar",

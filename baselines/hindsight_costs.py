@@ -3,13 +3,16 @@
 The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenario and episodes and the command that
 made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
 differs in any field has none of them.
+
+Where sites trip there is no linear program. What stands there in hindsight's place is the best that is known
+(``tuning.best_known``), in a file whose ``kind`` says so, and it bounds nothing.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -24,6 +27,10 @@ FOLDER = Path("results/hindsight")
 """Where ``dcgrid dev hindsight`` writes by default, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
+BEST_KNOWN = "best known"
+"""The ``kind`` of a file of best-known costs; files of hindsight have none."""
+FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "by": str}
+"""What the record of an episode holds there."""
 
 
 class Published(NamedTuple):
@@ -31,10 +38,15 @@ class Published(NamedTuple):
 
     seeds: np.ndarray
     J: np.ndarray
-    """Hindsight's actions, replayed."""
+    """Hindsight's actions, replayed; where there is no hindsight the best that is known."""
     bound: np.ndarray
-    """Optimum of the linear program behind them, see ``hindsight``."""
+    """Optimum of the linear program behind them, see ``hindsight``; -inf where there is none."""
     episode_hashes: tuple[str, ...]
+
+    @property
+    def is_best_known(self) -> bool:
+        """Whether the costs are the best that is known, which others may beat, and not hindsight's."""
+        return not np.isfinite(self.bound).any()
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
         """Those of the seeds that have not been solved."""
@@ -80,18 +92,22 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     ValueError
         Where the scenario's file in the folder is damaged; one of another scenario of that name counts for nothing.
     """
-    shipped = _shipped(scenario.name)
-    about = scenario_hash(scenario)
+    episodes = records(scenario, folder)
+    if not episodes:
+        return None
+    seeds, j, bound = (np.array([e.get(key, -np.inf) for e in episodes]) for key in ("seed", "J", "bound"))
+    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+
+
+def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, Any]]:
+    """The records of the episodes of exactly this scenario by their seeds, of which ``published`` makes arrays."""
+    about, shipped = scenario_hash(scenario), _shipped(scenario.name)
     solved: dict[int, dict[str, Any]] = {}
     if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in content["episodes"]}
     if shipped is not None and shipped["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in shipped["episodes"]}
-    if not solved:
-        return None
-    episodes = [solved[seed] for seed in sorted(solved)]
-    seeds, j, bound = (np.array([e[key] for e in episodes]) for key in ("seed", "J", "bound"))
-    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+    return [solved[seed] for seed in sorted(solved)]
 
 
 def hindsight_file(folder: Path, name: str) -> Path:
@@ -115,8 +131,9 @@ def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
         raise _damaged(path, "has no 'scenario_hash' and 'episodes'")
     if not isinstance(content["episodes"], list):
         raise _damaged(path, "has 'episodes' that are no list")
+    fields = FIELDS_OF_BEST_KNOWN if content.get("kind") == BEST_KNOWN else FIELDS
     for place, episode in enumerate(content["episodes"]):
-        if wrong := _wrong(episode):
+        if wrong := _wrong(episode, fields):
             raise _damaged(path, f"has {wrong} in its episode at place {place}")
     return content
 
@@ -125,11 +142,11 @@ def _damaged(path: Path, wrong: str) -> ValueError:
     return ValueError(f"{path} {wrong}; delete it, or choose another --out")
 
 
-def _wrong(episode: Any) -> str | None:
+def _wrong(episode: Any, fields: Mapping[str, type]) -> str | None:
     """What is missing in an episode's record, or not what it should be; None if it is whole."""
     if not isinstance(episode, dict):
         return "no record"
-    for key, kind in FIELDS.items():
+    for key, kind in fields.items():
         if key not in episode:
             return f"no {key!r}"
         value = episode[key]

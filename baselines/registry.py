@@ -15,6 +15,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
+from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
@@ -49,6 +50,11 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
         "work goes to the sites whose voltage will be high, the paper's droop beside it",
         RouteToStrongest,
     ),
+    "return-by-hand": (
+        "sites that left the grid all return at once, a while after they are locked out; the paper's droop beside",
+        ReturnByHand,
+    ),
+    "staggered-return": ("the same, one site after the other", StaggeredReturn),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
     "feedback": (

@@ -12,6 +12,7 @@ from dcgrid_env.devices import (
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -25,6 +26,7 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
 from dcgrid_env.engine.metric_list import METRICS, Metric
@@ -103,6 +105,7 @@ __all__ = [
     "Sensitivity",
     "Series",
     "ServiceLevels",
+    "SiteStorage",
     "Solution",
     "Storages",
     "TensorEnv",
@@ -115,6 +118,7 @@ __all__ = [
     "action_layout",
     "believed_sensitivity",
     "distflow",
+    "end_costs",
     "env",
     "episode_hash",
     "field_names",

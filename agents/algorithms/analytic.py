@@ -4,7 +4,7 @@ No value function and no exploration: episodes are rolled out by the environment
 (``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
 back-propagation through time).
 
-    loss = mean over episodes and steps of c_t  +  leftover weight of the backlog at the window's end / steps
+    loss = mean over episodes and steps of c_t  +  what an episode's end would charge at the window's end / steps
 
 Under a limit on the delay or the violation its price is multiplied by a factor that follows it (``training.limits``).
 
@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout, under_own_control
+from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout, end_costs, under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
@@ -37,8 +37,8 @@ from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_r
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
-from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.devices.ride_through.connection_surrogate import Widths
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
@@ -62,6 +62,11 @@ class Analytic(Training):
     """At the beginning; it falls to nothing along a cosine."""
     max_grad_norm: float = 1.0
     """Gradients are cut to this norm."""
+    trip_width_pu: float = 0.0
+    """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
+    gradient of what is exact, which has none of them (docs/ride-through.md)."""
+    trip_width_s: float = 1.0
+    """Their width in the time to a slow trip, s."""
     dual_rate: float = 0.05
     """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
     validate_every: int = 8
@@ -73,6 +78,11 @@ class Analytic(Training):
     def limits(self) -> Limits:
         """What the policy must keep."""
         return Limits(self.delay_limit_s, self.violation_limit_pu)
+
+    @property
+    def trip_widths(self) -> Widths | None:
+        """Of the surrogate of trips and returns; None without one."""
+        return Widths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
 
 
 class Learner:
@@ -90,7 +100,8 @@ class Learner:
         self.cfg, self.device = cfg, device_of(cfg.device)
         kind = "shared" if cfg.view == "shared" else "joint"
         self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
-        self.envs = [TensorEnv(grid, like=torch.empty(0, device=self.device)) for grid in grids]
+        like, widths = torch.empty(0, device=self.device), cfg.trip_widths
+        self.envs = [TensorEnv(grid, like=like, trip_widths=widths) for grid in grids]
         made_for = {**self.chosen, "array": self._tensor, "clip": forgiving_clip}
         self.interfaces = [PolicyInterface(grid, kind, **made_for) for grid in grids]
         require_one_policy_fits(self.interfaces)
@@ -144,7 +155,7 @@ class Learner:
             for _ in range(size):
                 step = env.step(self.act(i, joint))
                 joint = step.observation
-                total = total + self._priced(step)
+                total = total + self._priced(env, step)
                 waited = waited + step.state.backlog_kws.detach().sum(-1)
                 arrived = arrived + step.state.arrived_kw.sum(-1)
                 excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.weights.violation or 1.0)
@@ -169,16 +180,24 @@ class Learner:
             self.factors[name] = updated_factor(self.factors[name], limit, measured[name], cfg.dual_rate)
         return {"loss": float(np.mean(losses)), "gradient_norm": norm}
 
-    def _priced(self, step: TensorStep) -> torch.Tensor:
-        """Mean cost of a step, without what is left at the end, under the multipliers."""
+    def _priced(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
+        """Mean cost of a step, without what is charged at the end alone, under the multipliers."""
         c, f = step.costs, self.factors
         each = step.cost_j - c.leftover + (f["delay"] - 1.0) * c.backlog + (f["violation"] - 1.0) * c.violation
+        for name in self._further_end_costs(env, step) if env.over else ():
+            each = each - getattr(c, name)
         return each.mean()
 
     def _left(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
-        """Charge for the backlog at a window's end, as at an episode's."""
+        """Charge at a window's end as at an episode's: for the backlog, and for what else only the end charges."""
         rated_kw, weight = float(env.scenario.datacenter.p_rated_kw.sum()) or 1.0, env.scenario.weights.leftover
-        return self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
+        due = self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
+        return due + sum(further.mean() for further in self._further_end_costs(env, step).values())
+
+    @staticmethod
+    def _further_end_costs(env: TensorEnv, step: TensorStep) -> dict[str, torch.Tensor]:
+        """What an episode's end charges beside the backlog, as energy that is missing in storages, (lane,) each."""
+        return {name: due for name, due in end_costs(env.scenario, step.state).items() if name != "leftover"}
 
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
         """Joint action after a joint observation of grid i."""
@@ -215,8 +234,9 @@ class Learner:
         """The policy as it stands, as NumPy arrays."""
         networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
         return Policy(
-            networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with()
-        )
+            networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with(),
+            channels={name: own for view in self.interfaces for name, own in view.further_channels.items()},
+        )  # fmt: skip
 
 
 def windows(horizon: int, window: int) -> list[int]:
@@ -235,18 +255,16 @@ def check_settings(cfg: Analytic) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
     check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
     cfg.limits.check()
+    for name, least in (("trip_width_pu", 0.0), ("trip_width_s", 1e-9)):
+        if not least <= getattr(cfg, name) < math.inf:
+            raise ValueError(f"{name} is {getattr(cfg, name)}; give a number of at least {least:g}")
     if cfg.vary < 0:
         raise ValueError(f"vary is {cfg.vary}; give at least 0")
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
-    """Scenarios of the training split: those named, then variants of each.
-
-    ValueError for one that cannot be, or with devices that no network is made for.
-    """
+    """Scenarios of the training split: those named, then variants of each; ValueError for one that cannot be."""
     given = [under_own_control(grid) for grid in scenarios(cfg.scenario, cfg.set, observe=cfg.observe)]
-    for grid in given:
-        require_known_devices("training", grid)
     rng = np.random.default_rng([cfg.seed, 1])
     return given + [variant(grid, rng) for _ in range(cfg.vary) for grid in given]
 

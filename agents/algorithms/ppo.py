@@ -50,6 +50,9 @@ class Ppo(sb3.Config):
     """Largest change of the likelihood ratio that pays."""
     log_std: float = -0.7
     """Logarithm of the exploration's standard deviation at the beginning."""
+    further_begin: float | None = None
+    """Where the means of channels other than clocks and reactive power begin as setpoints, -1 to 1: at -1 sites that
+    left the grid stay away until the policy has learnt to return. Their rest unless given."""
     pull: float = 1.0
     """Weight that draws means back into the actions' range."""
     max_grad_norm: float = 0.5
@@ -83,10 +86,10 @@ class LanePolicy(ActorCriticPolicy):
     group
         Lanes of an environment; observations come with all lanes of an environment, one after the other.
     used
-        ``JointVecEnv.used``: one row, or one a kind, told apart by the last figure of the observation. Entries of an
-        action that reach nothing have no likelihood.
-    clocks
-        1 for entries that are clocks as setpoints, whose mean begins at the top, (n_action,).
+        ``JointVecEnv.used``: one row, or one a kind, told apart by the last figures of the observation, which are 1 for
+        the second kind, the third .. Entries of an action that reach nothing have no likelihood.
+    rest
+        Where the mean of each entry of an action begins, (n_action,).
     pull
         Weight of half the squared excess of the mean over [-1, 1] in the loss: where the mean is far beyond, no action
         drawn differs in what it does, and there is nothing to learn from.
@@ -94,18 +97,21 @@ class LanePolicy(ActorCriticPolicy):
 
     used: torch.Tensor
 
-    def __init__(self, *args: Any, group: int, used: np.ndarray, clocks: np.ndarray, pull: float, **kwargs: Any):
+    def __init__(self, *args: Any, group: int, used: np.ndarray, rest: np.ndarray, pull: float, **kwargs: Any):
         self.group, self.pull = group, pull
         super().__init__(*args, **kwargs)
         self.register_buffer("used", torch.as_tensor(used))
-        self.action_net.bias.data += torch.as_tensor(clocks, dtype=torch.float32)  # pyright: ignore
+        self.action_net.bias.data += torch.as_tensor(rest, dtype=torch.float32)  # pyright: ignore
 
     def _build_mlp_extractor(self) -> None:
         self.mlp_extractor: Any = Networks(self.features_dim, self.group, self.net_arch).to(self.device)  # pyright: ignore
 
     def used_by(self, observations: torch.Tensor) -> torch.Tensor:
         """Which entries of the lanes' actions reach the grid, (lane or 1, n_action)."""
-        return self.used if len(self.used) == 1 else self.used[observations[:, -1].long()]
+        if len(self.used) == 1:
+            return self.used
+        kinds = observations[:, 1 - len(self.used) :]
+        return self.used[torch.where(kinds.any(-1), kinds.argmax(-1) + 1, 0)]
 
     def _likelihood(self, observations: torch.Tensor, actions: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
         z = (actions - mean) * torch.exp(-self.log_std)
@@ -210,6 +216,9 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
     set_random_seed(cfg.seed)
     normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
     rollout = vec_env.num_envs * vec_env.scenario.horizon
+    rest = vec_env.rest * (cfg.outputs == "setpoint")
+    if cfg.further_begin is not None:
+        rest = np.where([name in ("clock", "q") for name in vec_env.channels], rest, cfg.further_begin)
     model = LanePpo(
         LanePolicy,
         vec_env,
@@ -229,7 +238,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
             **normalisation,
             "group": vec_env.lanes_per_env,
             "used": vec_env.used,
-            "clocks": vec_env.clocks * (cfg.outputs == "setpoint"),
+            "rest": rest,
             "pull": cfg.pull,
         },
     )
@@ -248,6 +257,8 @@ def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
+    if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
+        raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
     with sb3.begin(cfg, "ppo", cfg.outputs) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(

@@ -24,8 +24,10 @@ import numpy as np
 from dcgrid_env import Feeder, Scenario, field_names, sensitivity_between_agents
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
+from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.torch_modules import Monotone
+from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.laws.stability import placements
 
 TARGET_FIELDS = ("r", "x", "p_ref_next")
@@ -80,6 +82,8 @@ class SafeLearner(Learner):
     """Learner of monotone networks."""
 
     def __init__(self, cfg: Safe, grids: Sequence[Scenario]):
+        for grid in grids:
+            require_plain(grid)
         self.slopes = [cfg.margin * float(slope) for slope in np.min([bounds(grid) for grid in grids], axis=0)]
         self.fields = field_names(grids[0])
         super().__init__(cfg, grids)
@@ -94,6 +98,17 @@ class SafeLearner(Learner):
         if name == "datacenter":
             return Monotone(mean, std, [inputs, inputs], [clock, reactive], [True, False], self.cfg.hidden)
         return Monotone(mean, std, [inputs], [reactive], [False], self.cfg.hidden)
+
+
+def require_plain(scenario: Scenario) -> None:
+    """ValueError, naming them, for agents or channels for which no bound of the gain is known."""
+    require_known_devices("safe training", scenario)
+    for group in agent_groups(scenario).values():
+        if group.channels != PLAIN_CHANNELS[group.kind]:
+            raise ValueError(
+                f"safe training bounds clocks and reactive power alone; on {scenario.name!r} agents of kind "
+                f"{group.kind} have the channels {', '.join(group.channels)}: train analytic there"
+            )
 
 
 def main(cfg: Safe) -> Path:

@@ -8,9 +8,11 @@ the action itself, or changes of what holds everything as it is, or corrections 
     clock   that which just serves all work at hand, arriving and queued,           the law's, plus output
             less max(output, 0)
     q       that which is dispatched now, plus output                               the law's, plus output
+    other   its rest, plus output                                                   its rest, plus output
 
 With changes a law that integrates, as the droop does, is one that ignores most of what it sees, and a policy need not
-learn to copy its own reactive power to four digits; and the clock starts where holding it back has an effect.
+learn to copy its own reactive power to four digits; and the clock starts where holding it back has an effect. Other
+channels are whatever else devices have: the draw of a storage, whose rest is 0, or the return of a site behind a UPS.
 """
 
 from __future__ import annotations
@@ -22,16 +24,18 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups, axes
+from dcgrid_env.baselines.equipment_agents import at_rest
 
-KINDS = {"joint": ("joint",), "shared": ("datacenter", "inverter")}
-"""Networks of each kind of policy: one for all agents together, or one for each kind of agent."""
+KINDS = ("joint", "shared")
+"""Kinds of policies: one network for all agents together, or one for each kind of agent, named as the device's kind."""
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
 HIDDEN = ("p_ref_next", "p_ref_next_compute")
 """Fields that a policy without preview is not given."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
-"""Limits of the nameplate figures: least reach of reactive power, bands, and most of it that a deviation can need."""
+"""Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""
 
 
 class Gains(NamedTuple):
@@ -78,97 +82,136 @@ class PolicyInterface:
         clip: Callable[[Any, float, float], Any] = cut,
     ):
         names = [field_names(scenario)[agent] for agent in scenario.agents]
-        n_dc, n_inv = scenario.n_datacenters, scenario.n_inverters
         self.scenario, self.kind, self.nameplate, self.outputs = scenario, kind, nameplate, outputs
         self._clip = clip
-        self.counts = {"datacenter": n_dc, "inverter": n_inv}
-        self.split_at, self._n_observed = sum(map(len, names[:n_dc])), sum(map(len, names))
+        self.groups = agent_groups(scenario)
+        """The agents of each kind."""
+        self._n_observed = sum(map(len, names))
         joined = [name for own in names for name in own]
         visible = np.array([preview or name not in HIDDEN for name in joined])
         self._visible = None if visible.all() else array(visible.astype(np.float32))
-        p_scale_kw = np.concatenate((scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
-        self._scales_mw = [array((scale / 1e3).astype(np.float32)) for scale in (p_scale_kw, scenario.q_scale_kvar)]
-        clocks = action_layout(scenario).is_channel("clock").astype(np.float32)
-        self._n_action = len(clocks)
-        self._rest = array(clocks)  # at rest: top clock, no reactive power
-        at_rest = {"both": np.zeros(clocks.shape, bool), "q": clocks == 1.0, "clock": clocks == 0.0}[act]
-        self._at_rest = array(at_rest) if at_rest.any() else None
-        # Positions of clocks and of reactive setpoints in the joint action, and back.
-        self._clock_at, self._q_at = (array(np.flatnonzero(clocks == value)) for value in (1.0, 0.0))
-        self._back = array(np.argsort(np.concatenate((np.flatnonzero(clocks), np.flatnonzero(clocks == 0.0)))))
-        self._columns = {
-            field: array(np.array([i for i, name in enumerate(joined) if name == field], dtype=np.int64))
-            for field in ("v_deviation", "q", "r", "x", "p_ref_next", "backlog")
-        }
+        self._starts = np.cumsum([0, *map(len, names)])[:-1]
+        p_scale_kw, q_scale_kvar = np.concatenate([d.p_scale_kw for d in scenario.devices]), scenario.q_scale_kvar
+        self._scales_mw = [array((scale / 1e3).astype(np.float32)) for scale in (p_scale_kw, q_scale_kvar)]
+        self._reactive = None if (q_scale_kvar > 0).all() else array(q_scale_kvar > 0)
+        self._of_all = {z: self._columns(z, range(len(names)), array) for z in ("v_deviation", "r", "x")}
+        self._lay_out(act, array)
         self._idle, self._dt_s = scenario.idle_share, float(scenario.dt_s)
         self._slowest = scenario.f_min_mhz / scenario.f_max_mhz
         self._ahead = preview and scenario.preview
         if gains is not None:
             band = scenario.band_pu or 1.0
-            reach_mw = np.where(scenario.q_scale_kvar > 0, scenario.q_scale_kvar, np.inf) / 1e3
+            q_kvar = q_scale_kvar[self._q_agents]
+            reach_mw = np.where(q_kvar > 0, q_kvar, np.inf) / 1e3
             self._k_q = array((gains.k_q_mvar_per_pu_s * self._dt_s * band / reach_mw).astype(np.float32))
-            self._k_p = array((gains.k_p_mw_per_pu * band * 1e3 / scenario.datacenter.p_rated_kw).astype(np.float32))
+            rated_kw = p_scale_kw[self._clock_agents]
+            self._k_p = array((gains.k_p_mw_per_pu * band * 1e3 / rated_kw).astype(np.float32))
             self._alpha_per_s = gains.alpha_per_s
+
+    def _lay_out(self, act: str, array: Callable[[np.ndarray], Any]) -> None:
+        """Find where the joint action has clocks, reactive setpoints and other channels, and what each of them sees."""
+        agents = {agent: i for i, agent in enumerate(self.scenario.agents)}
+        owner = np.array([agents[agent] for agent, _ in action_layout(self.scenario).names], dtype=np.int64)
+        self.is_clock, self.is_q = axes(self.scenario)
+        self._n_action = len(owner)
+        other = ~(self.is_clock | self.is_q)
+        entries = [np.flatnonzero(chosen) for chosen in (self.is_clock, self.is_q, other)]
+        self._clock_at, self._q_at, self._other_at = map(array, entries)
+        self._back = array(np.argsort(np.concatenate(entries)))
+        self._clock_agents, self._q_agents = owner[self.is_clock], owner[self.is_q]
+        rest = at_rest(self.scenario).astype(np.float32)
+        self._rest, self._other_rest = array(rest), array(rest[other]) if other.any() else None
+        held = {"both": np.zeros(len(owner), bool), "q": ~self.is_q, "clock": ~self.is_clock}[act]
+        self._at_rest = array(held) if held.any() else None
+        self._of_q = {name: self._columns(name, self._q_agents, array) for name in ("q", "v_deviation")}
+        of_clock = ("p_ref_next", "backlog", "v_deviation")
+        self._of_clock = {name: self._columns(name, self._clock_agents, array) for name in of_clock}
+
+    def _columns(self, field: str, agents: Any, array: Callable[[np.ndarray], Any]) -> Any:
+        """Where the joint observation has a field of these agents, (n,)."""
+        names = field_names(self.scenario)
+        at = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
+        return array(np.array(at, dtype=np.int64))
 
     @property
     def widths(self) -> dict[str, tuple[int, int]]:
         """Width of what each network that is needed sees, and of what it gives."""
-        n_dc, n_inv = self.counts["datacenter"], self.counts["inverter"]
         more = 3 * self.nameplate
         if self.kind == "joint":
-            return {"joint": (self._n_observed + more * (n_dc + n_inv), self._n_action)}
-        networks = {"datacenter": (self.split_at // n_dc + more, 2)} if n_dc else {}
-        return networks | ({"inverter": ((self._n_observed - self.split_at) // n_inv + more, 1)} if n_inv else {})
+            return {"joint": (self._n_observed + more * self.scenario.n_agents, self._n_action)}
+        return {kind: (len(own.fields) + more, len(own.channels)) for kind, own in self.groups.items()}
+
+    @property
+    def channels(self) -> dict[str, tuple[str, ...]]:
+        """Names of what each network gives, in order."""
+        if self.kind == "joint":
+            return {"joint": tuple(channel for _, channel in action_layout(self.scenario).names)}
+        return {kind: own.channels for kind, own in self.groups.items()}
+
+    @property
+    def plain_channels(self) -> dict[str, tuple[str, ...]]:
+        """What ``channels`` are taken to be where a policy says nothing of them: clocks of data centres, which come
+        first in a joint action, and reactive power."""
+        if self.kind == "joint":
+            counts = {"datacenter": self.scenario.n_datacenters, "inverter": self.scenario.n_inverters}
+            return {"joint": tuple(name for kind, n in counts.items() for name in n * PLAIN_CHANNELS[kind])}
+        return {kind: PLAIN_CHANNELS.get(kind, own) for kind, own in self.channels.items()}
+
+    @property
+    def further_channels(self) -> dict[str, tuple[str, ...]]:
+        """Those of ``channels`` that a policy must say: where they are not what is taken without a word."""
+        known = PLAIN_CHANNELS if self.kind == "shared" else self.plain_channels
+        return {name: own for name, own in self.channels.items() if own != known.get(name)}
 
     def inputs(self, joint: Any) -> dict[str, Any]:
         """What each network sees, (..., n) for a joint one, (..., n_agent, n) for one of single agents."""
         if self._visible is not None:
             joint = joint * self._visible
+        plates = self._plates(joint) if self.nameplate else ()
         if self.kind == "joint":
-            return {"joint": joint if not self.nameplate else _joined((joint, *self._plates(joint)))}
-        parts = {"datacenter": joint[..., : self.split_at], "inverter": joint[..., self.split_at :]}
-        networks, first = {}, 0
-        for name, count in self.counts.items():
-            if count:
-                own = parts[name].reshape(*joint.shape[:-1], count, parts[name].shape[-1] // count)
-                if self.nameplate:
-                    plates = [figure[..., first : first + count, None] for figure in self._plates(joint)]
-                    own = _joined((own, *plates))
-                networks[name], first = own, first + count
+            return {"joint": _joined((joint, *plates)) if plates else joint}
+        networks = {}
+        for kind, group in self.groups.items():
+            own = joint[..., group.seen].reshape(*joint.shape[:-1], group.count, len(group.fields))
+            of_group = (plate[..., group.agents, None] for plate in plates)
+            networks[kind] = _joined((own, *of_group)) if plates else own
         return networks
 
     def _plates(self, joint: Any) -> tuple[Any, Any, Any]:
         """The three figures of the nameplate, (..., n_agent) each, see :class:`Policy`."""
-        draw, reach = (joint[..., self._columns[z]] * scale for z, scale in zip("rx", self._scales_mw, strict=True))
-        needed = joint[..., self._columns["v_deviation"]] / reach.clip(SMALLEST_REACH, None)
+        draw, reach = (joint[..., self._of_all[z]] * scale for z, scale in zip("rx", self._scales_mw, strict=True))
+        by = reach if self._reactive is None else _chosen(self._reactive, reach, draw)
+        needed = joint[..., self._of_all["v_deviation"]] / by.clip(SMALLEST_REACH, None)
         return draw, reach, needed.clip(-MOST_NEEDED, MOST_NEEDED)
 
     def action(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
         """The joint action, (..., n_action) in [-1, 1], that the networks' outputs mean after a joint observation."""
-        if self.kind == "joint":
-            out = outputs["joint"]
-        else:
-            own = [outputs[name].reshape(*joint.shape[:-1], -1) for name, count in self.counts.items() if count]
-            out = own[0] if len(own) == 1 else _joined(own)
+        out = outputs["joint"] if self.kind == "joint" else self._of_agents(joint, outputs)
         if self.outputs != "setpoint":
-            q, clock = joint[..., self._columns["q"]] + out[..., self._q_at], out[..., self._clock_at]
+            q, clock = joint[..., self._of_q["q"]] + out[..., self._q_at], out[..., self._clock_at]
             if self.outputs == "change":
                 clock = self._clock(joint, 1.0 / self._dt_s) - self._clip(clock, 0.0, 2.0)
             else:
-                v, n_dc = joint[..., self._columns["v_deviation"]], self.counts["datacenter"]
-                q = q - v * self._k_q
-                clock = self._clock(joint, self._alpha_per_s, v[..., :n_dc] * self._k_p) + clock
-            out = _joined((clock, q))[..., self._back]
+                q = q - joint[..., self._of_q["v_deviation"]] * self._k_q
+                more = joint[..., self._of_clock["v_deviation"]] * self._k_p
+                clock = self._clock(joint, self._alpha_per_s, more) + clock
+            other = () if self._other_rest is None else (self._other_rest + out[..., self._other_at],)
+            out = _joined((clock, q, *other))[..., self._back]
         out = self._clip(out, -1.0, 1.0)
         return out if self._at_rest is None else _chosen(self._at_rest, self._rest, out)
+
+    def _of_agents(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
+        """Outputs of networks of single agents in the order of the joint action, (..., n_action)."""
+        own = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
+        return own[0] if len(own) == 1 else _joined(own)
 
     def _clock(self, joint: Any, backlog_per_s: float, more: Any = 0.0) -> Any:
         """The clock that allows p_ref, this share of the backlog and ``more``, shares of the rating, (..., n_dc).
 
         Those that do not see p_ref have the top clock, less what ``more`` takes off the rating.
         """
-        backlog_s = joint[..., self._columns["backlog"]]
-        power = joint[..., self._columns["p_ref_next"]] if self._ahead else 0.0 * backlog_s + 1.0
+        backlog_s = joint[..., self._of_clock["backlog"]]
+        power = joint[..., self._of_clock["p_ref_next"]] if self._ahead else 0.0 * backlog_s + 1.0
         speed = (power + backlog_per_s * backlog_s + more - self._idle) / (1.0 - self._idle)
         return (2.0 * (speed - self._slowest) / (1.0 - self._slowest) - 1.0).clip(-1.0, 1.0)
 
@@ -183,6 +226,12 @@ def require_one_policy_fits(interfaces: Sequence[PolicyInterface]) -> None:
                     f"scenario: the network {name!r} would take and give {first.widths[name]} figures on "
                     f"{first.scenario.name} and {widths} on {interface.scenario.name}; train on scenarios of the same "
                     "agents, or on one alone"
+                )
+            mine, its = first.channels.get(name, ()), interface.channels[name]
+            if mine and mine != its:
+                raise ValueError(
+                    f"scenario: the network {name!r} would give {', '.join(mine)} on {first.scenario.name} and "
+                    f"{', '.join(its)} on {interface.scenario.name}; train on scenarios of the same agents, or on one"
                 )
 
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.interface import ACTS, KINDS, OUTPUTS, SCOPES, Gains, PolicyInterface
+from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
 from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
-from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
@@ -32,20 +31,23 @@ class Policy:
     ----------
     networks
         ``{"joint": network}``: from the joint observation to the joint action, as ``gymnasium.make`` has them; fits
-        scenarios with the same numbers of agents. Or ``{"datacenter": network, "inverter": network}``: from each
-        agent's own observation to its own action, (clock, q) or (q,), as ``parallel_env`` has them; fits any number of
-        agents on any feeder. One of the two may be left out where there is no such agent.
+        scenarios with the same numbers of agents. Or one for each kind of agent, by the ``kind`` of its device,
+        ``{"datacenter": network, "inverter": network, "storage": network}``: from each agent's own observation to its
+        own action, its device's channels in order, as ``parallel_env`` has them; fits any number of agents on any
+        feeder. Regulators and capacitor banks need none: they stay under their own control.
     observe
         Scope of observation that it was trained with.
     preview
         Whether it sees the coming interval's p_ref; if not, those fields are 0 for it whatever the scenario shows.
     act
-        Which axes it moves: ``both``; ``q``, with every clock at the top; ``clock``, with all reactive setpoints at 0.
+        Which axes it moves: ``both``, and all further channels; ``q``, with every clock at the top; ``clock``, with all
+        reactive setpoints at 0. With one axis alone further channels stay at rest.
     nameplate
         Whether an agent's observation has three more figures at its end: r times its rating in MW (of a data centre
         p_rated, of an inverter s_rated) and x times its reactive limit at zero active power in Mvar, both in bands of
         voltage, and v_deviation over the latter, cut to +-3: the share of its reactive power that would bring its own
-        voltage to 1. A joint network has the first of all agents, then the second, then the third.
+        voltage to 1; where it has no reactive power, v_deviation over the first. A joint network has the first of all
+        agents, then the second, then the third.
     outputs
         Whether the networks give setpoints, changes of what holds everything as it is, or corrections of a droop law,
         see ``interface``.
@@ -55,11 +57,15 @@ class Policy:
         Name of the scenario that it was trained on.
     made_with
         The command that made it.
+    channels
+        Names of the channels that a network gives, in order, for networks that give something else than (clock, q) for
+        a data centre and (q,) for an inverter, a joint one for all data centres and then all inverters. A scenario's
+        must be the same.
 
     Raises
     ------
     PolicyError
-        For networks of neither kind, or whose outputs are not the agent's actions.
+        For networks of neither kind, or settings that there are not.
     """
 
     def __init__(
@@ -74,20 +80,26 @@ class Policy:
         gains: Sequence[float] | None = None,
         scenario: str = "",
         made_with: str = "",
+        channels: Mapping[str, Sequence[str]] | None = None,
     ):
-        self.kind = next((kind for kind, names in KINDS.items() if networks and set(networks) <= set(names)), "")
-        if not self.kind:
-            raise PolicyError(f"networks are {sorted(networks)}; give joint alone, or datacenter, inverter or both")
+        self.kind = "joint" if set(networks) == {"joint"} else "shared"
+        if not networks or (self.kind == "shared" and not all(map(_is_kind, networks))):
+            raise PolicyError(
+                f"networks are {sorted(networks)}; give joint alone, or one for each kind of agent, such as "
+                "datacenter, inverter and storage"
+            )
         for field, value, choices in (("observe", observe, SCOPES), ("act", act, ACTS), ("outputs", outputs, OUTPUTS)):
             if value not in choices:
                 raise PolicyError(f"{field} is {value!r}; choose one of {', '.join(choices)}")
         for field, value in (("preview", preview), ("nameplate", nameplate)):
             if not isinstance(value, bool):
                 raise PolicyError(f"{field} is {value!r}; give true or false")
-        for name, want in (("datacenter", 2), ("inverter", 1)):
-            if name in networks and networks[name].n_out != want:
-                raise PolicyError(f"{name}: the network has {networks[name].n_out} outputs; its agents take {want}")
         self.networks = dict(networks)
+        self.channels = {name: tuple(own) for name, own in (channels or {}).items()}
+        for name, own in self.channels.items():
+            if name not in networks or networks[name].n_out != len(own):
+                gives = f"gives {networks[name].n_out}" if name in networks else "is not there"
+                raise PolicyError(f"channels of {name} are {own}; the network {gives}: name each of its outputs")
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
@@ -102,21 +114,35 @@ class Policy:
             raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
         self._equipment = EquipmentAgents(env_info)
         env_info = self._equipment.others
-        require_known_devices(self.source, env_info)
-        n_dc, n_inv = env_info.n_datacenters, env_info.n_inverters
         chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
         chosen["gains"] = self.gains
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
-        for name, (n_in, n_out) in self._interface.widths.items():
-            if name not in self.networks:
-                raise PolicyError(f"{self.source}: has no network for the {name}s of {env_info.name}; train one")
-            network = self.networks[name]
-            if (network.n_in, network.n_out) != (n_in, n_out):
-                raise PolicyError(
-                    f"{self.source}: network {name} takes {network.n_in} figures and gives {network.n_out}, on "
-                    f"{env_info.name} ({n_dc} data centres, {n_inv} inverters, {env_info.observe} observation) it must "
-                    f"be {n_in} and {n_out}; it was trained on {self.trained_on or 'another'}"
-                )
+        for name in self._interface.widths:
+            self._check_fits(name, self._interface, env_info)
+
+    def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
+        """PolicyError unless there is a network of this name, with the widths and channels of the scenario's agents."""
+        widths, channels = view.widths[name], view.channels[name]
+        trained = f"it was trained on {self.trained_on or 'another'}; train one for this scenario"
+        if name not in self.networks:
+            has = ", ".join(self.networks)
+            raise PolicyError(
+                f"{self.source}: has no network for agents of kind {name} of {scenario.name}, but {has}; {trained}"
+            )
+        network = self.networks[name]
+        counts = ", ".join(f"{device.count} of kind {device.kind}" for device in scenario.devices if device.count)
+        if (network.n_in, network.n_out) != widths:
+            raise PolicyError(
+                f"{self.source}: network {name} takes {network.n_in} figures and gives {network.n_out}, on "
+                f"{scenario.name} ({counts}, {scenario.observe} observation) it must be {widths[0]} and {widths[1]}; "
+                f"{trained}"
+            )
+        own = self.channels.get(name, view.plain_channels[name])
+        if own != channels:
+            raise PolicyError(
+                f"{self.source}: network {name} gives {', '.join(own)}; on {scenario.name} its agents take "
+                f"{', '.join(channels)}; {trained}"
+            )
 
     def act(self, observations: Any) -> Any:
         """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
@@ -151,6 +177,7 @@ class Policy:
             "made_with": self.made_with,
             "networks": {name: {"family": net.family, **net.settings()} for name, net in self.networks.items()},
             **({} if self.gains is None else {"gains": list(self.gains)}),
+            **({"channels": {name: list(own) for name, own in self.channels.items()}} if self.channels else {}),
         }
 
     def save(self, path: str | Path, card: Mapping[str, Any] | None = None) -> Path:
@@ -200,6 +227,11 @@ class Policy:
         return _load(path)
 
 
+def _is_kind(name: str) -> bool:
+    """Whether a network may have this name beside others: that of a kind, without the dot that ends it in a file."""
+    return name not in ("", "joint") and "." not in name
+
+
 def _gains(values: Sequence[float]) -> Gains:
     figures = [float(value) for value in values]
     if len(figures) != len(Gains._fields) or not all(0.0 <= value < float("inf") for value in figures):
@@ -221,6 +253,7 @@ def _load(path: Path) -> Policy:
             gains=about.get("gains"),
             scenario=str(about["scenario"]),
             made_with=str(about["made_with"]),
+            channels=about.get("channels"),
         )
     except KeyError as missing:
         raise PolicyError(f"{path}: {missing.args[0]} is missing; export the policy again") from None

@@ -1,38 +1,32 @@
 """Stable-Baselines3 vector environments made directly on the native batch; all is array operations over its lanes.
 
 ``JointVecEnv`` has a lane for each environment: the joint observation and action, as ``gymnasium.make`` has them.
-``AgentVecEnv`` has a lane for each agent of each environment, environment by environment, for one policy that drives
-them all; its observation holds, in this order,
-
-    the fields of either kind of agent, each once by name, 0 where an agent has no such field
-    with nameplate: those that ``policy.interface`` adds
-    kind: 1 for a data centre, 0 for an inverter
-
-and its action is (clock, q), of which an inverter's clock goes nowhere. The reward is the team's, for each lane alike.
-Actions are setpoints, changes or corrections of the droop, as ``policy.interface`` has them.
+``agent_lanes`` has a lane for each agent of each. Actions are setpoints, changes or corrections of the droop, as
+``policy.interface`` has them.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
-from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, field_names, under_own_control
+from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, end_costs
 from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.config import Act
 from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines.equipment_agents import at_rest
 
 Outputs = Literal["setpoint", "change", "droop"]
-REACH = {"setpoint": (1.0, 1.0), "change": (2.0, 0.5), "droop": (0.5, 0.5)}
-"""What an action of 1 is, of a clock and of a reactive setpoint, as an output of a network."""
+REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 1.0), "droop": (0.5, 0.5, 1.0)}
+"""What an action of 1 is, of a clock, a reactive setpoint and another channel, as an output of a network."""
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 """Largest action; changes are meant to stay well within it."""
-KINDS = ("datacenter", "inverter")
 
 
 def droop_gains(scenario: Scenario) -> Gains:
@@ -47,7 +41,9 @@ class JointVecEnv(VecEnv):
     Lane i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
     stands in ``infos[lane]["terminal_observation"]``, ``infos[lane]["TimeLimit.truncated"]`` says whether it ended at
     the horizon rather than in a voltage collapse, and ``infos[lane]["J"]`` is its cost; other steps have empty infos.
-    Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps.
+    Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps. With
+    ``end_share`` above 0 each step is charged this share of what the episode's end would charge there, and its end
+    nothing of it.
 
     Parameters
     ----------
@@ -80,7 +76,7 @@ class JointVecEnv(VecEnv):
         self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs
         self.physics_s = 0.0
-        self.reward_mean, self.reward_scale = 0.0, 1.0
+        self.reward_mean, self.reward_scale, self.end_share = 0.0, 1.0, 0.0
         self._actions = self._observation = np.zeros(0)
         observation, action = self._spaces()
         super().__init__(n_envs * self.lanes_per_env, observation, action)
@@ -93,12 +89,27 @@ class JointVecEnv(VecEnv):
     @property
     def used(self) -> np.ndarray:
         """1 for each entry of an action that reaches the grid, else 0, float32, (1, n_action)."""
-        return np.where(self.clocks, self.act != "q", self.act != "clock").astype(np.float32)[None]
+        return np.array([[in_hand(self.act, channel) for channel in self.channels]], np.float32)
 
-    @property
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the entries of an action."""
+        return tuple(channel for _, channel in action_layout(self.scenario).names)
+
+    @cached_property
     def clocks(self) -> np.ndarray:
         """Which entries of an action are clocks, bool, (n_action,)."""
-        return action_layout(self.scenario).is_channel("clock")
+        return np.array([channel == "clock" for channel in self.channels])
+
+    @property
+    def further_channels(self) -> dict[str, tuple[str, ...]]:
+        """What a policy says of its networks, see ``PolicyInterface.further_channels``."""
+        return self._interface.further_channels
+
+    @property
+    def rest(self) -> np.ndarray:
+        """What an action is at rest as a setpoint, float32, (n_action,)."""
+        return at_rest(self.scenario).astype(np.float32)
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         observation, action = self.batch.single_observation_space, self.batch.single_action_space
@@ -119,10 +130,11 @@ class JointVecEnv(VecEnv):
         """Outputs that ``view`` takes, from the lanes' actions."""
         return {"joint": actions * self.reach}
 
-    @property
+    @cached_property
     def reach(self) -> np.ndarray:
         """What an action of 1 is as an output, float32, (n_action,)."""
-        return np.where(self.clocks, *REACH[self.outputs]).astype(np.float32)
+        clock, q, other = REACH[self.outputs]
+        return np.array([{"clock": clock, "q": q}.get(channel, other) for channel in self.channels], np.float32)
 
     def arrived(self) -> np.ndarray:
         """What the last step led to, before any new episode began: (lane, n_observation)."""
@@ -149,6 +161,9 @@ class JointVecEnv(VecEnv):
         began_s = time.perf_counter()
         joint = self._interface.action(self._observation, self._means(self._actions))
         self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
+        if self.end_share:
+            due = sum(end_costs(self.scenario, self.batch.transition.state).values(), np.zeros(self.n_envs))
+            reward = reward - due * (self.end_share - truncated)
         each = self.lanes_per_env
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -200,83 +215,6 @@ class JointVecEnv(VecEnv):
         return self.num_envs if indices is None else 1 if isinstance(indices, int) else len(indices)
 
 
-class AgentVecEnv(JointVecEnv):
-    """One lane for each agent of each environment, (environment, agent) in turn; see the module's head.
-
-    Parameters
-    ----------
-    scenario, n_envs, act, outputs, render_mode
-        Settings of the batch, see :class:`JointVecEnv`.
-    nameplate
-        Whether the nameplate figures are observed.
-    """
-
-    kind = "shared"
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        n_envs: int,
-        act: Act = "both",
-        outputs: Outputs = "setpoint",
-        nameplate: bool = False,
-        render_mode: str | None = None,
-    ):
-        if under_own_control(scenario) is not scenario:
-            raise ValueError(
-                f"view is 'shared'; {scenario.name!r} has regulators or capacitor banks among its agents, which share "
-                "no policy with the others: choose 'joint', or give under_own_control(scenario)"
-            )
-        names = field_names(scenario)
-        agents = scenario.agents
-        self.fields = tuple(dict.fromkeys(name for agent in (agents[0], agents[-1]) for name in names[agent]))
-        self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
-        kind = KINDS[0] if scenario.n_datacenters else KINDS[1]
-        self._figures = self._agent_interface.widths[kind][0] - len(names[agents[0]])
-        self._kind = (np.arange(len(agents)) < scenario.n_datacenters).astype(np.float32)
-        super().__init__(scenario, n_envs, act, outputs, render_mode)
-
-    @property
-    def lanes_per_env(self) -> int:
-        """Lanes of an environment."""
-        return self.scenario.n_agents
-
-    @property
-    def used(self) -> np.ndarray:
-        """1 for each entry of an action that reaches the grid, else 0, float32, (2, 2): an inverter, a data centre."""
-        clock, q = self.act != "q", self.act != "clock"
-        return np.array([[0, q], [clock, q]], np.float32)
-
-    @property
-    def clocks(self) -> np.ndarray:
-        """Which entries of an action are clocks, bool, (n_action,)."""
-        return np.array([True, False])
-
-    def columns(self, agent: str) -> np.ndarray:
-        """Where a lane's observation holds the agent's own observation, and its nameplate figures if there are any."""
-        own = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
-        return np.array(own + [len(self.fields) + i for i in range(self._figures)])
-
-    def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
-        joint, _ = super()._spaces()
-        low, high = (self._rows(edge[None]).reshape(len(self._kind), -1) for edge in (joint.low, joint.high))
-        low, high = low.min(axis=0), high.max(axis=0)
-        plate = slice(len(self.fields), len(self.fields) + self._figures)
-        low[plate], high[plate] = -np.inf, np.inf
-        low[-1], high[-1] = 0.0, 1.0
-        return spaces.Box(low, high, dtype=np.float32), self._action_space(2)
-
-    def _rows(self, joint: np.ndarray) -> np.ndarray:
-        lanes = np.zeros((len(joint), len(self._kind), len(self.fields) + self._figures + 1), np.float32)
-        lanes[..., -1] = self._kind
-        agents, n_dc = self.scenario.agents, self.scenario.n_datacenters
-        inputs = self._agent_interface.inputs(joint)
-        for kind, members in zip(KINDS, (slice(0, n_dc), slice(n_dc, None)), strict=True):
-            if kind in inputs:
-                lanes[:, members, self.columns(agents[members][0])] = inputs[kind]
-        return lanes.reshape(-1, lanes.shape[-1])
-
-    def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        n_dc = self.scenario.n_datacenters
-        each = (actions * self.reach).reshape(self.n_envs, -1, 2)
-        return {"datacenter": each[:, :n_dc], "inverter": each[:, n_dc:, 1:]}
+def in_hand(act: str, channel: str) -> bool:
+    """Whether a policy moves the channels of this name."""
+    return act in ("both", channel)

@@ -21,12 +21,12 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv, Outputs
+from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
 from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
-from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -104,11 +104,14 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
     spec = ScenarioSpec(cfg.scenario, cfg.set)
     scenario = under_own_control(spec.make("train", observe=cfg.observe))
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
-    require_known_devices("training", scenario)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
-        return JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs)
-    return AgentVecEnv(scenario, max(1, cfg.num_envs // scenario.n_agents), cfg.act, outputs, cfg.nameplate)
+        vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs)
+    else:
+        n_envs = max(1, cfg.num_envs // scenario.n_agents)
+        vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, cfg.nameplate)
+    vec_env.end_share = dearer(cfg.gamma, cfg.wait) / scenario.horizon
+    return vec_env
 
 
 def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
@@ -120,12 +123,19 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
 
     A discount hides most of a long wait, so that deferral would pay that should not. A wait of n steps costs n in truth
     and (1 - gamma^n) / (1 - gamma) discounted: the price is raised by the ratio of the two at n = ``wait``.
+
+    What else an episode's end charges, as energy that is missing in storages, is charged in the same way by the lanes
+    (``JointVecEnv.end_share``).
     """
-    w = scenario.weights
-    raised = wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
+    w, raised = scenario.weights, dearer(gamma, wait)
     return scenario.replace(
         weights=w._replace(backlog=raised * (w.backlog + w.leftover / scenario.horizon), leftover=0.0)
     )
+
+
+def dearer(gamma: float, wait: float) -> float:
+    """What the price of waiting is raised by under a discount, see :func:`for_training`."""
+    return wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
 
 
 def episode_seed(seed: int, iteration: int, n_envs: int) -> int:

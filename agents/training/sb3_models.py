@@ -13,7 +13,8 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
+from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from dcgrid_env.agents.training.config import trained_on
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
@@ -78,9 +79,9 @@ def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
 
 
 def prepared(model: Any, vec_env: JointVecEnv, last: Any) -> Any:
-    """The model with a logger that only remembers, and an actor whose ``last`` layer begins with clocks at the top."""
+    """The model with a logger that only remembers, and an actor whose ``last`` layer begins about at rest."""
     with torch.no_grad():
-        last.bias += 2.0 * torch.as_tensor(vec_env.clocks, dtype=torch.float32, device=last.bias.device)
+        last.bias += 2.0 * torch.as_tensor(vec_env.rest, dtype=torch.float32, device=last.bias.device)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
@@ -109,25 +110,22 @@ def export(
         weights[-1] = (weights[-1][0] * vec_env.reach, weights[-1][1] * vec_env.reach)
     networks = {}
     if isinstance(vec_env, AgentVecEnv):
-        agents, n_dc = vec_env.scenario.agents, vec_env.scenario.n_datacenters
-        for name, members, kind in (("datacenter", agents[:n_dc], 1.0), ("inverter", agents[n_dc:], 0.0)):
-            if not members:
-                continue
-            own = vec_env.columns(members[0])
+        for name, members in vec_env.members.items():
+            own = vec_env.columns(vec_env.scenario.agents[members[0]])
             constant = np.zeros(len(mean))
-            constant[-1] = kind
+            constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
             constant = np.clip((constant - mean) / std, -CLIP, CLIP)
             constant[own] = 0.0
             (first, bias), *rest = weights
             layered = [(first[own], bias + constant @ first), *rest]
-            if name == "inverter":
-                last, last_bias = layered[-1]
-                layered[-1] = (last[:, 1:], last_bias[1:])
+            last, last_bias = layered[-1]
+            given = vec_env.entries(name)
+            layered[-1] = (last[:, given], last_bias[given])
             networks[name] = Network(layered, activation, squash, mean[own], std[own], CLIP)
     else:
         networks["joint"] = Network(weights, activation, squash, mean, std, CLIP)
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
         outputs=vec_env.outputs, gains=vec_env.gains,
-        scenario=trained_on(cfg), made_with=made_with(),
+        scenario=trained_on(cfg), made_with=made_with(), channels=vec_env.further_channels,
     )  # fmt: skip

@@ -37,8 +37,9 @@ def sb3_vec_env(
         "joint": a lane is an environment, with the observation and action of ``gymnasium.make``. "shared": a lane is an
         agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as lanes,
         environment by environment. Observations are then an agent's own fields, 0 where it has none of the name, and
-        last 1 for a data centre or 0 for an inverter; actions are (clock, q), of which an inverter's clock is ignored;
-        each agent is paid the team's reward.
+        last 1 for a data centre or 0 for an inverter, with a further such figure for each other kind of agent; actions
+        are (clock, q) and then the other channels of the scenario's agents, of which an agent's are those that it has,
+        so that an inverter's clock is ignored; each agent is paid the team's reward.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
@@ -57,7 +58,8 @@ def sb3_vec_env(
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     try:
-        from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
+        from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+        from dcgrid_env.agents.training.batched_envs import JointVecEnv
     except ImportError as error:
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"

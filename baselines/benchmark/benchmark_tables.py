@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dcgrid_env import METRICS, Metric
 from dcgrid_env.baselines.benchmark.columns import fit, folded
-from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary
+from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary
 from dcgrid_env.baselines.score import REFERENCE, Estimate
 
 if TYPE_CHECKING:
@@ -35,6 +35,11 @@ LEGEND = (
     "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
     "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
     "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",
+)
+
+IS_NO_BOUND = (
+    "Where sites trip there is no linear program: a score of 1 is the best known cost of each episode, found by a "
+    "search of that episode and by controllers. It is no bound, and may be beaten."
 )
 
 
@@ -109,7 +114,9 @@ def scenario_table(summary: ScenarioSummary) -> Table:
     """Everything about one scenario."""
     header = ("controller", "score", "J", "IQM of J", f"J - J of {REFERENCE}", *map(heading, COLUMNS), "observes")
     notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
-    if summary.hindsight:
+    if isinstance(summary.hindsight, BestKnownCost):
+        notes.insert(0, f"Best known: J {summary.hindsight.J:.4f}. {IS_NO_BOUND}")
+    elif summary.hindsight:
         notes.insert(
             0,
             "Hindsight: J {:.4f}; the linearised program's own optimum {:.4f} (largest gap of an episode {:.2f} % of J)"

@@ -41,7 +41,7 @@ class RouteToStrongest(Droop):
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError for a scenario whose work cannot be routed."""
         super().reset(env_info)
-        if getattr(env_info.part("datacenter"), "routing", None) is None or not env_info.n_datacenters:
+        if not has_routing(env_info):
             raise ValueError(
                 f"route-to-strongest: the sites of scenario {env_info.name!r} have no channel 'route'; give it "
                 "datacenter_routing={}, or use the law 'droop'"
@@ -58,3 +58,9 @@ class RouteToStrongest(Droop):
         apart = strength - strength.mean(axis=-1, keepdims=True)
         actions[..., self._route_at] = np.clip(self.route_gain_per_pu * apart, -1.0, 1.0)
         return actions
+
+
+def has_routing(scenario: Scenario) -> bool:
+    """Whether work can be moved between the sites of a scenario."""
+    sites = scenario.part("datacenter")
+    return sites.count > 0 and sites.routing is not None

@@ -242,6 +242,11 @@ def _check(scenario: Scenario) -> None:
         raise ValueError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
     if sites.routing is not None and sites.boost_share > 1.0:
         raise ValueError("hindsight plans routing for sites that stay within their rating; set boost_share to 1")
+    if any(getattr(device, "storage", None) is not None for device in scenario.devices):
+        raise ValueError(
+            f"hindsight plans storages that are agents; scenario {scenario.name!r} has them behind its data centres: "
+            "give Storages at their buses instead, or leave datacenter_storage out"
+        )
     if not isinstance(scenario.dvfs, LinearDvfs):
         raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
     if scenario.voltage_cost != "l1":

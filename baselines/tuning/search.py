@@ -2,9 +2,10 @@
 
 Minimised is the mean J over episodes, on several scenarios together the mean of J as a share of the J of no control.
 The search is COBYQA's (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without derivatives) from the
-middle of the bounds; laws of up to three parameters are also searched by differential evolution (R. Storn and K. Price,
-Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are scipy's. The same call finds the
-same parameters. On ieee33's ten constant shares COBYQA needed 93 trials to what took Powell's method 300.
+middle of the bounds; laws of up to three parameters, and those whose cost has steps, are also searched by differential
+evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are
+scipy's. The same call finds the same parameters. On ieee33's ten constant shares COBYQA needed 93 trials to what took
+Powell's method 300.
 """
 
 from __future__ import annotations
@@ -20,7 +21,14 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
-from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
+from dcgrid_env.baselines.laws.site_return import (
+    SLOWEST_PACE,
+    ReturnByHand,
+    StaggeredReturn,
+    has_return_channel,
+    return_rule,
+)
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.rollout import rollout
 
@@ -37,8 +45,10 @@ class Tunable:
     parameters: Callable[[np.ndarray, Sequence[Scenario]], Parameters]
     """From x and the scenarios that share the parameters to the law's keyword arguments."""
     bounds: Callable[[Sequence[Scenario]], list[tuple[float, float]]]
-    generations: int = 3
-    """Generations of differential evolution, where there are up to three parameters."""
+    generations: int | None = None
+    """Generations of differential evolution; None for three where there are up to three parameters, else none."""
+    fits: Callable[[Scenario], bool] = lambda _: True
+    """Whether the law can drive a scenario at all."""
 
 
 class Tuned(NamedTuple):
@@ -54,8 +64,8 @@ def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
     return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), "alpha_per_s": _power(x[2])}
 
 
-def _routing(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
-    return _droop(x[:3], _) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
+def _routing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    return _droop(x[:3], scenarios) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
 
 
 def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
@@ -115,6 +125,26 @@ def _distances(scenario: Scenario) -> np.ndarray:
     return np.stack(list(own), axis=-1)
 
 
+def _by_hand(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    """k_p and k_q of the droop, both times as shares of what ``ups_wait`` counts to, and the pace."""
+    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
+    times = {"return_delay_s": _rounded(x[2] * longest_s), "release_s": _rounded(x[3] * longest_s)}
+    return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), **times, "pace": _rounded(x[4])}
+
+
+def _staggered(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    """The same, and how far apart sites return as a share of what is left of that time."""
+    first = _by_hand(x, scenarios)
+    latest_s = max(*(return_rule(s).return_delay_s for s in scenarios), first["return_delay_s"], first["release_s"])
+    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
+    apart = max(1, *(s.n_datacenters - 1 for s in scenarios))
+    return first | {"stagger_s": _rounded(0.999 * x[5] * (longest_s - latest_s) / apart)}
+
+
+def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
+    return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (SLOWEST_PACE, 1.0)]
+
+
 TUNABLE: dict[str, Tunable] = {
     "droop": Tunable(Droop, _droop, _droop_bounds),
     "droop-q": Tunable(
@@ -125,7 +155,14 @@ TUNABLE: dict[str, Tunable] = {
         lambda x, _: {"k_share_per_pu": _power(x[0]), "deadband_pu": _rounded(x[1])},
         lambda _: [(0.0, 3.5), (0.0, 0.03)],
     ),
-    "route-to-strongest": Tunable(RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)]),
+    "route-to-strongest": Tunable(
+        RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)], fits=has_routing
+    ),
+    # Trips make steps of the cost, in which a method that follows slopes stays where it begins.
+    "return-by-hand": Tunable(ReturnByHand, _by_hand, _return_bounds, 6, has_return_channel),
+    "staggered-return": Tunable(
+        StaggeredReturn, _staggered, lambda s: [*_return_bounds(s), (0.0, 1.0)], 6, has_return_channel
+    ),
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
     # The cost has plateaus and several valleys: the rule saturates.
     "placement": Tunable(PlacementRule, _placement, lambda _: [(-2.0, 2.0), (-3.5, 3.5), (-3.5, 3.5)], 12),
@@ -179,10 +216,11 @@ def tune(
 
     n = len(low)
     starts = [np.full(n, 0.5)]
-    if n <= 3:
+    generations = (3 if n <= 3 else 0) if law.generations is None else law.generations
+    if generations:
         seeded: dict[str, Any] = {"seed": 0}  # newer releases of scipy also call it rng
         try:
-            differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=law.generations, polish=False, **seeded)
+            differential_evolution(score, [(0.0, 1.0)] * n, popsize=8, maxiter=generations, polish=False, **seeded)
         except RuntimeError as error:
             if isinstance(error.__cause__, ValueError):  # which scipy hides behind words about its own arguments
                 raise error.__cause__ from None

@@ -84,7 +84,9 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
 
 
 def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
-    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`."""
+    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`; untuned where it refuses it."""
+    if not TUNABLE[law].fits(scenario):
+        return TUNABLE[law].law()  # which says why when it is given the scenario
     return TUNABLE[law].law(**tuned_parameters(law, scenario, path).parameters)
 
 

@@ -62,6 +62,8 @@ class Evaluate(Command):
     def run(self) -> None:
         """Run, print the table and what it says. ValueError for a setting that cannot be."""
         from dcgrid_env.agents import evaluate, find_controller
+        from dcgrid_env.baselines import published
+        from dcgrid_env.baselines.benchmark.benchmark_tables import IS_NO_BOUND
         from dcgrid_env.baselines.hindsight_costs import FOLDER
         from dcgrid_env.baselines.score import REFERENCE, STATIC
 
@@ -89,6 +91,8 @@ class Evaluate(Command):
         about = f"{self.episodes} episodes" + f", seeds from {self.seed}" * (self.seed > 0)
         console.print(table(evaluations, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
         said = [*([why] if why else []), *left_out, *remarks(self.policy, evaluations)]
+        if scores and (costs := published(scenario, FOLDER)) and costs.is_best_known:
+            said.append(IS_NO_BOUND)
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
 

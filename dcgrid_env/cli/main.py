@@ -11,6 +11,7 @@ import traceback
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
+from dcgrid_env.cli.best_known import BestKnownValues
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
@@ -21,6 +22,7 @@ from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
+from dcgrid_env.cli.sags import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
@@ -35,11 +37,13 @@ DEV = Group(
     {
         "tune": Tune,
         "hindsight": HindsightValues,
+        "best-known": BestKnownValues,
         "ship": Ship,
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
         "curves": Curves,
+        "sags": Sags,
     },
 )
 """What maintainers need, and who compares controllers on a scenario of their own."""

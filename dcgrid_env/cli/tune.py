@@ -37,7 +37,8 @@ class Tune(Command):
     """
 
     laws: str = "all"
-    """Laws separated by commas: droop, droop-q, deadband, constant-q, placement; or all."""
+    """Laws separated by commas: droop, droop-q, deadband, return-by-hand, staggered-return, constant-q,
+    placement; or all, of which those that a scenario has nothing for are left out."""
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""
@@ -73,6 +74,8 @@ class Tune(Command):
         jobs = processes(self.jobs)
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
         asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+        if self.laws.strip() == "all":  # those that fit; a law that is named and does not is refused by itself
+            asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
         _kept(self.out)  # ValueError for another kind of file, before a folder is made
         with alone_in(self.out.parent, "dcgrid dev tune"):
             _search(self, asked, jobs)

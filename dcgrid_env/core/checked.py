@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field
 from numbers import Integral, Real
 from typing import Any
@@ -72,6 +72,29 @@ def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
         value = value.item() if isinstance(value, np.generic) else value
         if value is not given:
             object.__setattr__(owner, f.name, value)
+
+
+def from_mapping(kind: type[Any], value: Any) -> Any:
+    """A dataclass instance out of its plain form, a mapping of its fields; any other value as it is.
+
+    FieldError for a field that there is not, or one without a default that is missing.
+    """
+    if not isinstance(value, Mapping):
+        return value
+    there = {f.name: f for f in dataclasses.fields(kind)}
+    for name in value:
+        if name not in there:
+            raise FieldError(kind.__name__, name, value[name], f"is no field; there are {', '.join(there)}")
+    for name, f in there.items():
+        if name not in value and f.default is MISSING and f.default_factory is MISSING:
+            raise FieldError(kind.__name__, name, ..., "is missing; give it")
+    return kind(**value)
+
+
+def changed_fields(instance: Any) -> dict[str, Any]:
+    """The fields of a dataclass instance that are not at their default, by name."""
+    given = ((f, getattr(instance, f.name)) for f in dataclasses.fields(instance))
+    return {f.name: value for f, value in given if f.default is MISSING or value != f.default}
 
 
 def check_fields(owner: Any) -> None:

@@ -82,7 +82,7 @@ class Work(NamedTuple):
     compute_share: Array | None
     """Compute-bound share of the work that arrives, (lane, slot); None under a clock law of one work class."""
     available: Array | None = None
-    """1 for a site that is connected to the grid and 0 for one that is not, (lane, slot); None where all are."""
+    """1 where a site is connected to the grid and 0 where a fault has taken it, (lane, slot); None where all are."""
 
 
 @runtime_checkable

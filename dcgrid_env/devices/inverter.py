@@ -116,8 +116,8 @@ class Inverters(PickledByFields):
         return riding_inverter.fields(self.ride_through, self.count) if self.ride_through else ()
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Nothing beside what every agent is charged."""
-        return ()
+        """Trips, where they can trip; nothing else beside what every agent is charged."""
+        return riding_inverter.cost_terms(self.ride_through, self.count) if self.ride_through else ()
 
     def initial(self, parameters: InverterParams, zero: Array) -> Any:
         """An inverter that cannot trip has no state."""
@@ -146,8 +146,10 @@ class Inverters(PickledByFields):
         return riding_inverter.observe(self.ride_through, state) if self.ride_through else ()
 
     def amount(self, name: str, parameters: InverterParams, state: Any) -> Array:
-        """KeyError: an inverter has no cost term of its own."""
-        raise KeyError(name)
+        """What ``cost_terms`` charges; KeyError for a name that is not theirs."""
+        if self.ride_through is None or name != "tripped":
+            raise KeyError(name)
+        return state.connection.tripped
 
     def totals(self, state: Any) -> dict[str, Array]:
         """Trips in the step and inverters that are away, where they can trip."""

@@ -146,13 +146,12 @@ def _step(
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
     """What comes from outside for a device, see ``Device.input``."""
-    source = scenario.devices[i].input
-    if source == "connection":
-        available = exogenous.available
-        return None if available is None else available[..., device_slices(scenario)[i]]
-    if source == "workload" and exogenous.available is not None:
-        return work._replace(available=exogenous.available[..., device_slices(scenario)[i]])
-    return work if source == "workload" else exogenous.p_inverter_kw if source else None
+    source, available = scenario.devices[i].input, exogenous.available
+    if available is not None and source in ("connection", "workload"):
+        available = available[..., device_slices(scenario)[i]]
+    if source == "workload":
+        return work if available is None else work._replace(available=available)
+    return available if source == "connection" else exogenous.p_inverter_kw if source else None
 
 
 @cached_on_owner

@@ -29,6 +29,7 @@ Where there are storages, over all of them, see ``devices.storage``:
 | storage_throughput_kwh | energy charged and energy discharged, at the grid, over the steps 1 .. T |
 | storage_loss_kwh | energy drawn that is neither given back nor stored at the end, the same |
 | storage_missing_kwh | what is missing at the end of the energy that is to be returned |
+| site_* | the same five over the storages behind data centres' converters |
 
 Where devices may leave the grid (docs/ride-through.md), over all sites, or inverters, and the steps 1 .. T:
 

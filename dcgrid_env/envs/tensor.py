@@ -16,6 +16,7 @@ from array_api_compat import is_array_api_obj
 from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import Work
+from dcgrid_env.devices.ride_through.connection_surrogate import Widths
 from dcgrid_env.engine import dynamics, observation, reward
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
@@ -62,17 +63,29 @@ class TensorEnv:
     like
         An array of the wanted kind, precision and device: ``torch.empty(0, device="cuda")``. float32 is solved to
         1e-2 kVA, float64 to 1e-4 kVA.
+    trip_widths
+        Of a smooth surrogate that gives what trips and returns a derivative, values as without it
+        (``devices.ride_through.connection_surrogate``); None for no derivative. Tensors alone have one.
     **overrides
         Fields of the scenario.
     """
 
-    def __init__(self, scenario: str | Scenario = "ieee123", *, like: Array, **overrides: Any):
+    def __init__(
+        self,
+        scenario: str | Scenario = "ieee123",
+        *,
+        like: Array,
+        trip_widths: Widths | None = None,
+        **overrides: Any,
+    ):
         if not _is_floating_array(like):
             raise ValueError(
                 f"like is {like!r}; give an array of float32 or float64, such as numpy.empty(0) or torch.empty(0)"
             )
+        if trip_widths is not None:
+            trip_widths.check()
         self.scenario = make_scenario(scenario, **overrides)
-        self.like = like
+        self.like, self._trip_widths = like, None if isinstance(like, np.ndarray) else trip_widths
         self.step_number = self.scenario.horizon  # over, until reset
 
     @property
@@ -165,7 +178,7 @@ class TensorEnv:
         return Exogenous(
             now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
             now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
-            now(o.sags),
+            now(o.sags), self._trip_widths,
         )  # fmt: skip
 
     def _measure(self) -> Array:

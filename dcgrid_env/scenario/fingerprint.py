@@ -20,6 +20,9 @@ from typing import Any, NamedTuple
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
+from dcgrid_env.devices.ride_through.sags import Sag
+from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.grid import Feeder, bus_numbers
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.cost import CostWeights
@@ -48,16 +51,25 @@ _OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
+_RULE = "curve return_delay_s walk_in_s trip_weight"
+_UPS_RULE = f"""
+    {_RULE} lockout_events lockout_window_s returns_per_minute release by_hand_s stagger_s on_battery battery_s
+    recharge_share charge_efficiency away_weight missing_weight
+"""
 
 SCHEMA_1: dict[type[Any], Kind] = {
     Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
     Feeder: Kind("Feeder", tuple(_FEEDER.split())),
     CostWeights: Kind("tuple8", tuple(_WEIGHTS.split()), with_names=False),
     Fault: Kind("Fault", ("among", "begin_s", "duration_s")),
+    RideThroughCurve: Kind("RideThroughCurve", ("under", "over")),
+    RideThrough: Kind("RideThrough", tuple(_RULE.split())),
+    UpsRideThrough: Kind("UpsRideThrough", tuple(_UPS_RULE.split())),
+    Sag: Kind("Sag", ("begin_s", "duration_s", "retained_pu", "since")),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
-_LATER_OF_GROUPS = ("ride_through", "routing", "batching", "service")
+_LATER_OF_GROUPS = ("ride_through", "storage", "routing", "batching", "service")
 """Fields of data centres and inverters that came after groups were hashed whole, and are left out where None."""
 
 

@@ -11,6 +11,7 @@ from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
@@ -66,6 +67,7 @@ class FlatNames:
     datacenter_routing = Flat[Routing | None]("datacenter", "routing")
     datacenter_batching = Flat[Batching | None]("datacenter", "batching")
     datacenter_service = Flat[ServiceLevels | None]("datacenter", "service")
+    datacenter_storage = Flat[SiteStorage | None]("datacenter", "storage")
 
     inverter_buses = Flat[Buses]("inverter", "buses")
     inverter_s_kva = Flat[Rating]("inverter", "s_rated_kva")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dcgrid_env.scenario import presets_balanced as balanced
+from dcgrid_env.scenario import presets_sites as sites
 from dcgrid_env.scenario import presets_three_phase as three_phase
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -113,6 +114,18 @@ TABLE = (
         "dcgrid/IEEE123ThreePhaseDay-v0",
         "ieee123-3ph over a day in steps of a minute, PV at the inverters, regulators and capacitors as agents",
         three_phase.ieee123_3ph_day,
+    ),
+    Preset(
+        "ride-through",
+        "dcgrid/RideThrough-v0",
+        "34 nodes under the six dips of July 2024: 3 sites of 450 kW leave for their UPS and return, PV trips",
+        three_phase.ride_through,
+    ),
+    Preset(
+        "routing",
+        "dcgrid/Routing-v0",
+        "4 sites of 1 MW under code completion that move half of their work, with a target and a deadline",
+        sites.routing,
     ),
 )
 """All presets, in the order in which they are listed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.grid import load_feeder
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.scenario import Scenario
@@ -66,4 +67,35 @@ def ieee123_3ph_day() -> Scenario:
         dt_s=60.0,
         horizon=1440,
         weights=CostWeights(leftover=0.15, switching=10.0),
+    )
+
+
+def ride_through() -> Scenario:
+    """Make the preset ``ride-through``.
+
+    Its sizes were chosen on the validation split (docs/ride-through.md): uncontrolled, sites trip at every dip, PV
+    trips inverters while the sites are away, and some sites trip by undervoltage without any dip.
+    """
+    return ieee34_3ph().replace(
+        name="ride-through",
+        n_datacenters=3,
+        datacenter_buses=("840", "860", "848"),
+        p_rated_kw=450.0,
+        inverter_buses=("816", "834", "844", "822", "838"),
+        inverter_s_kva=(400.0, 400.0, 400.0, 80.0, 80.0),
+        inverter_trace="pv",
+        horizon=300,
+        datacenter_ride_through=UpsRideThrough(
+            curve="itic",
+            release="agent",
+            by_hand_s=60.0,
+            stagger_s=20.0,
+            trip_weight=300.0,
+            away_weight=1.0,
+            missing_weight=3.0,
+        ),
+        inverter_ride_through=RideThrough(
+            curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
+        ),
+        sags="virginia-2024",
     )

@@ -14,7 +14,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
-from helpers.storages import NEEDING_STORAGE
+from helpers.needs import NEEDING_A_DEVICE
 
 
 def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
@@ -94,7 +94,7 @@ def test_inverters_only_leaves_the_data_centres_alone():
 
 
 LOCAL = [
-    name for name, (_, make) in CONTROLLERS.items() if name not in NEEDING_STORAGE and not isinstance(make(), Placed)
+    name for name, (_, make) in CONTROLLERS.items() if name not in NEEDING_A_DEVICE and not isinstance(make(), Placed)
 ]
 
 

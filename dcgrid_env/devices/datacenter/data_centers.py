@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,21 +12,21 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
-from dcgrid_env.devices.datacenter.batching import BatchedSites, Batching
+from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.feature_settings import settings_of
+from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, check_step, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
-from dcgrid_env.devices.datacenter.service_levels import ServedSites, ServiceLevels
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
 from dcgrid_env.devices.datacenter.site_steps import SiteSteps
-from dcgrid_env.devices.datacenter.ups_site import UpsSite
-from dcgrid_env.devices.datacenter.work_routing import RoutedSites, Routing
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
-from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from dcgrid_env.grid import buses_as_text
 
 
@@ -66,6 +66,8 @@ class DataCenters(PickledByFields):
     its bus has, which are all three where the bus is drawn."""
     ride_through: UpsRideThrough | None = None
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    storage: SiteStorage | None = None
+    """A storage behind the site's converter, which the site's agent drives; None for sites without one."""
     routing: Routing | None = None
     """How arriving work may be moved between the sites; None for work that stays where it arrives."""
     batching: Batching | None = None
@@ -74,8 +76,7 @@ class DataCenters(PickledByFields):
     """What work is to be served by when; None for work without a deadline."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, clock_law=_clock_law, ride_through=lambda v: rule_of(UpsRideThrough, v))
-        settle(self, **{name: partial(settings_of, name, kind) for name, kind in _SETTINGS.items()})
+        settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             raise refuse(
@@ -88,13 +89,7 @@ class DataCenters(PickledByFields):
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")
         check_rating(self, "p_rated_kw", self.count)
         check_phases(self, self.count)
-        if self.ride_through is not None:
-            if not isinstance(self.ride_through, UpsRideThrough):
-                raise refuse(self, "ride_through", "give UpsRideThrough(curve=..), a mapping of its fields, or None")
-            self.ride_through.check_slots(self.count)
-        for name, kind in _SETTINGS.items():
-            if not isinstance(getattr(self, name), kind | None):
-                raise refuse(self, name, f"give {kind.__name__}(..), a mapping of its fields, or None")
+        check_settings(self)
 
     @cached_property
     def work_classes(self) -> int:
@@ -104,14 +99,7 @@ class DataCenters(PickledByFields):
     @cached_property
     def features(self) -> tuple[SiteFeature, ...]:
         """What the sites have beside clock, queue and converter, from the chips towards the grid."""
-        latency_s = self.routing.move_latency_s if self.routing else 0.0
-        there = (
-            self.routing and RoutedSites(self.routing, self.boost_share),
-            self.batching and BatchedSites(self.batching),
-            self.ride_through and UpsSite(self.ride_through),
-            self.service and ServedSites(self.service, moves_late=latency_s > 0.0),
-        )
-        return tuple(feature for feature in there if feature)
+        return features_of(self)
 
     @cached_property
     def _steps(self) -> SiteSteps:
@@ -200,10 +188,7 @@ class DataCenters(PickledByFields):
 
     def check_step(self, dt_s: float) -> None:
         """Raise FieldError for a feature that cannot serve steps of this length."""
-        for name in _SETTINGS:
-            settings = getattr(self, name)
-            if hasattr(settings, "check_step"):
-                settings.check_step(dt_s)
+        check_step(self, dt_s)
 
     def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
         """Empty queues, the clocks at their top, and the features as they begin."""
@@ -275,10 +260,6 @@ class DataCenters(PickledByFields):
 
     def _with_states(self, state: Any) -> Iterable[tuple[SiteFeature, Any]]:
         return zip(self.features, state.features, strict=True) if self.features else ()
-
-
-_SETTINGS: dict[str, type[Any]] = {"routing": Routing, "batching": Batching, "service": ServiceLevels}
-"""Fields that hold the settings of features whose plain form is a mapping, and their kinds."""
 
 
 def _clock_law(value: Any) -> Any:

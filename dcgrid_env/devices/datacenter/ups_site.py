@@ -15,12 +15,9 @@ from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
-from dcgrid_env.devices.ride_through import connection, ups_battery
+from dcgrid_env.devices.ride_through import connection, connection_surrogate, ups_battery
 from dcgrid_env.devices.ride_through.connection import ConnectionState
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
-
-HOLD_SHARE = 0.05
-"""Part of the range of the channel ``return`` at its lower end that is to stay away, so that an agent can hit it."""
 
 
 class UpsState(NamedTuple):
@@ -39,11 +36,12 @@ class UpsSite:
     amounts: ClassVar[tuple[str, ...]] = ("tripped", "away", "missing_kws")
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
-        """The return, where the agent decides: share of the site's power that comes back in a second, 0 to stay."""
+        """The return, where the agent decides: share of the site's power that comes back in a second, to stay where it
+        is 0 or below. It runs to as far below 0 as above it, so that half of the range is to stay."""
         if self.rule.release != "agent":
             return ()
         fastest = np.full(len(params.p_rated_kw), 1.0 / self.rule.walk_in_s)
-        return (Channel("return", "share/s", 0.0 * fastest, fastest, rest=fastest),)
+        return (Channel("return", "share/s", -fastest, fastest, rest=fastest),)
 
     def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
         """Where the UPS stands, its counters and its timers, as shares of what they run to."""
@@ -93,7 +91,9 @@ class UpsSite:
         pace: Any = connection.by_rule(rule, dt_s)
         if rule.release == "agent":
             rate = setpoints[0]
-            pace = xp.where(rate >= HOLD_SHARE / rule.walk_in_s, rate * dt_s, 0.0 * rate)
+            pace = xp.where(rate > 0.0, rate * dt_s, 0.0 * rate)
+            if supply.widths is not None:
+                pace = connection_surrogate.smoothed_pace(pace, rate, 1.0 / rule.walk_in_s, dt_s, supply.widths)
         ups = connection.advance(rule, own.ups, supply, pace, dt_s)
         idle_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw)
         battery, grid_kw, works = ups_battery.step(

@@ -9,7 +9,8 @@ In each interval, in this order:
 4. A device without an event, not locked out, whose voltage has been in order for its delay, returns by a ramp.
 
 A lock-out ends when its rule or its agent releases it. A derivative runs through the ramp's speed alone: whether a
-device is connected is a step function, which has none.
+device is connected is a step function, which has none but where a smooth surrogate is asked for
+(``connection_surrogate``).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace
+from dcgrid_env.devices.ride_through import connection_surrogate
 from dcgrid_env.devices.ride_through.rules import ALL_BACK, RideThrough
 
 _MINUTE_S = 60.0
@@ -37,6 +39,8 @@ class Supply(NamedTuple):
     sags: Array | None
     """Sags by their beginning, (lane, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
     the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
+    widths: connection_surrogate.Widths | None = None
+    """Of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
 
 
 class ConnectionState(NamedTuple):
@@ -114,7 +118,7 @@ def advance_arrays(
     out_of_order = beyond.any(-1)
     timer_s = xp.where(beyond, before.timer_s + dt_s, 0.0 * before.timer_s)
     connected = before.share > 0.0
-    event = (beyond & (timer_s + 1e-3 * dt_s >= time_s)).any(-1) & connected
+    event = slow = (beyond & (timer_s + 1e-3 * dt_s >= time_s)).any(-1) & connected
 
     delay_s, release_s = (as_like(times, before.share) for times in rule.delays_s(slots))
     soon = 1e-3 * dt_s
@@ -135,17 +139,17 @@ def advance_arrays(
         since_s = xp.where(fell, rest_s + 0.0 * since_s, since_s)
         event = event | fell
 
-    ready = ~event & ~locked & (before.wait_s + soon >= xp.where(released, 0.0 * delay_s, delay_s)) & may_go
+    ready = ~event & (before.wait_s + soon >= xp.where(released, 0.0 * delay_s, delay_s)) & ~connected
     return_s = before.return_age_s + dt_s
     return_s = xp.where(return_s > rule.remembered_s, 0.0 * return_s + rule.remembered_s, return_s)
     if rule.returns_per_minute:
         ready = ready & (return_s[..., -1] >= _MINUTE_S)
-    start = ready & ~connected
+    start = ready & ~locked & may_go
     grown = before.share + pace
     full = xp.where(grown > ALL_BACK, 0.0 * grown + 1.0, grown)
     share = xp.where((connected | start) & ~event, full, 0.0 * full)
     longest_s = rule.longest_wait_s(slots)
-    return ConnectionState(
+    after = ConnectionState(
         share=share,
         timer_s=timer_s,
         wait_s=xp.where(since_s > longest_s, 0.0 * since_s + longest_s, since_s),
@@ -154,6 +158,14 @@ def advance_arrays(
         locked=xp.astype(locked, before.share.dtype),
         tripped=xp.astype(event & connected, before.share.dtype),
         lost_kw=0.0 * before.share,
+    )
+    if supply.widths is None:
+        return after
+    asked = (before.locked <= 0.0) | (before.wait_s + soon >= release_s)
+    may_return = ready & asked & ~out_of_order
+    fell = event & ~slow
+    return connection_surrogate.with_derivatives(
+        before, after, v, threshold, time_s, fell, may_return, pace, dt_s, supply.widths
     )
 
 

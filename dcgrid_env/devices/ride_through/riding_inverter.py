@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
-from dcgrid_env.devices.device import Field
+from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.connection import ConnectionState, Supply
 from dcgrid_env.devices.ride_through.rules import RideThrough
@@ -27,6 +27,11 @@ def fields(rule: RideThrough, slots: int) -> tuple[Field, ...]:
         Field("trip_timer", "share of the time to a slow trip", 0.0, 1.0, one),
         Field("return_wait", "share of the delay", 0.0, 1.0, one * max(rule.longest_wait_s(slots), 1e-9)),
     )
+
+
+def cost_terms(rule: RideThrough, slots: int) -> tuple[CostTerm, ...]:
+    """Trips."""
+    return (CostTerm("inverter_trips", "tripped", np.ones(slots), float(max(slots, 1)), 1.0, weight=rule.trip_weight),)
 
 
 def step(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -11,7 +9,17 @@ from typing import Any, Literal
 import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields, cached_on_owner
-from dcgrid_env.core.checked import FieldError, check_fields, choice, count, number, refuse, settle
+from dcgrid_env.core.checked import (
+    FieldError,
+    changed_fields,
+    check_fields,
+    choice,
+    count,
+    from_mapping,
+    number,
+    refuse,
+    settle,
+)
 from dcgrid_env.devices.ride_through.voltage_curve import Elements, RideThroughCurve, curves_of, plain_curve
 
 ALL_BACK = 1.0 - 1e-6
@@ -35,6 +43,8 @@ class RideThrough(PickledByFields):
     IEEE 1547 for entering service."""
     walk_in_s: float = number(0.0, LONGEST_S, default=300.0)
     """How long the ramp from nothing to all takes when it returns, s; 0 is at once."""
+    trip_weight: float = number(0.0, 1e9, default=0.0)
+    """Weight of the cost term ``trips`` of sites, ``inverter_trips`` of inverters: the share that leaves in a step."""
 
     lockout_events = 0
     returns_per_minute = 0
@@ -115,8 +125,6 @@ class UpsRideThrough(RideThrough):
     """Highest draw to recharge as a share of the rating, on top of the site's own, both at most the rating."""
     charge_efficiency: float = number(0.01, 1.0, default=0.95)
     """What is stored of what is drawn to recharge."""
-    trip_weight: float = number(0.0, 1e9, default=0.0)
-    """Weight of the cost term ``trips``: the share of sites that leave in a step."""
     away_weight: float = number(0.0, 1e9, default=0.0)
     """Weight of the cost term ``away``: the share of sites that are away."""
     missing_weight: float = number(0.0, 1e9, default=9.0)
@@ -132,24 +140,15 @@ class UpsRideThrough(RideThrough):
 def rule_of(kind: type[Any], value: Any) -> Any:
     """A rule out of its plain form, a mapping of its fields or the name of a curve; other values as they are.
 
-    FieldError for a field that there is not.
+    FieldError for a field that there is not, or no curve.
     """
     if isinstance(value, str):
         return kind(curve=value)
-    if not isinstance(value, Mapping):
-        return value
-    there = [field.name for field in dataclasses.fields(kind)]
-    for name in value:
-        if name not in there:
-            raise FieldError(kind.__name__, name, value[name], f"is no field; there are {', '.join(there)}")
-    if "curve" not in value:
-        raise FieldError(kind.__name__, "curve", ..., "is missing; give it, such as 'itic'")
-    return kind(**value)
+    return from_mapping(kind, value)
 
 
 def plain_rule(rule: RideThrough) -> dict[str, Any]:
     """The plain form of a rule: a mapping of its fields, those at their default left out."""
     curve = rule.curve
     plain = {"curve": list(map(plain_curve, curve)) if isinstance(curve, tuple) else plain_curve(curve)}
-    later = (field for field in dataclasses.fields(rule) if field.name != "curve")
-    return plain | {f.name: getattr(rule, f.name) for f in later if getattr(rule, f.name) != f.default}
+    return changed_fields(rule) | plain

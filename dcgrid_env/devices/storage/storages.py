@@ -12,31 +12,22 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, finite, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
-from dcgrid_env.devices.ratings import Rating, check_each, check_rating, per_device, read_only
-from dcgrid_env.devices.storage import energy_balance, sizes
+from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_only
+from dcgrid_env.devices.storage import energy_balance, figures, sizes
 from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageState
 from dcgrid_env.grid import buses_as_text
 
 P = "p"
 """Name of the channel that is the draw from the grid, kW, negative to discharge."""
-_RANGES = {
-    "charge_efficiency": (0.01, 1.0),
-    "discharge_efficiency": (0.01, 1.0),
-    "standby_share_per_h": (0.0, 0.99),
-    "initial_share": (0.0, 1.0),
-    "returned_share": (0.01, 1.0),
-    "ageing_price": (0.0, 1e6),
-    "missing_price": (1e-3, 1e6),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Storages(PickledByFields):
+class Storages(figures.StorageFigures, PickledByFields):
     """Storages alike but for their figures. A figure is one number for all of them, or one for each."""
 
     kind: ClassVar[str] = "storage"
@@ -48,27 +39,8 @@ class Storages(PickledByFields):
 
     buses: tuple[int | str, ...] = ()
     """Their buses, one each, where other devices may stand too."""
-    p_rated_kw: Rating
-    """Largest charge and discharge at the grid, kW."""
-    energy_kwh: Rating
-    """Energy that can be used, kWh."""
-    charge_efficiency: Rating = 0.95
-    """Share of the energy drawn from the grid that is stored."""
-    discharge_efficiency: Rating = 0.95
-    """Share of the energy taken out that reaches the grid."""
-    standby_share_per_h: Rating = 0.0
-    """Share of the stored energy that is lost in an hour, whatever is done."""
     s_rated_kva: Rating | None = None
     """Apparent-power rating of the converter, kVA, at least ``p_rated_kw``; None: no reactive power."""
-    initial_share: Rating = 0.5
-    """Stored energy before t = 0, as a share of ``energy_kwh``."""
-    returned_share: Rating = 1.0
-    """Share of that which is to be stored at the end of an episode."""
-    ageing_price: Rating = 0.02
-    """What throughput costs: the rise of c_t where all storages run at their ratings."""
-    missing_price: Rating = 9.0
-    """What energy that is missing at the end costs, for each second at the rating that all storages lack; the default
-    is that of leftover work."""
     phases: Phases | None = None
     """Phases of a three-phase feeder that a storage is connected to in equal parts, such as "abc" or "b"; by default
     all that its bus has."""
@@ -77,10 +49,7 @@ class Storages(PickledByFields):
         settle(self, buses=buses_as_text)
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
-        check_rating(self, "p_rated_kw", self.count)
-        check_rating(self, "energy_kwh", self.count)
-        for name, (low, high) in _RANGES.items():
-            check_each(self, name, self.count, low, high)
+        self.check_figures(self.count)
         if self.s_rated_kva is not None:
             check_rating(self, "s_rated_kva", self.count)
             if np.any(per_device(self.s_rated_kva, self.count) < per_device(self.p_rated_kw, self.count)):
@@ -124,11 +93,7 @@ class Storages(PickledByFields):
     @cached_property
     def parameters(self) -> StorageParams:
         """Figures as arrays over the storages."""
-        figure = {name: per_device(getattr(self, name), self.count) for name in ("p_rated_kw", "energy_kwh", *_RANGES)}
-        initial = figure.pop("initial_share") * figure["energy_kwh"]
-        returned = figure.pop("returned_share") * initial
-        params = StorageParams(initial_kwh=initial, returned_kwh=returned, **figure)
-        return StorageParams(*map(read_only, params))
+        return self.figures_of(self.count)
 
     @property
     def p_scale_kw(self) -> np.ndarray:
@@ -159,22 +124,11 @@ class Storages(PickledByFields):
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
         """State of charge, and how much it can charge and discharge over the coming interval."""
-        return (
-            Field("stored", "share of the energy", 0.0, 1.0, self.parameters.energy_kwh),
-            Field("charge_limit", "share of the rating", 0.0, 1.0, self.parameters.p_rated_kw),
-            Field("discharge_limit", "share of the rating", 0.0, 1.0, self.parameters.p_rated_kw),
-        )
+        return figures.fields(self.parameters)
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
         """Throughput, and energy that is missing at the end."""
-        params = self.parameters
-        rated, of_all = params.p_rated_kw, float(params.p_rated_kw.sum()) or 1.0
-        ageing = float(params.ageing_price.max(initial=0.0))
-        missing = float((params.missing_price * params.returned_kwh * 3600.0 / rated).max(initial=0.0))
-        return (
-            CostTerm("ageing", "ageing", rated, of_all, ageing, weight=1.0),
-            CostTerm("missing", "missing", rated / 3600.0, of_all / 3600.0, missing, at_end=True, weight=1.0),
-        )
+        return figures.cost_terms(self.parameters)
 
     def check_episode(self, horizon: int) -> None:
         """Nothing of a storage depends on the length of an episode."""
@@ -201,32 +155,15 @@ class Storages(PickledByFields):
 
     def amount(self, name: str, parameters: StorageParams, state: StorageState) -> Array:
         """Throughput, kW, or energy that is missing, kWh, each times its price."""
-        if name == "missing":
-            return state.missing_kwh * parameters.missing_price
-        return namespace(state.storage_kw).abs(state.storage_kw) * parameters.ageing_price
+        return figures.amount(name, parameters, state)
 
     def totals(self, state: StorageState) -> dict[str, Array]:
         """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh."""
-        return {
-            "stored_kwh": sum_last(state.stored_kwh),
-            "storage_throughput_kwh": sum_last(state.throughput_kwh),
-            "storage_loss_kwh": sum_last(state.storage_loss_kwh),
-            "storage_missing_kwh": sum_last(state.missing_kwh),
-        }
+        return figures.totals(state)
 
     def metrics(self, history: StorageState, dt_s: float, requests: Any) -> dict[str, float]:
         """Energy at the end and at its lowest, and what was put through, lost and is missing."""
-        energy = float(self.parameters.energy_kwh.sum()) or 1.0
-        throughput, loss = (
-            sum_last(total[-1] - total[0]) for total in (history.throughput_kwh, history.storage_loss_kwh)
-        )
-        return {
-            "stored_end_pct": 100.0 * sum_last(history.stored_kwh[-1]) / energy,
-            "stored_lowest_pct": 100.0 * sum_last(history.stored_kwh).min() / energy,
-            "storage_throughput_kwh": throughput,
-            "storage_loss_kwh": loss,
-            "storage_missing_kwh": sum_last(history.missing_kwh[-1]),
-        }
+        return figures.metrics(self.parameters, history)
 
 
 def _each(name: str, value: Any, buses: Any) -> tuple[float, ...]:

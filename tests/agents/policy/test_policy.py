@@ -180,9 +180,11 @@ def test_the_nameplate_worked_by_hand():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Policy({}), "give joint alone, or datacenter, inverter or both"),
+        (lambda: Policy({}), "give joint alone, or one for each kind of agent"),
         (lambda: Policy({"joint": network(3, 2), "inverter": network(3, 1)}), "give joint alone"),
-        (lambda: Policy({"inverter": network(3, 2)}), "inverter: the network has 2 outputs; its agents take 1"),
+        (lambda: Policy({"a.b": network(3, 2)}), r"networks are \['a.b'\]; give joint alone, or one for each kind"),
+        (lambda: Policy({"storage": network(3, 2)}, channels={"storage": ["p"]}), "the network gives 2: name"),
+        (lambda: Policy({"storage": network(3, 2)}, channels={"site": ["p"]}), "the network is not there"),
         (lambda: Policy({"joint": network(3, 2)}, observe="all"), "observe is 'all'; choose one of local"),
         (lambda: Policy({"joint": network(3, 2)}, act="all"), "act is 'all'; choose one of both, clock, q"),
         (lambda: Policy({"joint": network(3, 2)}, preview=1), "preview is 1; give true or false"),  # pyright: ignore
@@ -295,11 +297,11 @@ def test_what_does_not_fit_a_scenario_is_refused_with_both_widths(tmp_path):
     path = Policy({"joint": network(*widths(toy))}, scenario="toy6").save(tmp_path / "joint")
     with pytest.raises(
         PolicyError,
-        match=r"joint\.safetensors: network joint takes 23 figures and gives 4, on ieee123 \(5 data centres, "
-        r"7 inverters, local observation\) it must be 94 and 17; it was trained on toy6",
+        match=r"joint\.safetensors: network joint takes 23 figures and gives 4, on ieee123 \(5 of kind "
+        r"datacenter, 7 of kind inverter, local observation\) it must be 94 and 17; it was trained on toy6",
     ):
         Policy.load(path).reset(make_scenario("ieee123"))
-    with pytest.raises(PolicyError, match="has no network for the inverters of toy6"):
+    with pytest.raises(PolicyError, match="has no network for agents of kind inverter of toy6, but datacenter; "):
         Policy({"datacenter": network(9, 2)}).reset(toy)
     with pytest.raises(PolicyError, match="trained with observe='local', given 'feeder'"):
         shared().reset(toy.replace(observe="feeder"))

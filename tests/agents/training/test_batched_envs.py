@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env import CostWeights, DcgridVectorEnv, Fault, field_names, make_scenario
-from dcgrid_env.agents.training.batched_envs import AgentVecEnv, JointVecEnv
+from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.batched_envs import JointVecEnv
 
 SEED = 5
 

@@ -19,7 +19,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
-from helpers.storages import NEEDING_STORAGE
+from helpers.needs import NEEDING_A_DEVICE, drives
 
 
 def seen(v_pu, q_kvar: Any = 0.0, p_ref_kw=2500.0, backlog_kws=0.0, p_kw=0.0, r: Any = 0.01, x: Any = 0.02):
@@ -207,7 +207,7 @@ def test_bad_parameters(make, arguments, message):
 def test_every_controller_runs_under_every_preset(preset, law):
     scenario = make_scenario(preset, horizon=5, **law)
     for name in CONTROLLERS:
-        if name in NEEDING_STORAGE or (name == "droop-one-step" and not scenario.preview):
+        if not drives(name, scenario) or (name == "droop-one-step" and not scenario.preview):
             continue  # it refuses what it cannot do, see test_controllers
         controller = make_controller(name)
         if isinstance(controller, Placed) and scenario.work_classes == 2:
@@ -216,7 +216,7 @@ def test_every_controller_runs_under_every_preset(preset, law):
         assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics), name
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in NEEDING_STORAGE])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in NEEDING_A_DEVICE])
 def test_every_controller_runs_without_data_centres_or_inverters(name):
     for overrides in ({"n_datacenters": 0, "datacenter_buses": None}, {"inverter_buses": ()}):
         rollout(make_scenario("ieee123", horizon=3, **overrides), make_controller(name), [0])

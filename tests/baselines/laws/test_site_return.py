@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario, parallel_env
-from dcgrid_env.baselines import Droop, ReturnByHand, StaggeredReturn, rollout
+from dcgrid_env.baselines import Droop, ReturnByHand, StaggeredReturn, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.baselines.rollout import ControllerError
 from helpers.riding import ride_through_34
 
 
@@ -46,6 +47,42 @@ def test_agents_apart_are_driven_as_one():
 def test_a_scenario_without_the_channel_is_refused():
     with pytest.raises(ValueError, match="return rules: the sites of scenario 'ieee33-weak' have no channel 'return'"):
         ReturnByHand().reset(make_scenario("ieee33-weak"))
+
+
+def test_times_and_pace_may_be_set_apart_from_the_rule():
+    """Site 1 returns 25 s after the only event, and site 2 four seconds later, both at half the pace."""
+    scenario = ride_through_34(sags=({"begin_s": 5.5, "duration_s": 0.05, "retained_pu": 0.3},))
+    law = StaggeredReturn(return_delay_s=25.0, stagger_s=4.0, pace=0.5)
+    share = rollout(scenario, law, [2]).lane(0).devices[0].ups.share
+    gone, back = (share == 0.0).argmax(axis=0), ((share > 0.0) & (np.arange(len(share)) > 20)[:, None]).argmax(axis=0)
+    assert gone.tolist() == [6, 6]
+    assert (back[1] - back[0], share[back, [0, 1]].tolist()) == (4, pytest.approx([0.05, 0.05]))
+    assert back[0] == 32  # 25.5 s after the event are seen at the end of step 31
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"pace": 0.0}, r"return rules: pace is 0.0; give more than 0, at most 1"),
+        ({"pace": 1.5}, r"return rules: pace is 1.5; give more than 0, at most 1"),
+        ({"release_s": -1.0}, r"return rules: release_s is -1.0; give a finite number >= 0"),
+        ({"stagger_s": float("nan")}, r"return rules: stagger_s is nan; give a finite"),
+    ],
+)
+def test_bad_parameters(given, message):
+    with pytest.raises(ValueError, match=message):
+        StaggeredReturn(**given)
+
+
+def test_a_wait_that_no_agent_can_see_is_refused():
+    with pytest.raises(ValueError, match=r"the last site would return after 120 s, but ups_wait .* counts to 80 s"):
+        StaggeredReturn(stagger_s=60.0).reset(ride_through_34())
+
+
+def test_tuned_without_the_channel_is_refused_as_the_law_is():
+    scenario = make_scenario("toy6", horizon=3)
+    with pytest.raises(ControllerError, match="have no channel 'return'"):
+        rollout(scenario, make_controller("staggered-return-tuned", scenario), [0])
 
 
 def test_hindsight_refuses_what_no_linear_program_has():

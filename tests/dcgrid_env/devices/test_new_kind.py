@@ -22,11 +22,11 @@ from dcgrid_env import (
     make_scenario,
     register_device,
 )
-from dcgrid_env.agents import Policy
+from dcgrid_env.agents import Network, Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.devices import Channel, device_kind
-from helpers.storages import NEEDING_STORAGE
+from helpers.needs import NEEDING_A_DEVICE
 
 SPEC = importlib.util.spec_from_file_location("battery_of_the_tests", Path(__file__).with_name("battery.py"))
 assert SPEC is not None
@@ -163,7 +163,7 @@ def test_a_picture_calls_it_by_its_own_kind_and_name():
 MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc")
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_STORAGE)])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])
 def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
     s = scenario()
     run = rollout(s, make_controller(name), [0]).lane(0)
@@ -201,7 +201,7 @@ def test_a_law_gives_reactive_power_by_whatever_device_has_the_channel():
     np.testing.assert_array_equal(actions["inv_1"], [0.5])
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_STORAGE)])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])
 def test_a_law_does_the_same_whatever_the_order_of_the_devices(name):
     base = make_scenario("toy6", horizon=10)
     turned = base.replace(devices=base.devices[::-1])
@@ -222,8 +222,17 @@ def test_controllers_with_a_model_say_which_devices_or_which_order_they_refuse(n
 def test_hindsight_and_policies_refuse_devices_that_they_do_not_know():
     with pytest.raises(ValueError, match="hindsight is made for data centres, inverters and storage alone"):
         hindsight(scenario(), 0)
-    with pytest.raises(ValueError, match="scenario 'with-battery' has devices of kind 'battery': use a controller"):
+    with pytest.raises(ValueError, match="toy6-ppo: has no network for agents of kind battery of with-battery"):
         Policy.load("toy6-ppo").reset(scenario())
+
+
+def test_a_policy_has_a_network_for_it():
+    networks = {
+        name: Network([(np.zeros((n_in, n_out)), np.full(n_out, 0.25))])
+        for name, (n_in, n_out) in {"datacenter": (9, 2), "battery": (8, 1), "inverter": (7, 1)}.items()
+    }
+    recorder = rollout(scenario(), Policy(networks, channels={"battery": ["power"]}), [0])
+    np.testing.assert_allclose(recorder.lane(0).charged_kw[1:, 0], 0.25 * 500.0)
 
 
 def test_a_bus_is_taken_once_however_it_is_written():

@@ -23,6 +23,7 @@ from dcgrid_env.scenario.fingerprint import fields
 from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.traces import PowerTrace
 
+RIDE_THROUGH_TEST = "8d380d7a65d816e0"
 CHANGES = {
     "horizon": 119,
     "split": "validation",
@@ -154,9 +155,20 @@ def test_the_schema_lists_every_published_field():
     own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
     later = {"datacenter_phases", "inverter_phases", "regulators", "capacitor_banks", "capacitor_settings"}
     later |= {"ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"}
-    later |= {"datacenter_ride_through", "inverter_ride_through", "sags"}
+    later |= {"datacenter_ride_through", "inverter_ride_through", "sags", "datacenter_storage"}
     later |= {"datacenter_routing", "datacenter_batching", "datacenter_service"}
     assert listed | later == own | set(FLAT)
     assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
     later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess")
     assert (*fingerprint.SCHEMA_1[CostWeights].fields, *later_weights) == CostWeights._fields
+
+
+def test_a_rule_of_ride_through_keeps_its_hash_when_fields_are_added():
+    """The schema lists the rules' fields, so that a later one is left out at its default."""
+    scenario = make_scenario("ride-through")
+    for rule in (scenario.part("datacenter").ride_through, scenario.part("inverter").ride_through, scenario.sags[0]):
+        listed = fingerprint.SCHEMA_1[type(rule)]
+        assert set(listed.fields) == {field.name for field in dataclasses.fields(rule)}
+        assert fields(rule) is not None
+    assert scenario_hash(scenario) != scenario_hash(make_scenario("ride-through", sags=scenario.sags[:1]))
+    assert scenario_hash(make_scenario("ride-through", split="test")) == RIDE_THROUGH_TEST

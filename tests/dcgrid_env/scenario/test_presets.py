@@ -20,6 +20,8 @@ from dcgrid_env import (
     make_scenario,
 )
 from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
+from dcgrid_env.devices.ride_through.sags import virginia_2024
 from dcgrid_env.engine.simulation import Simulation
 
 WEAK, ENDS = (7, 14, 20, 30), (18, 33, 25, 22)
@@ -57,6 +59,10 @@ TABLE = {
     ),
     "ieee123-3ph": ("ieee123-3ph", 1.0, 5, 280.0, 1.1, None, I123, 50.0, "inference", 0.05, 120),
     "ieee123-3ph-day": ("ieee123-3ph", 1.0, 5, 280.0, 1.1, None, I123, 300.0, "inference", 0.05, 1440),
+    "ride-through": (
+        "ieee34-3ph", 1.05, 3, 450.0, 1.1, (840, 860, 848), (816, 834, 844, 822, 838),
+        (400.0, 400.0, 400.0, 80.0, 80.0), "inference", 0.05, 300,
+    ),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
@@ -71,6 +77,23 @@ BEYOND = {
         "start_hour": 0.0,
         "dt_s": 60.0,
         "weights": CostWeights(leftover=0.15, switching=10.0),
+    },
+    "ride-through": {
+        "power_flow": "sweep",
+        "inverter_trace": "pv",
+        "sags": virginia_2024(),
+        "datacenter_ride_through": UpsRideThrough(
+            curve="itic",
+            release="agent",
+            by_hand_s=60.0,
+            stagger_s=20.0,
+            trip_weight=300.0,
+            away_weight=1.0,
+            missing_weight=3.0,
+        ),
+        "inverter_ride_through": RideThrough(
+            curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
+        ),
     },
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},

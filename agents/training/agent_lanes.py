@@ -1,0 +1,125 @@
+"""Stable-Baselines3 lanes of single agents, for one policy that drives agents of every kind.
+
+``AgentVecEnv`` has a lane for each agent of each environment, environment by environment, for one policy that drives
+them all; its observation holds, in this order,
+
+    the fields of every kind of agent, each once by name, 0 where an agent has no such field
+    with nameplate: those that ``policy.interface`` adds
+    kind: 1 for a data centre, 0 for another; then a figure for each kind but inverters, 1 for an agent of it
+
+and its action is (clock, q) and then the other channels of its agents, each once by name; entries that an agent does
+not have, as an inverter's clock, go nowhere. The reward is the team's, for each lane alike.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from gymnasium import spaces
+
+from dcgrid_env import Scenario, action_layout, field_names, under_own_control
+from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
+from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs, in_hand
+from dcgrid_env.agents.training.config import Act
+from dcgrid_env.baselines.equipment_agents import at_rest
+
+
+class AgentVecEnv(JointVecEnv):
+    """One lane for each agent of each environment, (environment, agent) in turn; see the module's head.
+
+    Parameters
+    ----------
+    scenario, n_envs, act, outputs, render_mode
+        Settings of the batch, see :class:`JointVecEnv`.
+    nameplate
+        Whether the nameplate figures are observed.
+    """
+
+    kind = "shared"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        n_envs: int,
+        act: Act = "both",
+        outputs: Outputs = "setpoint",
+        nameplate: bool = False,
+        render_mode: str | None = None,
+    ):
+        if under_own_control(scenario) is not scenario:
+            raise ValueError(
+                f"view is 'shared'; {scenario.name!r} has regulators or capacitor banks among its agents, which share "
+                "no policy with the others: choose 'joint', or give under_own_control(scenario)"
+            )
+        view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
+        self.fields = tuple(dict.fromkeys(name for own in view.groups.values() for name in own.fields))
+        self._figures = 3 * nameplate
+        self.kinds = ("inverter", "datacenter", *(kind for kind in view.groups if kind not in PLAIN_CHANNELS))
+        """Kinds of agents, in the order of the rows of ``used``; each but the first has a figure of its own."""
+        self.members = {kind: np.arange(own.agents.start, own.agents.stop) for kind, own in view.groups.items()}
+        """Positions of the agents of each kind among all."""
+        self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
+        for i, kind in enumerate(self.kinds[1:]):
+            self._kind[self.members.get(kind, []), i] = 1.0
+        super().__init__(scenario, n_envs, act, outputs, render_mode)
+
+    @property
+    def lanes_per_env(self) -> int:
+        """Lanes of an environment."""
+        return self.scenario.n_agents
+
+    @property
+    def used(self) -> np.ndarray:
+        """1 for each entry of an action that reaches the grid, else 0, float32, (kind, n_action), see ``kinds``."""
+        own = PLAIN_CHANNELS | self._agent_interface.channels
+        return np.array(
+            [[name in own[kind] and in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
+            np.float32,
+        )
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the entries of an action."""
+        of_kinds = self._agent_interface.channels.values()
+        return tuple(dict.fromkeys(("clock", "q", *(name for own in of_kinds for name in own))))
+
+    @property
+    def rest(self) -> np.ndarray:
+        """What an action is at rest as a setpoint, the mean over the agents that have it, float32, (n_action,)."""
+        resting, layout = at_rest(self.scenario), action_layout(self.scenario)
+        own = [resting[layout.is_channel(name)] for name in self.channels]
+        return np.array([values.mean() if len(values) else 0.0 for values in own], np.float32)
+
+    def entries(self, kind: str) -> list[int]:
+        """Where a lane's action holds the channels of agents of a kind, in their order."""
+        return [self.channels.index(name) for name in self._agent_interface.channels[kind]]
+
+    def columns(self, agent: str) -> np.ndarray:
+        """Where a lane's observation holds the agent's own observation, and its nameplate figures if there are any."""
+        own = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
+        return np.array(own + [len(self.fields) + i for i in range(self._figures)])
+
+    def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
+        joint, _ = super()._spaces()
+        low, high = (self._rows(edge[None]).reshape(len(self._kind), -1) for edge in (joint.low, joint.high))
+        low, high = low.min(axis=0), high.max(axis=0)
+        plate = slice(len(self.fields), len(self.fields) + self._figures)
+        low[plate], high[plate] = -np.inf, np.inf
+        n_kind = self._kind.shape[1]
+        low[-n_kind:], high[-n_kind:] = 0.0, 1.0
+        return spaces.Box(low, high, dtype=np.float32), self._action_space(len(self.channels))
+
+    def _rows(self, joint: np.ndarray) -> np.ndarray:
+        n_agent, n_kind = self._kind.shape
+        lanes = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
+        lanes[..., -n_kind:] = self._kind
+        for kind, own in self._agent_interface.inputs(joint).items():
+            members = self.members[kind]
+            lanes[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = own
+        return lanes.reshape(-1, lanes.shape[-1])
+
+    def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
+        each = (actions * self.reach).reshape(self.n_envs, self.scenario.n_agents, -1)
+        return {kind: each[:, own[:, None], self.entries(kind)] for kind, own in self.members.items()}

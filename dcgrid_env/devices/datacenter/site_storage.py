@@ -1,0 +1,110 @@
+"""A storage behind a data centre's own converter, driven by the data centre's agent: a feature of the site.
+
+It charges with what is left of the site's rating and may discharge beyond the site's draw, back to the rating:
+
+    -p_rated - p <= storage <= max(p_rated - p, 0)          p: what the site draws beside it
+
+so the site's draw from the grid never exceeds what it does without a storage, or the rating, and the converter's
+reactive side follows the sum. A storage with a converter of its own is an agent, ``Storages``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part
+from dcgrid_env.core.cache import PickledByFields, cached_on_owner
+from dcgrid_env.core.checked import settle
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.datacenter.site_features import Given, SiteState
+from dcgrid_env.devices.device import Channel, CostTerm, Field
+from dcgrid_env.devices.ratings import DataCenterParams
+from dcgrid_env.devices.storage import energy_balance, figures
+from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageState
+
+CHANNEL = "storage_p"
+"""Name of the channel that is the storage's draw, kW, negative to discharge."""
+OF_SITES = "site_"
+"""What the names of its cost terms, figures and metrics begin with, beside those of storages that are agents."""
+
+
+class SiteStorageState(NamedTuple):
+    """State of the storage of each site."""
+
+    storage: StorageState
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteStorage(figures.StorageFigures, PickledByFields):
+    """Storages of data centres alike but for their figures. A figure is one number for all of them, or one for each."""
+
+    amounts: ClassVar[tuple[str, ...]] = (f"{OF_SITES}ageing", f"{OF_SITES}missing")
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def check_slots(self, slots: int) -> None:
+        """Raise FieldError for a figure that cannot be of as many storages."""
+        self.check_figures(slots)
+
+    @cached_on_owner
+    def params(self, sites: int) -> StorageParams:
+        """Figures as arrays over the sites."""
+        return self.figures_of(sites)
+
+    def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
+        """The storage's draw."""
+        p_kw = self.params(len(params.p_rated_kw)).p_rated_kw
+        return (Channel(CHANNEL, "kW", -p_kw, p_kw, rest=0.0 * p_kw),)
+
+    def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """State of charge, and how much it can charge and discharge over the coming interval by its energy."""
+        return figures.fields(self.params(len(params.p_rated_kw)))
+
+    def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """Throughput, and energy that is missing at the end."""
+        return figures.cost_terms(self.params(len(params.p_rated_kw)), OF_SITES)
+
+    def initial(self, params: DataCenterParams, zero: Array) -> SiteStorageState:
+        """The energy that they begin with."""
+        return SiteStorageState(energy_balance.initial(self._like(zero), zero))
+
+    def step(
+        self,
+        params: DataCenterParams,
+        own: SiteStorageState,
+        site: DataCenterState,
+        p_kw: Array,
+        setpoints: tuple[Array, ...],
+        given: Given,
+        dt_s: float,
+    ) -> tuple[SiteStorageState, DataCenterState, Array]:
+        """Charge or discharge as far as there is room, energy and rating, see ``SiteFeature.step``."""
+        xp = namespace(p_kw)
+        highest, lowest = positive_part(params.p_rated_kw - p_kw), -params.p_rated_kw - p_kw
+        asked_kw = xp.maximum(xp.minimum(setpoints[0], highest), lowest)
+        after = energy_balance.step(self._like(p_kw), own.storage, asked_kw, given.work.available, dt_s)
+        return SiteStorageState(after), site, p_kw + after.storage_kw
+
+    def observe(self, params: DataCenterParams, own: SiteStorageState) -> tuple[Array, ...]:
+        """Raw figures of the fields, kWh and kW."""
+        return own.storage.stored_kwh, own.storage.charge_limit_kw, own.storage.discharge_limit_kw
+
+    def amount(self, name: str, params: DataCenterParams, own: SiteStorageState) -> Array:
+        """Throughput, kW, or energy that is missing, kWh, each times its price."""
+        return figures.amount(name, self._like(own.storage.stored_kwh), own.storage)
+
+    def totals(self, own: SiteStorageState) -> dict[str, Array]:
+        """Energy of all sites' storages that is stored, has been put through, has been lost, and is missing, kWh."""
+        return figures.totals(own.storage, OF_SITES)
+
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, own: SiteStorageState, dt_s: float
+    ) -> dict[str, float]:
+        """Energy at the end and at its lowest, and what was put through, lost and is missing."""
+        return figures.metrics(self.params(len(params.p_rated_kw)), own.storage, OF_SITES)
+
+    def _like(self, values: Array) -> StorageParams:
+        """Figures as arrays of the kind of ``values``, (lane, slot)."""
+        return StorageParams(*(as_like(figure, values) for figure in self.params(values.shape[-1])))

@@ -1,0 +1,116 @@
+"""Figures of a storage, whoever it belongs to, and what is observed of it, charged for it and told of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.devices.device import CostTerm, Field
+from dcgrid_env.devices.ratings import Rating, check_each, check_rating, per_device, read_only
+from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageState
+
+_RANGES = {
+    "charge_efficiency": (0.01, 1.0),
+    "discharge_efficiency": (0.01, 1.0),
+    "standby_share_per_h": (0.0, 0.99),
+    "initial_share": (0.0, 1.0),
+    "returned_share": (0.01, 1.0),
+    "ageing_price": (0.0, 1e6),
+    "missing_price": (1e-3, 1e6),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StorageFigures:
+    """What storages alike but for their figures have. A figure is one number for all of them, or one for each."""
+
+    p_rated_kw: Rating
+    """Largest charge and discharge at the grid, kW."""
+    energy_kwh: Rating
+    """Energy that can be used, kWh."""
+    charge_efficiency: Rating = 0.95
+    """Share of the energy drawn from the grid that is stored."""
+    discharge_efficiency: Rating = 0.95
+    """Share of the energy taken out that reaches the grid."""
+    standby_share_per_h: Rating = 0.0
+    """Share of the stored energy that is lost in an hour, whatever is done."""
+    initial_share: Rating = 0.5
+    """Stored energy before t = 0, as a share of ``energy_kwh``."""
+    returned_share: Rating = 1.0
+    """Share of that which is to be stored at the end of an episode."""
+    ageing_price: Rating = 0.02
+    """What throughput costs: the rise of c_t where all storages run at their ratings."""
+    missing_price: Rating = 9.0
+    """What energy that is missing at the end costs, for each second at the rating that all storages lack; the default
+    is that of leftover work."""
+
+    def check_figures(self, count: int) -> None:
+        """Raise FieldError for a figure that cannot be of as many storages."""
+        check_rating(self, "p_rated_kw", count)
+        check_rating(self, "energy_kwh", count)
+        for name, (low, high) in _RANGES.items():
+            check_each(self, name, count, low, high)
+
+    def figures_of(self, count: int) -> StorageParams:
+        """Figures as arrays over as many storages."""
+        figure = {name: per_device(getattr(self, name), count) for name in ("p_rated_kw", "energy_kwh", *_RANGES)}
+        initial = figure.pop("initial_share") * figure["energy_kwh"]
+        returned = figure.pop("returned_share") * initial
+        params = StorageParams(initial_kwh=initial, returned_kwh=returned, **figure)
+        return StorageParams(*map(read_only, params))
+
+
+def fields(params: StorageParams) -> tuple[Field, ...]:
+    """State of charge, and how much can be charged and discharged over the coming interval."""
+    return (
+        Field("stored", "share of the energy", 0.0, 1.0, params.energy_kwh),
+        Field("charge_limit", "share of the rating", 0.0, 1.0, params.p_rated_kw),
+        Field("discharge_limit", "share of the rating", 0.0, 1.0, params.p_rated_kw),
+    )
+
+
+def cost_terms(params: StorageParams, of: str = "") -> tuple[CostTerm, ...]:
+    """Throughput, and energy that is missing at the end; ``of`` is what their names begin with."""
+    rated, of_all = params.p_rated_kw, float(params.p_rated_kw.sum()) or 1.0
+    ageing = float(params.ageing_price.max(initial=0.0))
+    missing = float((params.missing_price * params.returned_kwh * 3600.0 / rated).max(initial=0.0))
+    return (
+        CostTerm(f"{of}ageing", f"{of}ageing", rated, of_all, ageing, weight=1.0),
+        CostTerm(f"{of}missing", f"{of}missing", rated / 3600.0, of_all / 3600.0, missing, at_end=True, weight=1.0),
+    )
+
+
+def amount(name: str, params: StorageParams, state: StorageState) -> Array:
+    """Throughput, kW, or energy that is missing, kWh, each times its price, (lane, slot)."""
+    if name.endswith("missing"):
+        return state.missing_kwh * params.missing_price
+    return namespace(state.storage_kw).abs(state.storage_kw) * params.ageing_price
+
+
+def totals(state: StorageState, of: str = "") -> dict[str, Array]:
+    """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh, (lane,) each.
+
+    ``of`` is what their names begin with.
+    """
+    return {
+        f"{of}stored_kwh": sum_last(state.stored_kwh),
+        f"{of}storage_throughput_kwh": sum_last(state.throughput_kwh),
+        f"{of}storage_loss_kwh": sum_last(state.storage_loss_kwh),
+        f"{of}storage_missing_kwh": sum_last(state.missing_kwh),
+    }
+
+
+def metrics(params: StorageParams, history: StorageState, of: str = "") -> dict[str, float]:
+    """Energy at the end and at its lowest, and what was put through, lost and is missing.
+
+    ``of`` is what their names begin with.
+    """
+    energy = float(params.energy_kwh.sum()) or 1.0
+    throughput, loss = (sum_last(total[-1] - total[0]) for total in (history.throughput_kwh, history.storage_loss_kwh))
+    return {
+        f"{of}stored_end_pct": 100.0 * sum_last(history.stored_kwh[-1]) / energy,
+        f"{of}stored_lowest_pct": 100.0 * sum_last(history.stored_kwh).min() / energy,
+        f"{of}storage_throughput_kwh": throughput,
+        f"{of}storage_loss_kwh": loss,
+        f"{of}storage_missing_kwh": sum_last(history.missing_kwh[-1]),
+    }

@@ -1,0 +1,104 @@
+"""Trainings with agents and channels beside clock and reactive power: they learn, and what they write acts alike."""
+
+import numpy as np
+import pytest
+import torch
+
+from dcgrid_env import DcgridVectorEnv, TensorEnv, end_costs
+from dcgrid_env.agents import Policy
+from dcgrid_env.agents.algorithms import ppo, td3
+from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
+from dcgrid_env.agents.algorithms.safe import require_plain
+from dcgrid_env.agents.training import sb3
+from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from helpers.riding import ride_through_34
+from helpers.storages import toy6_storage
+
+SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20)}
+given = pytest.mark.parametrize("name", SCENARIOS)
+views = pytest.mark.parametrize("view", ["shared", "centralised"])
+
+
+@given
+@views
+def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
+    learner = Learner(Analytic(num_envs=4, window=10, hidden=(8,), view=view), [SCENARIOS[name]])
+    before = [weight.detach().clone() for weight in learner.networks.parameters()]
+    for iteration in (1, 2):
+        figures = learner.episodes(0, iteration, lambda what, tensors: None)
+        assert np.isfinite(list(figures.values())).all()
+    after = list(learner.networks.parameters())
+    assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
+    policy = Policy.load(learner.policy().save(tmp_path / "policy"))
+    env = learner.envs[0]
+    policy.reset(env.scenario)
+    joint = env.reset(range(3))
+    for _ in range(3):
+        with torch.no_grad():
+            action = learner.act(0, joint)
+        np.testing.assert_allclose(policy.act(joint.numpy()), action.numpy(), atol=1e-5)
+        joint = env.step(action).observation
+
+
+def lanes_of(scenario, view):
+    joint = view == "centralised"
+    vec_env = JointVecEnv(scenario, 4) if joint else AgentVecEnv(scenario, 4, nameplate=True)
+    vec_env.end_share = 1.0 / scenario.horizon
+    return vec_env
+
+
+@pytest.mark.parametrize("algorithm", [ppo, td3], ids=["ppo", "td3"])
+@given
+@views
+def test_sb3_trains_saves_and_acts_alike(tmp_path, algorithm, name, view):
+    scenario, chosen = SCENARIOS[name], {"hidden": (8, 8), "view": view, "nameplate": view == "shared"}
+    cfg = ppo.Ppo(**chosen) if algorithm is ppo else td3.Td3(**chosen, buffer=1000, batch=8, gradient_steps=1)
+    vec_env = lanes_of(scenario, view)
+    model = algorithm.make(cfg, vec_env)
+    before = [weight.detach().clone() for weight in model.policy.parameters()]
+    sb3._iterate(_Run(), vec_env, model, 0, 1, 1e-2)  # pyright: ignore[reportArgumentType]
+    assert any(not torch.equal(a, b) for a, b in zip(before, model.policy.parameters(), strict=True))
+    policy = Policy.load(algorithm.exported(cfg, vec_env, model).save(tmp_path / "policy"))
+    policy.reset(scenario)
+    native = DcgridVectorEnv(4, scenario)
+    vec_env.seed(3)
+    rows, (joint, _) = vec_env.reset(), native.reset(seed=3)
+    for _ in range(4):
+        rows, *_ = vec_env.step(model.predict(np.asarray(rows), deterministic=True)[0])
+        joint, *_ = native.step(policy.act(joint))
+        ours, theirs = (batch.transition.state for batch in (native, vec_env.batch))
+        np.testing.assert_allclose(ours.p_kw, theirs.p_kw, rtol=1e-4, atol=1e-2)
+        np.testing.assert_allclose(ours.q_kvar, theirs.q_kvar, rtol=1e-4, atol=1e-2)
+
+
+class _Run:
+    step = 0
+
+    def require_finite(self, what, tensors):
+        assert all(torch.isfinite(tensor).all() for tensor in tensors)
+
+
+def test_the_charge_for_missing_energy_reaches_what_was_done_before():
+    """A policy that discharges throughout is led back by the charge at the end alone."""
+    scenario = toy6_storage(10)
+    env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))
+    env.reset([0])
+    asked = torch.full((10,), -0.3, dtype=torch.float64, requires_grad=True)
+    last = None
+    for p in asked:
+        still = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+        last = env.step(torch.cat((still, torch.stack((p, p)))).reshape(1, -1))
+    assert last is not None
+    due = end_costs(scenario, last.state)
+    assert due.keys() == {"leftover", "missing"}
+    torch.testing.assert_close(due["missing"], last.costs._asdict()["missing"])
+    (slope,) = torch.autograd.grad(due["missing"].sum(), asked)
+    assert (slope < -0.1).all()  # to discharge less costs less, whenever
+
+
+def test_safe_training_refuses_what_it_has_no_bound_for():
+    with pytest.raises(ValueError, match=r"safe training is made for .* alone; .* kind 'storage'"):
+        require_plain(SCENARIOS["storages"])
+    with pytest.raises(ValueError, match="of kind datacenter have the channels clock, q, return: train analytic"):
+        require_plain(SCENARIOS["riding"])
