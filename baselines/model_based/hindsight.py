@@ -39,11 +39,15 @@ STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 HOPELESS = 0.01
 """Share of J by which the first program of a course is worse than the best replay where it is given up."""
 SHORTER = (0.5, 0.25, 0.1, 0.03)
-"""Shares of the way to a solution that are tried too where there are storages."""
+"""Shares of the way to a solution that are tried too where there are storages or work is routed."""
 ROUNDS_SHORTENED = 14
 """Linear programs for an episode at most where there are storages: J settles early there, the bound later."""
 GAP_SHORTENED = 7e-5
 """Gap between replay and program at which such an episode has settled, as a share of J."""
+ROUNDS_ROUTED = 6
+"""The same where work is routed: J hardly changes from there on, while the bound nears it slowly."""
+GAP_ROUTED = 3e-4
+"""The same gap there."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
@@ -89,7 +93,8 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages.
+        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages, or
+        ``ROUNDS_ROUTED`` where work is routed.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -103,8 +108,8 @@ def hindsight(
     """
     _check(scenario)
     if rounds is None:
-        shortened = storages_of(scenario) is not None or getattr(scenario.part("datacenter"), "routing", None)
-        rounds = ROUNDS_SHORTENED if shortened else ROUNDS
+        routed = scenario.part("datacenter").routing is not None
+        rounds = ROUNDS_ROUTED if routed else ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -171,11 +176,15 @@ def _settled(
         else:  # a program around a better trajectory knows better
             best = best._replace(bound=bound, rounds=done)
         if shortens:  # an unchanged J says nothing there of the bound
-            settled = abs(best.gap) <= max(tolerance, GAP_SHORTENED) * abs(best.J)
+            settled = abs(best.gap) <= max(tolerance, _gap(program)) * abs(best.J)
         if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
     assert best is not None
     return best
+
+
+def _gap(program: Any) -> float:
+    return GAP_SHORTENED if program.work_rows.routing is None else GAP_ROUTED
 
 
 def _shifts(program: EpisodeProgram) -> bool:
@@ -188,9 +197,9 @@ def _shortened(
 ) -> tuple[np.ndarray, Recorder]:
     """The actions that do best on the way to the last solution, and their replay; the next program is around them.
 
-    Storages shift energy to where losses are least, which solutions of the linear program overdo: around each the next
-    does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for quadratic programming"
-    (1956), its line searched at a few places.
+    Storages shift energy to where losses are least, and routes work, which solutions of the linear program overdo: around
+    each the next does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for quadratic
+    programming" (1956), its line searched at a few places.
     """
     tried = [(recorder.metrics()[0]["J"], 1.0, actions, recorder)]
     for share in SHORTER:
