@@ -253,7 +253,8 @@ class DataCenters(PickledByFields):
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
         """Waiting times, clocks, times of requests, and what there is of the features."""
-        figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests)
+        latency_s = self.routing.move_latency_s if self.routing else 0.0
+        figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests, latency_s)
         for feature, own in self._with_states(history):
             figures |= feature.metrics(self.parameters, history, own, dt_s)
         return figures
