@@ -10,9 +10,12 @@ from dcgrid_env.devices import (
     register_device,
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
@@ -73,6 +76,7 @@ __all__ = [
     "ActionLayout",
     "Background",
     "BankControl",
+    "Batching",
     "CapacitorControl",
     "Control",
     "Cooling",
@@ -97,12 +101,14 @@ __all__ = [
     "Recorder",
     "RideThrough",
     "RideThroughCurve",
+    "Routing",
     "Sag",
     "Scenario",
     "ScenarioError",
     "Sensing",
     "Sensitivity",
     "Series",
+    "ServiceLevels",
     "SiteStorage",
     "Solution",
     "Storages",

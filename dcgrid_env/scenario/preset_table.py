@@ -133,5 +133,11 @@ TABLE = (
         "ieee33-weak with training jobs over ten minutes in steps of 0.1 s; agents set GPU power smoothing",
         sites.smoothing,
     ),
+    Preset(
+        "routing",
+        "dcgrid/Routing-v0",
+        "4 sites of 1 MW under code completion that move half of their work, with a target and a deadline",
+        sites.routing,
+    ),
 )
 """All presets, in the order in which they are listed."""
