@@ -45,9 +45,9 @@ ROUNDS_SHORTENED = 14
 GAP_SHORTENED = 7e-5
 """Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS_ROUTED = 6
-"""The same where work is routed: J hardly changes from there on, while the bound nears it slowly."""
+"""Linear programs for an episode at most where work is routed: J hardly changes from there on, the bound slowly."""
 GAP_ROUTED = 3e-4
-"""The same gap there."""
+"""Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
