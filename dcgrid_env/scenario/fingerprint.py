@@ -19,6 +19,12 @@ from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs, Storages
+from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
@@ -63,6 +69,16 @@ _UPS_RULE = f"""
     {_RULE} lockout_events lockout_window_s returns_per_minute release by_hand_s stagger_s on_battery battery_s
     recharge_share charge_efficiency away_weight missing_weight
 """
+_SMOOTHING = """
+    floor_share ramp_up_w_per_s ramp_down_w_per_s hysteresis_s gpus gpu_rated_w control change_every_s slowest_share
+    burnt_weight
+"""
+_SITE_STORAGE = """
+    p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h initial_share returned_share
+    ageing_price missing_price
+"""
+_BATCHING = "lowest highest reference batch_energy_share gather_s batch_weight"
+_SERVICE = "target_s deadline_s interactive_share order late_weight"
 
 SCHEMA_1: dict[type[Any], Kind] = {
     Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
@@ -76,6 +92,12 @@ SCHEMA_1: dict[type[Any], Kind] = {
     RideThrough: Kind("RideThrough", tuple(_RULE.split())),
     UpsRideThrough: Kind("UpsRideThrough", tuple(_UPS_RULE.split())),
     Sag: Kind("Sag", ("begin_s", "duration_s", "retained_pu", "since")),
+    PowerSmoothing: Kind("PowerSmoothing", tuple(_SMOOTHING.split())),
+    Cooling: Kind("Cooling", ("cooling_share", "time_constant_s", "auxiliary_share")),
+    SiteStorage: Kind("SiteStorage", tuple(_SITE_STORAGE.split())),
+    Routing: Kind("Routing", ("movable_share", "move_latency_s", "move_weight")),
+    Batching: Kind("Batching", tuple(_BATCHING.split())),
+    ServiceLevels: Kind("ServiceLevels", tuple(_SERVICE.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 
 from dcgrid_env import Scenario
+from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
+from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 
 
@@ -11,21 +13,38 @@ def has_storage(scenario: Scenario) -> bool:
     return any(device.kind == "storage" and device.count for device in scenario.devices)
 
 
+def stays_connected(scenario: Scenario) -> bool:
+    """Whether no device may leave the grid, which no linear model has."""
+    return all(getattr(device, "ride_through", None) is None for device in scenario.devices)
+
+
+def can_be_planned(scenario: Scenario) -> bool:
+    """Whether no site leaves the grid or draws something else than what its work takes, which no linear model has."""
+    sites = scenario.part("datacenter")
+    return stays_connected(scenario) and sites.smoothing is None and sites.cooling is None
+
+
 def is_known_to_models(scenario: Scenario) -> bool:
-    """Whether controllers with a model know all of its devices: no storages, and none that may leave the grid."""
-    stays = all(getattr(device, "ride_through", None) is None for device in scenario.devices)
-    return stays and not has_storage(scenario)
+    """Whether controllers with a model know all that is there; of storages hindsight alone knows."""
+    return can_be_planned(scenario) and not has_storage(scenario)
 
 
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "peak-shaving": has_storage,
     "return-by-hand": has_return_channel,
     "staggered-return": has_return_channel,
+    "smoothing": has_smoothing_channels,
+    "smoothing-light": has_smoothing_channels,
+    "smoothing-strong": has_smoothing_channels,
+    "route-to-strongest": has_routing,
     "mpc": is_known_to_models,
     "mpc-one-step": is_known_to_models,
     "feedback": is_known_to_models,
 }
-NEEDING_A_DEVICE = ("peak-shaving", "return-by-hand", "staggered-return")
+NEEDING_A_DEVICE = (
+    "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
+    "route-to-strongest",
+)  # fmt: skip
 """Controllers that refuse a scenario of data centres and inverters alone."""
 
 
