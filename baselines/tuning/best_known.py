@@ -26,6 +26,8 @@ from dcgrid_env.baselines.tuning.lane_smoothing import LaneSmoothing, smoothing_
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
 GENERATIONS, CANDIDATES = 20, 32
+LONG_GENERATIONS = 6
+"""Generations where power is smoothed: such episodes have 6000 steps."""
 LANES = 800
 """Lanes of a batch."""
 SEARCH = "search"
@@ -101,6 +103,8 @@ class SearchedLaw(NamedTuple):
     """Lowest and highest of each parameter, (2, n)."""
     start: np.ndarray
     """Those to begin with, (n,)."""
+    generations: int
+    """Generations of the search."""
 
 
 def searched_law(scenario: Scenario) -> SearchedLaw:
@@ -109,8 +113,8 @@ def searched_law(scenario: Scenario) -> SearchedLaw:
     ValueError for a scenario whose agents decide over neither return nor smoothing, or without tuned parameters.
     """
     if has_smoothing_channels(scenario):
-        return SearchedLaw(LaneSmoothing, smoothing_bounds(scenario), smoothing_start(scenario))
-    return SearchedLaw(LaneReturn, bounds(scenario), start(scenario))
+        return SearchedLaw(LaneSmoothing, smoothing_bounds(scenario), smoothing_start(scenario), LONG_GENERATIONS)
+    return SearchedLaw(LaneReturn, bounds(scenario), start(scenario), GENERATIONS)
 
 
 def best_known(
@@ -168,13 +172,13 @@ def replayed(
 
 def _searched(scenario: Scenario, seeds: Sequence[int]) -> list[BestKnown]:
     """The least cost that the search reaches in each episode."""
-    make, (low, high), begin = searched_law(scenario)
+    make, (low, high), begin, generations = searched_law(scenario)
     draws = [np.random.default_rng([7, seed]) for seed in seeds]
     middle = np.repeat(np.clip(begin, low, high)[None], len(seeds), axis=0)
     spread = np.repeat(0.25 * (high - low)[None], len(seeds), axis=0)
     best_x, best_j = np.round(middle, DIGITS), np.zeros(len(seeds))
     lanes = np.repeat(np.asarray(seeds), CANDIDATES).tolist()
-    for _ in range(GENERATIONS):
+    for _ in range(generations):
         noise = np.stack([draw.standard_normal((CANDIDATES, len(low))) for draw in draws])
         x = np.round(np.clip(middle[:, None] + spread[:, None] * noise, low, high), DIGITS)
         x[:, 0] = best_x

@@ -6,7 +6,6 @@ from typing import Any
 
 from dcgrid_env.core.checked import FieldError
 
-
 MOST_STEPS = 10_000
 """Longest window in steps. It may reach beyond an episode: before it a site has always drawn what it draws at t = 0."""
 
