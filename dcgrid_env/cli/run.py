@@ -155,7 +155,7 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # of requests and storages, where there are any
+    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # where there are any
         cells = []
         for name in names:
             own = [r for r in records if r["controller"] == name]
