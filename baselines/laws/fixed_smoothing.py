@@ -55,8 +55,8 @@ class FixedSmoothing(Droop):
         floor = min(self.floor_share / settings.floor_share, 1.0) if settings.floor_share else 0.0
         actions = {
             "floor": 2.0 * floor - 1.0,
-            "ramp_up": _ramp(up / settings.ramp_up_w_per_s, settings.slowest_share),
-            "ramp_down": _ramp(down / settings.ramp_down_w_per_s, settings.slowest_share),
+            "ramp_up": ramp_action(up / settings.ramp_up_w_per_s, settings.slowest_share),
+            "ramp_down": ramp_action(down / settings.ramp_down_w_per_s, settings.slowest_share),
         }
         self._settings_at = [(np.flatnonzero(layout.is_channel(name)), action) for name, action in actions.items()]
 
@@ -83,7 +83,7 @@ def smoothing_of(scenario: Scenario) -> PowerSmoothing:
     return scenario.part("datacenter").smoothing
 
 
-def _ramp(share: float, slowest_share: float) -> float:
+def ramp_action(share: float, slowest_share: float) -> float:
     """The action that sets a ramp, as a share of the fastest."""
     if slowest_share == 1.0:
         return 0.0

@@ -13,8 +13,8 @@ def test_storages_have_a_row_of_their_own_with_a_curve_each():
     run = rollout(scenario, make_controller("peak-shaving"), [0]).lane(0)
     axes = run_figure(scenario, {"peak-shaving": run}, 0).axes
     assert [ax.get_ylabel() for ax in axes] == ["voltage (p.u.)", "stored (%)", "GPU clock (MHz)", "backlog (kW s)"]
-    curves = [line.get_ydata() for line in axes[1].get_lines()]
-    np.testing.assert_allclose(np.transpose(curves), run.stored_kwh / 5.0 * 100.0)
+    curves = [np.asarray(line.get_ydata()) for line in axes[1].get_lines()]
+    np.testing.assert_allclose(np.array(curves).T, run.stored_kwh / 5.0 * 100.0)
 
 
 def test_without_storages_there_is_no_such_row():

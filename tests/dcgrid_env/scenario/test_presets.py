@@ -11,6 +11,7 @@ from dcgrid_env import (
     CostWeights,
     Fault,
     FeederError,
+    PowerSmoothing,
     Scenario,
     ScenarioError,
     action_layout,
@@ -64,6 +65,7 @@ TABLE = {
         "ieee34-3ph", 1.05, 3, 450.0, 1.1, (840, 860, 848), (816, 834, 844, 822, 838),
         (400.0, 400.0, 400.0, 80.0, 80.0), "inference", 0.05, 300,
     ),
+    "smoothing": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 6000),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
@@ -95,6 +97,22 @@ BEYOND = {
         "inverter_ride_through": RideThrough(
             curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
         ),
+    },
+    "smoothing": {
+        "dt_s": 0.1,
+        "datacenter_smoothing": PowerSmoothing(
+            floor_share=0.9,
+            ramp_up_w_per_s=12_000.0,
+            ramp_down_w_per_s=12_000.0,
+            hysteresis_s=2.0,
+            control="agent",
+            change_every_s=10.0,
+            burnt_weight=3.0,
+        ),
+        "ramp_limit_kw_per_s": 60.0,
+        "ramp_window_s": 1.0,
+        "voltage_step_limit_pu": 0.01,
+        "weights": CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
     },
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
