@@ -12,6 +12,7 @@ from dcgrid_env.devices import (
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
@@ -105,6 +106,7 @@ __all__ = [
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
+    "TripWidths",
     "UpsRideThrough",
     "Workload",
     "__version__",

@@ -28,17 +28,17 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout, end_costs, under_own_control
+from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, action_layout, end_costs, under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.episode_windows import episode_seeds, windows
 from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
-from dcgrid_env.devices.ride_through.connection_surrogate import Widths
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
@@ -80,9 +80,9 @@ class Analytic(Training):
         return Limits(self.delay_limit_s, self.violation_limit_pu)
 
     @property
-    def trip_widths(self) -> Widths | None:
-        """Of the surrogate of trips and returns; None without one."""
-        return Widths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
+    def trip_widths(self) -> TripWidths | None:
+        """Widths of the surrogate of trips and returns; None without one."""
+        return TripWidths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
 
 
 class Learner:
@@ -239,27 +239,13 @@ class Learner:
         )  # fmt: skip
 
 
-def windows(horizon: int, window: int) -> list[int]:
-    """Lengths of an episode's windows, as equal as they come and about as long as asked."""
-    n = max(1, round(horizon / window))
-    return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
-
-
-def episode_seeds(seed: int, iteration: int, num_envs: int) -> range:
-    """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
-    first = (seed << 40) + iteration * num_envs
-    return range(first, first + num_envs)
-
-
 def check_settings(cfg: Analytic) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
-    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
+    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "trip_width_s", "dual_rate")
     cfg.limits.check()
-    for name, least in (("trip_width_pu", 0.0), ("trip_width_s", 1e-9)):
-        if not least <= getattr(cfg, name) < math.inf:
-            raise ValueError(f"{name} is {getattr(cfg, name)}; give a number of at least {least:g}")
-    if cfg.vary < 0:
-        raise ValueError(f"vary is {cfg.vary}; give at least 0")
+    for name in ("vary", "trip_width_pu"):
+        if not 0 <= getattr(cfg, name) < math.inf:
+            raise ValueError(f"{name} is {getattr(cfg, name)}; give at least 0")
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:

@@ -11,7 +11,7 @@ import traceback
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
-from dcgrid_env.cli.best_known import BestKnownValues
+from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
@@ -22,7 +22,7 @@ from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
-from dcgrid_env.cli.sags import Sags
+from dcgrid_env.cli.sag_pages import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS

@@ -29,6 +29,8 @@ class Forecast(NamedTuple):
     """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
     capacitor_on: np.ndarray | None = None
     """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all can be on."""
+    sags: np.ndarray | None = None
+    """Sags in time: beginning, s from the episode's, duration, s, and share of the voltage left, (n_sag, 3)."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
@@ -49,7 +51,8 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
         if outside.capacitor_on is not None:
             capacitors.append(outside.capacitor_on[0])
     columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
-    return Forecast(drawn.buses[0], *columns, capacitor_on=np.array(capacitors[1:]) if capacitors else None)
+    capacitor_on = np.array(capacitors[1:]) if capacitors else None
+    return Forecast(drawn.buses[0], *columns, capacitor_on, drawn.sag[0] if scenario.sags else None)
 
 
 def episode_hash(scenario: Scenario, seed: int) -> str:
