@@ -63,8 +63,7 @@ class Analytic(Training):
     max_grad_norm: float = 1.0
     """Gradients are cut to this norm."""
     trip_width_pu: float = 0.0
-    """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
-    gradient of what is exact, which has none of them (docs/ride-through.md)."""
+    """Width, p.u., of smooth steps in place of trips in the gradient alone (docs/ride-through.md); 0 for none."""
     trip_width_s: float = 1.0
     """Their width in the time to a slow trip, s."""
     dual_rate: float = 0.05
