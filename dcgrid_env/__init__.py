@@ -10,7 +10,12 @@ from dcgrid_env.devices import (
     register_device,
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -26,7 +31,7 @@ from dcgrid_env.engine.connections import (
 )
 from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
-from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
+from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
@@ -72,8 +77,10 @@ __all__ = [
     "ActionLayout",
     "Background",
     "BankControl",
+    "Batching",
     "CapacitorControl",
     "Control",
+    "Cooling",
     "Cost",
     "CostWeights",
     "DataCenters",
@@ -90,16 +97,19 @@ __all__ = [
     "LinearDvfs",
     "Metric",
     "PowerFlowError",
+    "PowerSmoothing",
     "PrefillDecodeDvfs",
     "Recorder",
     "RideThrough",
     "RideThroughCurve",
+    "Routing",
     "Sag",
     "Scenario",
     "ScenarioError",
     "Sensing",
     "Sensitivity",
     "Series",
+    "ServiceLevels",
     "SiteStorage",
     "Solution",
     "Storages",
@@ -127,6 +137,7 @@ __all__ = [
     "parallel_env",
     "read_feeder",
     "register_device",
+    "sag_times",
     "scenario_hash",
     "sensitivity",
     "sensitivity_between_agents",

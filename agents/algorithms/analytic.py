@@ -32,16 +32,13 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, action_layou
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
-from dcgrid_env.agents.training.episode_windows import episode_seeds, windows
+from dcgrid_env.agents.training.episodes import NORMALISED_LANES, NORMALISED_STEPS, episode_seeds, windows
 from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
-
-NORMALISED_LANES, NORMALISED_STEPS = 32, 10
-"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,8 @@ class Analytic(Training):
     max_grad_norm: float = 1.0
     """Gradients are cut to this norm."""
     trip_width_pu: float = 0.0
-    """Width, p.u., of smooth steps in place of trips in the gradient alone (docs/ride-through.md); 0 for none."""
+    """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
+    gradient of what is exact, which has none of them (docs/ride-through.md)."""
     trip_width_s: float = 1.0
     """Their width in the time to a slow trip, s."""
     dual_rate: float = 0.05

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import METRICS, Metric, Recorder, Scenario, forecast, make_scenario
+from dcgrid_env import METRICS, Metric, Recorder, Scenario, make_scenario, sag_times
 from dcgrid_env.agents import find_controller
 from dcgrid_env.agents.studies.learning_tables import Table, page, wrapped
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
@@ -99,8 +99,7 @@ def sag_study(
     if not test.sags or getattr(test.part("datacenter"), "ride_through", None) is None:
         raise ValueError(f"scenario is {scenario!r}, which has no sags or no sites that leave; give ride-through")
     load_kw = float(np.sum(test.feeder.p_load_kw) + test.datacenter.p_rated_kw.sum())
-    seeds, sags = range(episodes), forecast(test, seed).sags
-    assert sags is not None
+    seeds = range(episodes)
     every: list[tuple[str, list[tuple[Sequence[int], Recorder]]]] = [
         (name, [(seeds, rollout(test, find_controller(name, test), seeds))]) for name in names
     ]
@@ -108,7 +107,7 @@ def sag_study(
         known = [record for record in best if record["seed"] < episodes]
         every.append((BEST_KNOWN, list(replayed(test, known, find_controller))))
     driven = tuple(_driven(name, of_name, seed, load_kw) for name, of_name in every)
-    return SagStudy(test, episodes, seed, load_kw, sags[:, 0], driven)
+    return SagStudy(test, episodes, seed, load_kw, sag_times(test, seed), driven)
 
 
 def _driven(name: str, recorders: Sequence[tuple[Sequence[int], Recorder]], seed: int, load_kw: float) -> Driven:

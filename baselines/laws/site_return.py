@@ -29,7 +29,7 @@ class ReturnByHand(Droop):
     return_delay_s
         How long after its last event a site returns that is not locked out, s; None for that of the scenario's rule.
     release_s
-        How long one waits that is locked out, s; None for ``by_hand_s`` of the rule.
+        How long after its last event a site returns that is locked out, s; None for ``by_hand_s`` of the rule.
     pace
         How fast a site walks in, as a share of the fastest.
     """

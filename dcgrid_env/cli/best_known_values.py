@@ -25,17 +25,18 @@ EPISODES = 25
 
 @dataclass(frozen=True)
 class BestKnownValues(Command):
-    """Search the least cost of episodes in which sites trip and return, of which no linear program has the optimum.
+    """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
 
     Each episode is searched by itself, with all of it known: the times, pace and gains of a staggered return are fitted
-    to it. Named controllers are asked too, and the least of all counts. It is written in the place of hindsight's
-    costs, marked as best known: it bounds nothing, and whoever reaches less makes it lower. Episodes that stand in the
-    file are not searched again; controllers are asked anew.
+    to it, or the floors, ramps and gains of fixed smoothing. Named controllers are asked too, and the least of all
+    counts. It is written in the place of hindsight's costs, marked as best known: it bounds nothing, and whoever
+    reaches less makes it lower. Episodes that stand in the file are not searched again; controllers are asked anew.
     """
 
     scenario: str = "ride-through"
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; its sites must have a channel return, and dcgrid dev tune a staggered-return for it."""
+    makes your own; its sites must have a channel return and a staggered-return tuned by dcgrid dev tune, or a
+    channel floor and a smoothing tuned."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "none,return-by-hand-tuned,staggered-return-tuned"

@@ -55,6 +55,14 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
     return Forecast(drawn.buses[0], *columns, capacitor_on, drawn.sag[0] if scenario.sags else None)
 
 
+def sag_times(scenario: Scenario, seed: int) -> np.ndarray:
+    """When the sags of a seed's first episode begin, s, (n_sag,); ValueError for a scenario without sags."""
+    sags = forecast(scenario, seed).sags
+    if sags is None:
+        raise ValueError(f"scenario {scenario.name!r} has no sags; give it sags, such as 'virginia-2024'")
+    return sags[:, 0]
+
+
 def episode_hash(scenario: Scenario, seed: int) -> str:
     """SHA-256 of what comes from outside in the first episode of a seed, 16 hexadecimal digits.
 

@@ -26,11 +26,11 @@ class TripWidths(NamedTuple):
     """How wide the smooth steps are; a step has most of its slope within four times that."""
 
     v_pu: float = 0.01
-    """Width of a threshold, p.u."""
+    """Width of the step at a threshold, p.u."""
     time_s: float = 1.0
-    """Width of the time to a slow trip, s."""
+    """Width of the step at the time to a slow trip, s."""
     rate_share: float = 0.3
-    """Width between what is to stay away and what to return, as a share of the fastest return."""
+    """Width of the step between what is to stay away and what to return, as a share of the fastest return."""
 
     def check(self) -> None:
         """Raise FieldError for a width that is not above 0."""
@@ -87,7 +87,7 @@ def with_derivatives(
     dt_s
         Length of the interval, s.
     widths
-        Widths of the surrogate.
+        Widths of its smooth steps.
     """
     xp = namespace(v)
     beyond = smooth_step(threshold - v, widths.v_pu)

@@ -9,16 +9,9 @@ import torch
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
-from dcgrid_env.agents.algorithms.analytic import (
-    Analytic,
-    Learner,
-    check_settings,
-    episode_seeds,
-    grids_of,
-    main,
-    windows,
-)
+from dcgrid_env.agents.algorithms.analytic import Analytic, Learner, check_settings, grids_of, main
 from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.episodes import episode_seeds, windows
 from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from helpers.states import with_fields
 

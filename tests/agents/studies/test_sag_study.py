@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import make_scenario
+from dcgrid_env import make_scenario, sag_times
 from dcgrid_env.agents.studies import sag_study
 from dcgrid_env.agents.studies.sag_figure import sag_figure
 from dcgrid_env.agents.studies.sag_study import COLUMNS, markdown, table
 from dcgrid_env.baselines import ReturnByHand, rollout
-from dcgrid_env.cli.sag_pages import Sags
+from dcgrid_env.cli.sag_study import Sags
 
 NAMES = ["none", "return-by-hand"]
 
@@ -36,7 +36,7 @@ def test_figures_are_those_of_the_episodes(study):
 
 def test_sags_are_where_sites_leave(study):
     course = study.driven[0].course
-    begin_s = study.sag_s
+    begin_s = sag_times(study.scenario, 1)
     assert len(begin_s) == 6
     assert np.ptp(begin_s) == pytest.approx(82.0)
     first = int(np.floor(begin_s[0]))

@@ -1,6 +1,9 @@
-"""Which episodes a training by gradients drives, and how they are cut into windows."""
+"""Which episodes a training by gradients runs through, and how it cuts them into windows."""
 
 from __future__ import annotations
+
+NORMALISED_LANES, NORMALISED_STEPS = 32, 10
+"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
 
 
 def windows(horizon: int, window: int) -> list[int]:

@@ -1,0 +1,127 @@
+"""How late work was served that had a time to be served by, from what arrived and was served in each step.
+
+Work that arrives in step k and is served in step m has waited m - k steps, one more if it was moved, and is late by
+what that is beyond its slack. Work that is not served by the end counts as if it were in the step after the last.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+def lateness(
+    arrived_kw: np.ndarray,
+    moved_kw: np.ndarray,
+    served_kw: np.ndarray,
+    slack: tuple[int, int],
+    interactive_share: float,
+    by_deadline: bool,
+    dt_s: float,
+) -> dict[str, float]:
+    """Figures over all work of all sites, 100 % in time and 0 s late where none arrived.
+
+    Parameters
+    ----------
+    arrived_kw, moved_kw, served_kw
+        Work that arrived in each step, the part of it that was moved, and work served, (n_step, n_site), kW.
+    slack
+        Steps beyond its own in which interactive and in which deferrable work is in time.
+    interactive_share, by_deadline
+        See ``ServiceLevels``.
+    dt_s
+        Length of a step, s.
+    """
+    none: list[tuple[list[np.ndarray], list[np.ndarray]]] = [([np.zeros(0)] * 2, [np.zeros(0)] * 2)]
+    of_sites = none + [
+        _of_site((arrived - moved, moved), served, slack, interactive_share, by_deadline)
+        for arrived, moved, served in zip(arrived_kw.T, moved_kw.T, served_kw.T, strict=True)
+    ]
+    by_kind = [tuple(np.concatenate([of[what][kind] for of in of_sites]) for what in (0, 1)) for kind in (0, 1)]
+    steps, weight = (np.concatenate(both) for both in zip(*by_kind, strict=True))
+    mean, p95 = _mean_and_p95(steps, weight)
+    return {
+        "in_time_pct": _in_time(steps, weight),
+        "interactive_in_time_pct": _in_time(*by_kind[0]),
+        "deferrable_in_time_pct": _in_time(*by_kind[1]),
+        "lateness_mean_s": mean * dt_s,
+        "lateness_p95_s": p95 * dt_s,
+    }
+
+
+def _of_site(
+    parts: tuple[np.ndarray, np.ndarray],
+    served: np.ndarray,
+    slack: tuple[int, int],
+    share: float,
+    by_deadline: bool,
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Steps late and work, of what was served together or never, for interactive and for deferrable work."""
+    line = _line(parts, slack, share, by_deadline)
+    rounding = 1e-9 * line.amount.sum()
+    late: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    work: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+
+    def note(step: int, taken: np.ndarray) -> None:
+        there = taken > 0.0
+        for kind in (0, 1):
+            late[kind].append(np.maximum(step - line.due[kind, there], 0).astype(np.float64))
+            work[kind].append(line.of_kind[kind, there] * taken[there])
+
+    left = line.amount.copy()
+    for step, capacity in enumerate(served):
+        here = np.where(line.came <= step, left, 0.0)
+        before = np.cumsum(here) - here
+        taken = np.clip(capacity + rounding - before, 0.0, here)
+        left = left - taken
+        note(step, taken)
+    left[left <= rounding] = 0.0
+    note(len(served), left)
+    return [np.concatenate(x) for x in late], [np.concatenate(x) for x in work]
+
+
+class _Line(NamedTuple):
+    """What arrived, in the order in which it is served, (n,) or by kind of work, interactive first, (2, n)."""
+
+    amount: np.ndarray
+    came: np.ndarray
+    """Step of its arrival."""
+    of_kind: np.ndarray
+    """Share of it that is of either kind."""
+    due: np.ndarray
+    """Last step in which it is in time."""
+
+
+def _line(parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: float, by_deadline: bool) -> _Line:
+    """All work in line: of the earliest deadline first each kind by itself, else both mixed as they arrive."""
+    steps, shares = np.arange(len(parts[0])), (share, 1.0 - share)
+    amounts, places, came, of_kind, due = [], [], [], [], []
+    for less, part in enumerate(parts):  # what was kept, and what was moved
+        last = np.stack([steps + max(its - less, 0) for its in slack])
+        mixed = [(part, steps - less, np.array(shares))]
+        apart = [(shares[kind] * part, last[kind], np.eye(2)[kind]) for kind in (0, 1)]
+        for amount, place, kinds in apart if by_deadline else mixed:
+            amounts.append(amount)
+            places.append(place)
+            came.append(steps)
+            of_kind.append(np.tile(kinds[:, None], len(steps)))
+            due.append(last)
+    order = np.argsort(np.concatenate(places), kind="stable")
+    flat = (np.concatenate(amounts), np.concatenate(came), np.hstack(of_kind), np.hstack(due))
+    return _Line(*(of[..., order] for of in flat))
+
+
+def _in_time(steps: np.ndarray, weight: np.ndarray) -> float:
+    whole = weight.sum()
+    return 100.0 * float(weight[steps <= 0.0].sum() / whole) if whole > 0.0 else 100.0
+
+
+def _mean_and_p95(steps: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    whole = weight.sum()
+    if whole <= 0.0:
+        return 0.0, 0.0
+    order = np.argsort(steps, kind="stable")
+    share = np.cumsum(weight[order]) / whole
+    at = min(int(np.searchsorted(share, 0.95 - 1e-12)), len(share) - 1)
+    return float((steps * weight).sum() / whole), float(steps[order][at])
