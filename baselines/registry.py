@@ -15,6 +15,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import PROFILES, FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
@@ -51,6 +52,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "peak-shaving": (
         "storages hold their voltage above 0.95 p.u. and charge above it, the paper's droop beside them",
         PeakShaving,
+    ),
+    "route-to-strongest": (
+        "work goes to the sites whose voltage will be high, the paper's droop beside it",
+        RouteToStrongest,
     ),
     "return-by-hand": (
         "sites that left the grid all return at once, a while after they are locked out; the paper's droop beside",

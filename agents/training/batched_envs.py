@@ -23,7 +23,7 @@ from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 Outputs = Literal["setpoint", "change", "droop"]
-REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 1.0), "droop": (0.5, 0.5, 1.0)}
+REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
 """What an action of 1 is, of a clock, a reactive setpoint and another channel, as an output of a network."""
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 """Largest action; changes are meant to stay well within it."""

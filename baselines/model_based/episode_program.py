@@ -10,7 +10,8 @@ On the power flow linearised around a trajectory:
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
-add the unknowns and rows of ``storage_rows``; their draws stand behind the served work in d.
+add the unknowns and rows of ``storage_rows``; their draws stand behind the served work in d. Work that may be moved, or
+has a time to be served by, adds those of ``work_rows``.
 ``voltage_rows`` leaves out the e and w that are not needed; where regulators follow a control of their own,
 ``same_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
 revised simplex method", Mathematical Programming Computation 10, 2018).
@@ -43,7 +44,7 @@ class EpisodeProgram(Trajectory):
     """The linear program of an episode, around the trajectory of its last solution.
 
     Unknowns, each (T, ...) and flattened: d (n_dc, then storages), b (n_dc), q, g (n_agent), e, w (buses but the
-    substation), z (relays); behind them those of ``storage_rows``.
+    substation), z (relays); behind them those of ``storage_rows`` and ``work_rows``.
     """
 
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, same_taps: bool = False) -> None:
@@ -56,13 +57,14 @@ class EpisodeProgram(Trajectory):
         self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
         self.has_own_taps = relays is not None
         self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
-        self.sizes |= self.storage_rows.sizes
+        self.sizes |= self.storage_rows.sizes | self.work_rows.sizes
         of_storages = [(self._rows(**parts), most) for parts, most in self.storage_rows.limits(ANGLES)]
-        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability(), *of_storages]
+        of_work = [(self._rows(**parts), most) for parts, most in self.work_rows.limits(self._in_d(0, n_dc))]
+        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability(), *of_storages, *of_work]
 
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
-        s, self._before = self.scenario, (self.served_kw, self.storage_kw, self.q_kvar)
+        s, self._before = self.scenario, self._done
         solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
         voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.band_pu)
@@ -75,10 +77,10 @@ class EpisodeProgram(Trajectory):
         result = self._optimum(limits, prices, ranges)
         if result.status != 0:
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
-        d = self._part(result.x, "d").reshape(s.horizon, -1)
-        self.served_kw, self.storage_kw = d[:, : s.n_datacenters], d[:, s.n_datacenters :]
-        self.q_kvar = self._part(result.x, "q").reshape(s.horizon, -1)
-        self._solution = (self.served_kw, self.storage_kw, self.q_kvar)
+        d, q = (self._part(result.x, name).reshape(s.horizon, -1) for name in "dq")
+        received, sent = (self._part(result.x, name).reshape(-1, s.n_datacenters) for name in "yo")
+        moved = received - sent if len(received) else self.moved_kw
+        self._solution = self._done = (d[:, : s.n_datacenters], d[:, s.n_datacenters :], q, moved)
         return float(result.fun + price * voltages.at_zero), self.actions()
 
     def go(self, share: float) -> np.ndarray:
@@ -88,9 +90,9 @@ class EpisodeProgram(Trajectory):
         """
         if share < 1.0:
             ways = zip(self._before, self._solution, strict=True)
-            self.served_kw, self.storage_kw, self.q_kvar = (old + share * (new - old) for old, new in ways)
+            self._done = tuple(old + share * (new - old) for old, new in ways)
         else:
-            self.served_kw, self.storage_kw, self.q_kvar = self._solution
+            self._done = self._solution
         return self.actions()
 
     def _optimum(self, limits: Limits, prices: np.ndarray, ranges: np.ndarray) -> Any:
@@ -128,8 +130,17 @@ class EpisodeProgram(Trajectory):
 
     def begin(self, share: float) -> None:
         """Go back to serving all work as it arrives, with a share of the reactive power that there is."""
-        self.served_kw, self.q_kvar = self.arrived_kw, share * self.q_limit_kvar
-        self.storage_kw = 0.0 * self.storage_kw
+        none = 0.0 * self.storage_kw, 0.0 * self.moved_kw
+        self._done = (self.arrived_kw, none[0], share * self.q_limit_kvar, none[1])
+
+    @property
+    def _done(self) -> tuple[np.ndarray, ...]:
+        """What the trajectory is of: work served, draws of storages, reactive power and work moved."""
+        return self.served_kw, self.storage_kw, self.q_kvar, self.moved_kw
+
+    @_done.setter
+    def _done(self, done: tuple[np.ndarray, ...]) -> None:
+        self.served_kw, self.storage_kw, self.q_kvar, self.moved_kw = done
 
     @property
     def taps(self) -> np.ndarray:
@@ -151,7 +162,7 @@ class EpisodeProgram(Trajectory):
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
         n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
-        prices |= {"z": PRICE * s.horizon, **self.storage_rows.prices()}
+        prices |= {"z": PRICE * s.horizon, **self.storage_rows.prices(), **self.work_rows.prices()}
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
             / s.horizon
@@ -164,7 +175,8 @@ class EpisodeProgram(Trajectory):
         top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         # At its lowest clock a site serves this much of what arrives. It serves as much of a backlog too, which no
         # linear constraint says: there the program may do less than the environment.
-        least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)
+        stays_kw = self.arrived_kw - self.work_rows.movable_kw
+        least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), stays_kw)
         q_kvar, inf = self.q_limit_kvar.ravel(), np.inf
         d = (
             np.concatenate(both, axis=1).ravel()
@@ -176,6 +188,7 @@ class EpisodeProgram(Trajectory):
             "q": (-q_kvar, q_kvar),
             "w": (0.0, inf if inf_w else 0.0),
             **self.storage_rows.ranges(),
+            **self.work_rows.ranges(),
         }
         sides = [ranges.get(name, (0.0, inf)) for name in self.sizes]
         return np.concatenate(
@@ -186,10 +199,11 @@ class EpisodeProgram(Trajectory):
         )
 
     def _conservation(self) -> tuple[Sparse, np.ndarray]:
-        """b_t - b_{t-1} + d_t dt = a_t dt, and what ``storage_rows`` has."""
+        """b_t - b_{t-1} + d_t dt = a_t dt with what is moved, and the rows of ``storage_rows`` and ``work_rows``."""
         n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.n_datacenters
         step = sparse.identity(n, format="csr") - sparse.eye(n, k=-n_dc, format="csr")
-        parts = [({"d": dt_s * self._in_d(0, n_dc), "b": step}, self.arrived_kw.ravel() * dt_s)]
+        queue = {"d": dt_s * self._in_d(0, n_dc), "b": step, **self.work_rows.moved()}
+        parts = [(queue, self.arrived_kw.ravel() * dt_s), *self.work_rows.equalities()]
         parts += self.storage_rows.equalities(self._in_d(n_dc, self.n_storages))
         rows, amounts = zip(*((self._rows(**of), amount) for of, amount in parts), strict=True)
         return sparse.vstack(rows, format="csr"), np.concatenate(amounts)

@@ -14,7 +14,7 @@ equipment.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,10 +39,14 @@ STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 HOPELESS = 0.01
 """Share of J by which the first program of a course is worse than the best replay where it is given up."""
 SHORTER = (0.5, 0.25, 0.1, 0.03)
-"""Shares of the way to a solution that are tried too where there are storages."""
+"""Shares of the way to a solution that are tried too where there are storages or work is routed."""
 ROUNDS_SHORTENED = 14
 """Linear programs for an episode at most where there are storages: J settles early there, the bound later."""
 GAP_SHORTENED = 7e-5
+"""Gap between replay and program at which such an episode has settled, as a share of J."""
+ROUNDS_ROUTED = 6
+"""Linear programs for an episode at most where work is routed: J hardly changes from there on, the bound slowly."""
+GAP_ROUTED = 3e-4
 """Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
@@ -52,6 +56,22 @@ RELAXED = 1e-2
 """Change of the relaxation's optimum between programs at which it has settled, as a share of it; the next change would
 be some hundredth of that."""
 _ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, around positions at rest
+
+
+class Effort(NamedTuple):
+    """How far the episodes of a scenario are solved."""
+
+    rounds: int
+    """Linear programs for an episode at most."""
+    gap: float
+    """Gap between replay and program at which it has settled, as a share of J."""
+
+
+def effort_of(scenario: Scenario) -> Effort:
+    """How far episodes of this scenario are solved unless something else is asked for."""
+    if scenario.part("datacenter").routing is not None:
+        return Effort(ROUNDS_ROUTED, GAP_ROUTED)
+    return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
 
 class Hindsight(NamedTuple):
@@ -89,7 +109,7 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages.
+        Linear programs to solve at most; None: those of :func:`effort_of`.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -103,7 +123,7 @@ def hindsight(
     """
     _check(scenario)
     if rounds is None:
-        rounds = ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
+        rounds = effort_of(scenario).rounds
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -151,7 +171,7 @@ def _settled(
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
         program.follow(replay(scenario, program.actions(), seed))
-    shortens = isinstance(program, EpisodeProgram) and program.n_storages > 0
+    shortens = isinstance(program, EpisodeProgram) and _shifts(program)
     best: Hindsight | None = None
     for done in range(1, rounds + 1):
         bound, actions = program.solve()
@@ -170,11 +190,20 @@ def _settled(
         else:  # a program around a better trajectory knows better
             best = best._replace(bound=bound, rounds=done)
         if shortens:  # an unchanged J says nothing there of the bound
-            settled = abs(best.gap) <= max(tolerance, GAP_SHORTENED) * abs(best.J)
+            settled = abs(best.gap) <= max(tolerance, _gap(program)) * abs(best.J)
         if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
     assert best is not None
     return best
+
+
+def _gap(program: Any) -> float:
+    return GAP_SHORTENED if program.work_rows.routing is None else GAP_ROUTED
+
+
+def _shifts(program: EpisodeProgram) -> bool:
+    """Whether energy or work can go to another time or place, for little, so that steps are to be shortened."""
+    return program.n_storages > 0 or program.work_rows.routing is not None
 
 
 def _shortened(
@@ -182,9 +211,9 @@ def _shortened(
 ) -> tuple[np.ndarray, Recorder]:
     """The actions that do best on the way to the last solution, and their replay; the next program is around them.
 
-    Storages shift energy to where losses are least, which solutions of the linear program overdo: around each the next
-    does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for quadratic programming"
-    (1956), its line searched at a few places.
+    Storages shift energy to where losses are least, and routes work, which solutions of the linear program overdo:
+    around each the next does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for
+    quadratic programming" (1956), its line searched at a few places.
     """
     tried = [(recorder.metrics()[0]["J"], 1.0, actions, recorder)]
     for share in SHORTER:
@@ -227,6 +256,16 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
+    sites: Any = scenario.part("datacenter")
+    if sites.batching is not None:
+        raise ValueError(
+            f"hindsight plans no batch sizes, whose energy is no linear function; scenario {scenario.name!r} has "
+            "batching: leave it out, or compare with the best that is known"
+        )
+    if planned and (sites.routing is not None or sites.service is not None):
+        raise ValueError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
+    if sites.routing is not None and sites.boost_share > 1.0:
+        raise ValueError("hindsight plans routing for sites that stay within their rating; set boost_share to 1")
     if any(getattr(device, "storage", None) is not None for device in scenario.devices):
         raise ValueError(
             f"hindsight plans storages that are agents; scenario {scenario.name!r} has them behind its data centres: "

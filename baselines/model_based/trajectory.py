@@ -9,6 +9,7 @@ import numpy as np
 from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, nodes_by_bus, solver_for
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
 from dcgrid_env.baselines.model_based.voltage_rows import Linear
+from dcgrid_env.baselines.model_based.work_rows import WorkRows
 
 _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
@@ -40,6 +41,9 @@ class Trajectory:
         self.is_active |= np.arange(self.n) >= self.n - self.n_storages
         self.storage_kw = np.zeros((s.horizon, self.n_storages))
         """Draw of the storages, kW, (T, n_storages)."""
+        self.work_rows = WorkRows(s, self.arrived_kw, episode.available)
+        self.moved_kw = 0.0 * self.arrived_kw
+        """Work that each site receives less what it sends, kW, (T, n_dc)."""
         # It begins with serving all work as it arrives, without reactive power.
         self.served_kw, self.q_kvar = self.arrived_kw, np.zeros((s.horizon, self.n))
         inverters = slice(n_dc, self.n - self.n_storages)
@@ -135,4 +139,6 @@ class Trajectory:
         channels = {"clock": clock, "q": q[:, layout.reactive[: self.n] >= 0]}
         if storages is not None:
             channels["p"] = self.storage_kw / storages.p_scale_kw
+        if self.work_rows.routing is not None:
+            channels["route"] = self.work_rows.route(self.moved_kw)
         return np.clip(layout.joint(**channels), -1.0, 1.0)

@@ -38,14 +38,21 @@ _BEST = 8
 _KEPT = 0.3
 
 
+class Searched(NamedTuple):
+    """What the search reached in an episode."""
+
+    J: float
+    x: tuple[float, ...]
+    """Parameters of the law that is searched over, see :func:`searched_law`."""
+
+
 class BestKnown(NamedTuple):
     """The least cost of an episode."""
 
     J: float
     by: str
     """Who reached it: a controller's name, or ``SEARCH``."""
-    x: tuple[float, ...] = ()
-    """Parameters of the law that is searched over where it was the search, see :func:`searched_law`."""
+    searched: Searched
 
 
 class LaneReturn(StaggeredReturn):
@@ -121,6 +128,7 @@ def best_known(
     scenario: Scenario,
     seeds: Sequence[int],
     controllers: Mapping[str, Controller],
+    searched: Mapping[int, Searched] | None = None,
 ) -> list[BestKnown]:
     """The least cost that is known of each episode.
 
@@ -132,17 +140,23 @@ def best_known(
         One episode each. What is found of an episode does not depend on the others.
     controllers
         Who else is asked, by name.
+    searched
+        What the search reached before, by seed; these episodes are not searched again.
 
     Raises
     ------
     ValueError
         For a scenario without these channels, or without the tuned law.
     """
+    known = dict(searched or {})
+    due = [seed for seed in seeds if seed not in known]
     each = max(1, LANES // CANDIDATES)
-    found = [own for i in range(0, len(seeds), each) for own in _searched(scenario, seeds[i : i + each])]
+    for i in range(0, len(due), each):
+        known |= zip(due[i : i + each], _search(scenario, due[i : i + each]), strict=True)
+    found = [BestKnown(known[seed].J, SEARCH, known[seed]) for seed in seeds]
     for name, controller in controllers.items():
         j = rollout(scenario, controller, seeds, name=name).costs().tolist()
-        found = [BestKnown(own, name) if own < known.J else known for own, known in zip(j, found, strict=True)]
+        found = [best._replace(J=own, by=name) if own < best.J else best for own, best in zip(j, found, strict=True)]
     return found
 
 
@@ -170,7 +184,7 @@ def replayed(
         yield seeds, rollout(scenario, controller, seeds, name=who)
 
 
-def _searched(scenario: Scenario, seeds: Sequence[int]) -> list[BestKnown]:
+def _search(scenario: Scenario, seeds: Sequence[int]) -> list[Searched]:
     """The least cost that the search reaches in each episode."""
     make, (low, high), begin, generations = searched_law(scenario)
     draws = [np.random.default_rng([7, seed]) for seed in seeds]
@@ -188,7 +202,7 @@ def _searched(scenario: Scenario, seeds: Sequence[int]) -> list[BestKnown]:
         best_x, best_j = elite[:, 0], np.take_along_axis(j, order[:, :1], axis=1)[:, 0]
         middle = _KEPT * middle + (1.0 - _KEPT) * elite.mean(axis=1)
         spread = _KEPT * spread + (1.0 - _KEPT) * elite.std(axis=1)
-    return [BestKnown(float(j), SEARCH, tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]
+    return [Searched(float(j), tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]
 
 
 def _costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:

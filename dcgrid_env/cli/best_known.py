@@ -30,7 +30,7 @@ class BestKnownValues(Command):
     Each episode is searched by itself, with all of it known: the times, pace and gains of a staggered return are fitted
     to it, or the floors, ramps and gains of fixed smoothing. Named controllers are asked too, and the least of all
     counts. It is written in the place of hindsight's costs, marked as best known: it bounds nothing, and whoever
-    reaches less makes it lower. What stood in the file is written anew.
+    reaches less makes it lower. Episodes that stand in the file are not searched again; controllers are asked anew.
     """
 
     scenario: str = "ride-through"
@@ -60,9 +60,9 @@ class BestKnownValues(Command):
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         spec, names = ScenarioSpec(self.scenario, self.set), split_names(self.controllers)
         scenario, console = spec.make(self.split), plain_console()
-        kept_episodes(self.out, scenario)
-        seeds = range(self.episodes)
-        tasks = [Task(spec, self.split, seeds[i : i + EPISODES], tuple(names)) for i in seeds[::EPISODES]]
+        kept, seeds = kept_episodes(self.out, scenario), range(self.episodes)
+        parts = [seeds[i : i + EPISODES] for i in seeds[::EPISODES]]
+        tasks = [Task(spec, self.split, own, tuple(names), {i: kept[i] for i in own if i in kept}) for own in parts]
         records: dict[int, dict[str, Any]] = {}
         with alone_in(self.out, "dcgrid dev best-known"), progress_bar(console) as progress:
             bar = progress.add_task("episodes", total=self.episodes)
@@ -102,19 +102,28 @@ class Task(NamedTuple):
     split: str
     seeds: range
     controllers: tuple[str, ...]
+    kept: dict[int, dict[str, Any]]
+    """Records of those that have been searched."""
 
 
 def search(task: Task) -> dict[int, dict[str, Any]]:
     """The records of some episodes, by seed."""
     from dcgrid_env import episode_hash
     from dcgrid_env.agents import find_controller
-    from dcgrid_env.baselines.tuning.best_known import best_known
+    from dcgrid_env.baselines.tuning.best_known import Searched, best_known
 
     scenario = task.spec.make(task.split)
     asked = {name: find_controller(name, scenario) for name in task.controllers}
-    found = best_known(scenario, list(task.seeds), asked)
+    searched = {seed: Searched(record["searched_J"], tuple(record["x"])) for seed, record in task.kept.items()}
+    found = best_known(scenario, list(task.seeds), asked, searched)
     return {
-        seed: {"seed": seed, "hash": episode_hash(scenario, seed), "J": best.J, "by": best.by}
-        | ({"x": list(best.x)} if best.x else {})
+        seed: {
+            "seed": seed,
+            "hash": episode_hash(scenario, seed),
+            "J": best.J,
+            "by": best.by,
+            "searched_J": best.searched.J,
+            "x": list(best.searched.x),
+        }
         for seed, best in zip(task.seeds, found, strict=True)
     }

@@ -44,6 +44,15 @@ Where devices may leave the grid (docs/ride-through.md), over all sites, or inve
 | battery_missing_kws | what is missing in the batteries at the end |
 | voltage_after_loss_max_pu | highest voltage of the feeder in steps with a device away; 0 if there is none |
 
+Where work is moved, batched or served by a time (docs/routing.md), over all sites and the steps 1 .. T:
+
+| metric | meaning |
+|---|---|
+| moved_kws, moved_pct | work that was served at another site than it arrived at, and its share of all |
+| batch_mean | mean setpoint of the batch size |
+| in_time_pct, interactive_in_time_pct, deferrable_in_time_pct | share of work served within its target or deadline |
+| lateness_mean_s, lateness_p95_s | how late work was, 0 where in time, weighted by work |
+
 Where the trace is made of requests, over those that arrived in the episode at any site (all are 0 if none did), see
 ``devices.datacenter.request_delay``:
 

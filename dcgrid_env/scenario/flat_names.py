@@ -9,9 +9,12 @@ from typing import Any, Generic, Literal, TypeVar
 
 from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.phases import Phases
 from dcgrid_env.devices.ratings import Rating
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -65,6 +68,9 @@ class FlatNames:
     datacenter_ride_through = Flat[UpsRideThrough | None]("datacenter", "ride_through")
     datacenter_smoothing = Flat[PowerSmoothing | None]("datacenter", "smoothing")
     datacenter_cooling = Flat[Cooling | None]("datacenter", "cooling")
+    datacenter_routing = Flat[Routing | None]("datacenter", "routing")
+    datacenter_batching = Flat[Batching | None]("datacenter", "batching")
+    datacenter_service = Flat[ServiceLevels | None]("datacenter", "service")
     datacenter_storage = Flat[SiteStorage | None]("datacenter", "storage")
 
     inverter_buses = Flat[Buses]("inverter", "buses")

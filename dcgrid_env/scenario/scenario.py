@@ -13,7 +13,7 @@ import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, settle
-from dcgrid_env.devices import DataCenterParams, Device, InverterParams
+from dcgrid_env.devices import DataCenterParams, DataCenters, Device, InverterParams
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
@@ -99,6 +99,8 @@ class Scenario(PickledByFields, FlatNames):
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):
                 device.check_episode(self.horizon)
+                if isinstance(device, DataCenters):
+                    device.check_step(self.dt_s)
         check_events(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:

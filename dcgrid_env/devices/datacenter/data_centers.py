@@ -12,15 +12,19 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
+from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
-from dcgrid_env.devices.datacenter.datacenter import DataCenterState, step
-from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, features_of
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, check_step, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
+from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
@@ -71,6 +75,12 @@ class DataCenters(PickledByFields):
     cooling: Cooling | None = None
     """What a site draws beside its computers; None for nothing. ``p_rated_kw`` is the rating of the computers. The
     converter is then as much larger as the draw at the rating."""
+    routing: Routing | None = None
+    """How arriving work may be moved between the sites; None for work that stays where it arrives."""
+    batching: Batching | None = None
+    """Batch sizes that the sites can be set to; None for those of the trace."""
+    service: ServiceLevels | None = None
+    """What work is to be served by when; None for work without a deadline."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
@@ -97,6 +107,10 @@ class DataCenters(PickledByFields):
     def features(self) -> tuple[SiteFeature, ...]:
         """What the sites have beside clock, queue and converter, from the chips towards the grid."""
         return features_of(self)
+
+    @cached_property
+    def _steps(self) -> SiteSteps:
+        return SiteSteps(self.clock_law, self.boost_share, self.features, self.parameters)
 
     @cached_property
     def parameters(self) -> DataCenterParams:
@@ -148,7 +162,7 @@ class DataCenters(PickledByFields):
         """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and what
         there is of the features."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
-        longest_s = horizon * dt_s * boost
+        longest_s = horizon * dt_s * (boost + bool(self.routing))  # a site is given at most its rating beside its own
         of_features = [field for own in self.features for field in own.fields(self.parameters, horizon, dt_s)]
         common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
@@ -179,6 +193,10 @@ class DataCenters(PickledByFields):
     def check_episode(self, horizon: int) -> None:
         """Nothing of a data centre depends on the length of an episode."""
 
+    def check_step(self, dt_s: float) -> None:
+        """Raise FieldError for a feature that cannot serve steps of this length."""
+        check_step(self, dt_s)
+
     def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
         """Empty queues, the clocks at their top, and the features as they begin."""
         xp = namespace(zero)
@@ -197,40 +215,15 @@ class DataCenters(PickledByFields):
         given: Any,
         dt_s: float,
     ) -> tuple[Any, Array]:
-        """Serve work as the clock allows, see ``datacenter.step``; then the features act, see ``site_features``."""
+        """Serve work as the clock allows, see ``datacenter.step``; features act on it, see ``site_features``."""
         if not self.features:
-            return self._serve(parameters, state, setpoints[0], given, dt_s)
+            return self._steps.plain(parameters, state, setpoints[0], given, dt_s)
         given = Given(given, None) if self.ride_through is None else Given(given.given, given)
-        site, p_kw = self._serve(parameters, state.site, setpoints[0], given.work, dt_s)
-        after = []
-        for feature, own, at in zip(self.features, state.features, self._channels_at, strict=True):
-            own, site, p_kw = feature.step(parameters, own, site, p_kw, setpoints[at], given, dt_s)
-            after.append(own)
-        return SiteState(*site, tuple(after)), p_kw
-
-    @cached_property
-    def _channels_at(self) -> tuple[slice, ...]:
-        """Where the setpoints of each feature stand, behind the clock's."""
-        ends = np.cumsum([1, *(len(feature.channels(self.parameters)) for feature in self.features)]).tolist()
-        return tuple(map(slice, ends[:-1], ends[1:]))
+        return self._steps.with_features(parameters, state, setpoints, given, dt_s)
 
     def connected(self, state: Any) -> Array:
         """Share of each site's power that is on the grid, see ``device.may_leave``."""
         return state.ups.share
-
-    def _serve(
-        self, parameters: DataCenterParams, state: DataCenterState, f_mhz: Array, given: Work, dt_s: float
-    ) -> tuple[DataCenterState, Array]:
-        share = given.compute_share if self.work_classes == 2 else None
-        boosts = self.boost_share > 1.0
-        done = step(
-            parameters, self.clock_law, state.class_backlog_kws, given.p_ref_kw, f_mhz, dt_s, share, boost=boosts
-        )
-        after = DataCenterState(
-            done.backlog_kws, f_mhz, state.f_mhz, done.arrived_kw, done.served_kw, done.class_backlog_kws,
-            done.class_arrived_kw, done.class_served_kw,
-        )  # fmt: skip
-        return after, done.p_kw
 
     def grid_change(self, parameters: DataCenterParams, state: DataCenterState) -> GridChange:
         """Leave the grid as it is."""
@@ -239,7 +232,10 @@ class DataCenters(PickledByFields):
     def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
         """Raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
-        of_features = [figure for own, at in self._with_states(state) for figure in own.observe(parameters, at)]
+        of_features = []
+        for own, at in self._with_states(state):
+            ahead = (given_next,) if getattr(own, "looks_ahead", False) else ()
+            of_features += own.observe(parameters, at, *ahead)
         if self.work_classes == 1:
             return (coming, waiting, *of_features)
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
@@ -264,7 +260,8 @@ class DataCenters(PickledByFields):
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
         """Waiting times, clocks, times of requests, and what there is of the features."""
-        figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests)
+        latency_s = self.routing.move_latency_s if self.routing else 0.0
+        figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests, latency_s)
         for feature, own in self._with_states(history):
             figures |= feature.metrics(self.parameters, history, own, dt_s)
         return figures

@@ -87,17 +87,52 @@ def step(
         Whether ``p_ref_kw`` may exceed the rating.
     """
     xp = namespace(p_ref_kw)
-    arrived = class_arrived = positive_part(p_ref_kw - params.p_idle_kw)
+    arrived = positive_part(p_ref_kw - params.p_idle_kw)
     if boost:
         params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
+    base = xp.minimum(p_ref_kw, params.p_idle_kw)
+    return serve_arrived(params, dvfs, class_backlog_kws, base, arrived, f_mhz, dt_s, compute_share)
+
+
+def serve_arrived(
+    params: DataCenterParams,
+    dvfs: Dvfs,
+    class_backlog_kws: Array,
+    base_kw: Array,
+    arrived_kw: Array,
+    f_mhz: Array,
+    dt_s: float,
+    compute_share: Array | None = None,
+    energy_share: Array | None = None,
+) -> DataCenterStep:
+    """What ``step`` does, for work that has been told apart from the draw beside it.
+
+    Parameters
+    ----------
+    params, dvfs, class_backlog_kws, f_mhz, dt_s, compute_share
+        Those of ``step``; ``params`` has the dynamic power that the law may give.
+    base_kw
+        Draw beside the work, kW, (..., n_dc).
+    arrived_kw
+        Work that arrives, as the dynamic power that it takes at the top clock, kW, (..., n_dc).
+    energy_share
+        Energy that work takes as a share of what it takes at the batch size of its trace, (..., n_dc); None for 1.
+    """
+    class_arrived, by_class = arrived_kw, energy_share
     if compute_share is not None:
-        compute = arrived * compute_share
-        class_arrived = xp.concat((compute[..., None], (arrived - compute)[..., None]), axis=-1)
-    class_served, dynamic = dvfs.serve(params, f_mhz, class_arrived + class_backlog_kws / dt_s)
+        compute = arrived_kw * compute_share
+        class_arrived = namespace(arrived_kw).concat((compute[..., None], (arrived_kw - compute)[..., None]), axis=-1)
+        by_class = None if energy_share is None else energy_share[..., None]
+    at_hand = class_arrived + class_backlog_kws / dt_s
+    if by_class is None:
+        class_served, dynamic = dvfs.serve(params, f_mhz, at_hand)
+    else:
+        class_served, dynamic = dvfs.serve(params, f_mhz, at_hand * by_class)
+        class_served = class_served / by_class
     # The positive part takes off no more than the rounding of a queue that has just run empty.
     class_backlog = positive_part(class_backlog_kws + (class_arrived - class_served) * dt_s)
     served, backlog = class_served, class_backlog
     if compute_share is not None:
         served, backlog = sum_last(class_served), sum_last(class_backlog)
-    p = xp.minimum(p_ref_kw, params.p_idle_kw) + dynamic
-    return DataCenterStep(backlog, arrived, served, p, class_backlog, class_arrived, class_served)
+    p = base_kw + dynamic
+    return DataCenterStep(backlog, arrived_kw, served, p, class_backlog, class_arrived, class_served)

@@ -12,7 +12,9 @@ clock, by the law's speed_c and speed_m as shares of those at the top clock:
     time to first token = first token + D_c(arrival + first token) + B_c
     end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token)) + B_c + B_m
 
-D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one class they are the same.
+Where sites have batches, what a request waits longer for its batch than in the trace is added to B_c, and where work is
+moved between sites, the latency of those that are (``moved_requests``). D_c is that of compute-bound work (prefill),
+D_m that of memory-bound work (decode); with one class they are the same.
 What is never served counts as done at the end of the episode, and an instant beyond the end has the delay and the clock
 of the end: such delays are cut short, and ``requests_unfinished_pct`` says how many requests had work queued then.
 """
@@ -60,6 +62,7 @@ def serve_requests(
     served_kw: np.ndarray,
     speed_share: np.ndarray,
     dt_s: float,
+    wait_s: np.ndarray | float = 0.0,
 ) -> Served:
     """Delays of the requests that arrive during an episode of one site.
 
@@ -75,6 +78,8 @@ def serve_requests(
         Speed of each work class at the clock of each step, share of that at the top clock, (n_step, n_class).
     dt_s
         Length of a step, s.
+    wait_s
+        What a request waits besides for its first token, by the step in which it is due, s, (n_step,) or one number.
     """
     first, last = np.searchsorted(requests.arrival_s, (begin_s, begin_s + len(arrived_kw) * dt_s))
     taken = RequestTimes(*(times[first:last] for times in requests))
@@ -84,7 +89,7 @@ def serve_requests(
     decode_s, decode_left = _delay(end_s, arrived_kw[:, -1], served_kw[:, -1], dt_s)
     slower = 1.0 / speed_share - 1.0
     at = np.clip((first_s / dt_s).astype(np.int64), 0, len(slower) - 1)
-    reading_s = taken.prefill_s * slower[at, 0]
+    reading_s = taken.prefill_s * slower[at, 0] + np.broadcast_to(wait_s, len(slower))[at]
     answering_s = _integral(end_s, slower[:, -1], dt_s) - _integral(first_s, slower[:, -1], dt_s)
     return Served(
         ttft_s=taken.first_token_s + prefill_s + reading_s,

@@ -1,13 +1,15 @@
-"""What data centres may have beside clock, queue and converter: a UPS, and whatever else stands between chips and grid.
+"""What data centres may have beside clock, queue and converter: a UPS, and whatever else stands before the grid.
 
-What a site serves and draws by its clock is settled first. Then its features act one after the other, from the chips
-towards the grid, each on the work served and the draw that those before it have left: one may delay work, which goes
+Some features act on work before it is served (``admit``): they move it to other sites, or change what it takes. What a
+site serves and draws by its clock is settled then, and its features act one after the other, from the chips towards
+the grid, each on the work served and the draw that those before it have left: one may delay work, which goes
 back into the queue, or draw more or less than the work takes. A feature is a field of ``DataCenters`` that is None for
 sites without it, and a class here or beside that has what ``SiteFeature`` lists.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from dcgrid_env.core.arrays import Array, sum_last
@@ -45,16 +47,58 @@ class SiteState(NamedTuple):
         return DataCenterState(*self[: len(DataCenterState._fields)])
 
 
+class Load(NamedTuple):
+    """Work of an interval as features have made of it what sites are to do, (lane, slot) each."""
+
+    base_kw: Array
+    """Draw beside the work, kW."""
+    arrived_kw: Array
+    """Dynamic power asked for by work that arrives, kW."""
+    compute_share: Array | None
+    """See ``Work``."""
+    energy_share: Array | None = None
+    """Energy that work takes as a share of that at its trace's batch size; None for 1."""
+    moved_kw: Array | None = None
+    """What of the arriving work has come from another site, kW; None for nothing."""
+
+
 class Given(NamedTuple):
     """What comes from outside for the features of a group of sites over an interval."""
 
     work: Work
     supply: Supply | None
     """The voltage, and sags; None where no feature makes a site leave the grid."""
+    load: Load | None = None
+    """What features have made of the work before it was served; None where none has."""
+
+
+class PassesBy:
+    """A feature that leaves alone what sites serve and draw; a base of those that do no more than their own methods."""
+
+    def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
+        """No channel."""
+        return ()
+
+    def step(
+        self,
+        params: DataCenterParams,
+        own: Any,
+        site: DataCenterState,
+        p_kw: Array,
+        setpoints: tuple[Array, ...],
+        given: Given,
+        dt_s: float,
+    ) -> tuple[Any, DataCenterState, Array]:
+        """Leave all as it is, see ``SiteFeature.step``."""
+        return own, site, p_kw
 
 
 class SiteFeature(Protocol):
-    """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (lane, slot, ..)."""
+    """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (lane, slot, ..).
+
+    One that acts on the work before it is served is an ``AdmittingFeature``. One with a class attribute
+    ``looks_ahead = True`` has the work of the coming interval as a third argument of ``observe``.
+    """
 
     amounts: ClassVar[tuple[str, ...]]
     """The amounts that its cost terms charge, see ``CostTerm.amount``."""
@@ -125,6 +169,50 @@ class SiteFeature(Protocol):
     def metrics(self, params: DataCenterParams, history: SiteState, own: Any, dt_s: float) -> dict[str, float]:
         """Figures of an episode from the sites' state over time and from its own, (T + 1, slot, ..) each."""
         ...
+
+
+class AdmittingFeature(SiteFeature, Protocol):
+    """A feature that acts on the work before it is served too."""
+
+    def admit(
+        self,
+        params: DataCenterParams,
+        state: SiteState,
+        own: Any,
+        load: Load,
+        setpoints: tuple[Array, ...],
+        given: Work,
+        dt_s: float,
+    ) -> tuple[Any, Load]:
+        """Make of the work of an interval what the sites are to do.
+
+        Parameters
+        ----------
+        params, state, own
+            Ratings and state of the sites, and its own state, of before.
+        load
+            The work as the features before it have left it.
+        setpoints
+            What each of its channels is set to, (lane, slot) each.
+        given
+            The work as it came.
+        dt_s
+            Length of the interval, s.
+
+        Returns
+        -------
+        own, load
+            Its state, and what it has made of the work.
+        """
+        ...
+
+
+@cache
+def kernels() -> Any:
+    """The compiled kernels of features, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.devices.datacenter import site_kernels
+
+    return site_kernels
 
 
 def with_share_served(site: DataCenterState, share: Array, dt_s: float) -> DataCenterState:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, speed_share
+from dcgrid_env.devices.datacenter.moved_requests import by_site
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
 from dcgrid_env.devices.ratings import DataCenterParams
 
 
 def site_metrics(
-    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any
+    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any, latency_s: float = 0.0
 ) -> dict[str, float]:
-    """Figures by name, see ``Device.metrics``; ``history`` has the fields of ``DataCenterState`` over time."""
+    """Figures by name, see ``Device.metrics``; ``history`` has the fields of ``DataCenterState`` over time, and
+    ``latency_s`` is that of a move between sites."""
     arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
     delays = fcfs_delays(arrived, served, dt_s)
     clock = history.f_mhz[1:].mean() / params.f_max_mhz[0] if len(params.f_max_mhz) else 1.0  # one top clock for all
@@ -27,18 +29,21 @@ def site_metrics(
         "clock_mean_pct": 100.0 * clock,
     }
     if requests:
-        figures |= _request_delays(params, clock_law, history, dt_s, requests)._asdict()
+        figures |= _request_delays(params, clock_law, history, dt_s, requests, latency_s)._asdict()
     return figures
 
 
 def _request_delays(
-    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any
+    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any, latency_s: float
 ) -> RequestDelays:
     """Figures over the requests of all sites."""
     parts = (history.class_arrived_kw[1:], history.class_served_kw[1:])
     arrived, served = (w.reshape(*w.shape[:2], -1) for w in parts)
     speed = speed_share(clock_law, params, history.f_mhz[1:])
+    wait_s = getattr(history, "batch_wait_s", 0.0 * history.f_mhz)[1:]
     return request_delays(
-        serve_requests(times, begin_s, arrived[:, i], served[:, i], speed[:, i], dt_s)
-        for i, (times, begin_s) in enumerate(requests)
+        serve_requests(
+            times, begin_s, arrived[:, i], served[:, i], speed[:, i], dt_s, wait_s[:, i] + latency_s * (i != came_to)
+        )
+        for times, begin_s, i, came_to in by_site(requests, history, dt_s)
     )

@@ -39,8 +39,8 @@ class Supply(NamedTuple):
     sags: Array | None
     """Sags by their beginning, (lane, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
     the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
-    widths: connection_surrogate.Widths | None = None
-    """Of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
+    widths: connection_surrogate.TripWidths | None = None
+    """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
 
 
 class ConnectionState(NamedTuple):

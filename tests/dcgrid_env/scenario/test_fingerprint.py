@@ -155,7 +155,8 @@ def test_the_schema_lists_every_published_field():
     own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
     later = {"datacenter_phases", "inverter_phases", "regulators", "capacitor_banks", "capacitor_settings"}
     later |= {"ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"}
-    later |= {"datacenter_ride_through", "inverter_ride_through", "sags"}
+    later |= {"datacenter_ride_through", "inverter_ride_through", "sags", "datacenter_storage"}
+    later |= {"datacenter_routing", "datacenter_batching", "datacenter_service"}
     assert listed | later == own | set(FLAT)
     assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
     later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess")

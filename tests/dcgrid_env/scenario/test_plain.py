@@ -51,6 +51,7 @@ PLAIN = {
     "inverter_trace": [0.5] * 121,
     "faults": [{**FAULT, "duration_s": [3.0, 9.0]}, FAULT | {"duration_s": [float("inf")] * 2}],
     "datacenter_ride_through": {"curve": "itic", "release": "agent"},
+    "datacenter_storage": {"p_rated_kw": [300.0, 200.0, 100.0], "energy_kwh": 5.0},
     "inverter_ride_through": {"curve": {"under": [[0.88, 5.0]], "over": [[1.1, 2.0], [1.2, 0.16]]}},
     "sags": [{"begin_s": [1.0, 2.0], "duration_s": [0.05, 0.06], "retained_pu": [0.3, 0.4]}],
     "trace": "training",

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
+from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 
 
@@ -30,12 +31,14 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "smoothing": has_smoothing_channels,
     "smoothing-light": has_smoothing_channels,
     "smoothing-strong": has_smoothing_channels,
+    "route-to-strongest": has_routing,
     "mpc": can_be_planned,
     "mpc-one-step": can_be_planned,
     "feedback": can_be_planned,
 }
 NEEDING_A_DEVICE = (
     "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
+    "route-to-strongest",
 )  # fmt: skip
 """Controllers that refuse a scenario of data centres and inverters alone."""
 

@@ -1,0 +1,154 @@
+"""Batch size: fewer, larger batches take less energy for the same work, and a request waits longer for its first token.
+
+With b requests in a batch and b0 in that of the trace, work takes this share of the energy that it takes there,
+
+    e(b) = 1 - c + c b0 / b                  c: what a batch takes whatever its size, as a share, at b0
+
+since the weights of a model are read once for a whole batch. The clock law is given the work by its energy, so that at
+b > b0 a site draws less at the same rate, and can do more at the same power. A request waits for its batch
+
+    w(b) = gather_s (b / b0 - 1)             longer than in the trace, less where b < b0
+
+which is added to its time to first token and end to end, and charged (``batch_weight``) for b > b0.
+
+Sizes of 8 to 512 are those of OpenG2G's examples (https://github.com/gpu2grid/openg2g), where larger batches likewise
+raise throughput and latency. There the power of a GPU that is always full rises with b; here the rate is given, and
+so less of the GPUs' time is needed. c is fitted: from 8 to 512 the energy of a token falls to a quarter, between the
+factors of 3 and 5 that arXiv 2601.22076 names for the use of a GPU. b0 and ``gather_s`` are a choice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, positive_part
+from dcgrid_env.core.checked import check_fields, number, refuse, settle
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.datacenter.site_features import Given, Load, PassesBy, SiteState
+from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
+from dcgrid_env.devices.ratings import DataCenterParams
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batching:
+    """Batch sizes that the sites can be set to; plain form: a mapping of these fields."""
+
+    lowest: float = number(1.0, 65536.0, default=8.0)
+    """Smallest batch, requests."""
+    highest: float = number(1.0, 65536.0, default=512.0)
+    """Largest batch, requests."""
+    reference: float = number(1.0, 65536.0, default=64.0)
+    """Batch of the trace, requests; the setpoint at rest."""
+    batch_energy_share: float = number(0.0, 0.99, default=0.3)
+    """Share of the energy that a batch takes whatever its size, at the reference."""
+    gather_s: float = number(0.0, 3600.0, default=0.1)
+    """How long a request waits for its batch at the reference, s."""
+    batch_weight: float = number(0.0, 1e9, default=0.3)
+    """Weight of the cost term ``gathering``: seconds that the work served in a second waited longer than in the trace,
+    as a share of the rating."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)
+        if not self.lowest < self.highest:
+            raise refuse(self, "lowest", f"give less than highest = {self.highest:g}")
+        if not self.lowest <= self.reference <= self.highest:
+            raise refuse(self, "reference", f"give a size from {self.lowest:g} to {self.highest:g}")
+
+
+class BatchState(NamedTuple):
+    """State of the batches, (lane, slot) each."""
+
+    batch: Array
+    """Requests in a batch."""
+    batch_wait_s: Array
+    """How much longer a request waits for its batch than in the trace, s."""
+    gathered_kws: Array
+    """Work served in the step by how much longer it waited, kW s; nothing below the reference."""
+
+
+@dataclass(frozen=True)
+class BatchedSites(PassesBy):
+    """Sites with these batches."""
+
+    rule: Batching
+
+    amounts: ClassVar[tuple[str, ...]] = ("gathered_kws",)
+
+    def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
+        """The batch size by its logarithm, so that each doubling is as far."""
+        rule, one = self.rule, np.ones(len(params.p_rated_kw))
+        low, high, rest = (float(np.log2(size)) * one for size in (rule.lowest, rule.highest, rule.reference))
+        return (Channel("batch", "log2 of requests", low, high, rest=rest),)
+
+    def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """The batch size now."""
+        one = np.ones(len(params.p_rated_kw))
+        return (Field("batch", "share of the largest", 0.0, 1.0, one * self.rule.highest),)
+
+    def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """What requests wait for their batches."""
+        rule, rated = self.rule, params.p_rated_kw
+        largest = self._longest_s / max(self._energy(np.log2(rule.highest)), 1e-2)
+        of_all = float(rated.sum()) or 1.0
+        return (CostTerm("gathering", "gathered_kws", rated, of_all, largest, weight=rule.batch_weight),)
+
+    @property
+    def _longest_s(self) -> float:
+        return self.rule.gather_s * (self.rule.highest / self.rule.reference - 1.0)
+
+    def _energy(self, size: Any) -> Any:
+        """e(b) for log2 of b."""
+        c = self.rule.batch_energy_share
+        return 1.0 - c + c * self.rule.reference * 2.0 ** (-size)
+
+    def initial(self, params: DataCenterParams, zero: Array) -> BatchState:
+        """Batches of the trace."""
+        return BatchState(zero + self.rule.reference, zero, zero)
+
+    def admit(
+        self,
+        params: DataCenterParams,
+        state: SiteState,
+        own: BatchState,
+        load: Load,
+        setpoints: tuple[Array, ...],
+        given: Work,
+        dt_s: float,
+    ) -> tuple[BatchState, Load]:
+        """Set the batch, see ``SiteFeature.admit``."""
+        batch = 2.0 ** setpoints[0]
+        wait_s = self.rule.gather_s * (batch / self.rule.reference - 1.0)
+        return BatchState(batch, wait_s, own.gathered_kws), load._replace(energy_share=self._energy(setpoints[0]))
+
+    def step(
+        self,
+        params: DataCenterParams,
+        own: BatchState,
+        site: DataCenterState,
+        p_kw: Array,
+        setpoints: tuple[Array, ...],
+        given: Given,
+        dt_s: float,
+    ) -> tuple[BatchState, DataCenterState, Array]:
+        """Account for the wait of what was served, see ``SiteFeature.step``."""
+        return own._replace(gathered_kws=site.served_kw * positive_part(own.batch_wait_s)), site, p_kw
+
+    def observe(self, params: DataCenterParams, own: BatchState) -> tuple[Array, ...]:
+        """Raw figures of ``fields``."""
+        return (own.batch,)
+
+    def amount(self, name: str, params: DataCenterParams, own: BatchState) -> Array:
+        """What the term of ``cost_terms`` charges."""
+        return own.gathered_kws
+
+    def totals(self, own: BatchState) -> dict[str, Array]:
+        """Nothing of all slots together."""
+        return {}
+
+    def metrics(self, params: DataCenterParams, history: SiteState, own: BatchState, dt_s: float) -> dict[str, float]:
+        """Figures of an episode, see ``engine.metrics``."""
+        return {"batch_mean": own.batch[1:].mean() if own.batch.size else 0.0}

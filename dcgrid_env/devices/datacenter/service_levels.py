@@ -1,0 +1,205 @@
+"""Service levels: work is interactive, with a target, or deferrable, with a deadline, and what is late is charged.
+
+The queue of a site is kept by slack: bin j holds the work that has j more steps to be served in time, bin 0 what is
+overdue. With D = floor(deadline / dt), work that arrives with deadline D in a step may be served in it and in the D
+steps behind it. Each step, the work served leaves from the first bins, and what is left moves down by one:
+
+    x_j    = queue_j, and at D + 1 what arrives                served from the front: clip(s dt - sum_{i<j} x_i, 0, x_j)
+    queue' = (left_0 + left_1, left_2, ..)
+
+That is earliest deadline first. First come first served is the same with all work put in at the longest deadline, so
+that the place in line is its age; both kinds are then mixed in each bin as they arrive, and interactive work is overdue
+in all bins that are old enough. Whichever it is, clock and power are those of the site: order does not change them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
+from dcgrid_env.devices.datacenter.lateness import lateness
+from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState, kernels
+from dcgrid_env.devices.device import CostTerm, Field
+from dcgrid_env.devices.ratings import DataCenterParams
+
+MOST_BINS = 600
+"""Most steps that a deadline may be away: the queue has a bin for each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServiceLevels:
+    """What work is to be served by when, and in which order; plain form: a mapping of these fields."""
+
+    target_s: float = number(0.0, 1e6, default=2.0)
+    """Time in which interactive work is to be served, s."""
+    deadline_s: float = number(1e-3, 1e6, default=30.0)
+    """Time in which deferrable work is to be served, s; longer than the target."""
+    interactive_share: float = number(0.0, 1.0, default=0.7)
+    """Share of the arriving work that is interactive."""
+    order: Literal["edf", "fcfs"] = choice("edf", "fcfs", default="edf")
+    """Earliest deadline first, or first come first served."""
+    late_weight: float = number(0.0, 1e9, default=3.0)
+    """Weight of the cost term ``late``: seconds of work at the rating that are overdue."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)
+        if not self.target_s < self.deadline_s:
+            raise refuse(self, "deadline_s", f"give more than target_s = {self.target_s:g}")
+
+    def check_step(self, dt_s: float) -> None:
+        """Raise FieldError where the deadline is too many steps away, or comes before the first ends."""
+        if self.deadline_s / dt_s > MOST_BINS:
+            remedy = f"give at most {MOST_BINS} steps, {MOST_BINS * dt_s:g} s, or longer steps"
+            raise FieldError("DataCenters", "service.deadline_s", self.deadline_s, remedy)
+        if self.deadline_s < dt_s:
+            remedy = f"give at least one step, {dt_s:g} s"
+            raise FieldError("DataCenters", "service.deadline_s", self.deadline_s, remedy)
+
+    def slack(self, dt_s: float) -> tuple[int, int]:
+        """Steps behind its own in which interactive and deferrable work may be served."""
+        return int(self.target_s / dt_s + 1e-9), int(self.deadline_s / dt_s + 1e-9)
+
+
+class ServiceState(NamedTuple):
+    """State of the queues."""
+
+    slack_kws: Array
+    """Work by the steps that it has left, what is overdue first, kW s, (lane, slot, bin); by age, the oldest first,
+    where it is served first come first served."""
+    overdue_kws: Array
+    """Work that is overdue, kW s, (lane, slot)."""
+    due_next_kws: Array
+    """Work that is to be served in the next step, beside what is overdue, kW s, (lane, slot)."""
+
+
+@dataclass(frozen=True)
+class ServedSites(PassesBy):
+    """Sites with these service levels; behind all other features, so that it sees what was served in the end."""
+
+    rule: ServiceLevels
+    moves_late: bool = False
+    """Whether work that was moved has a step less."""
+
+    amounts: ClassVar[tuple[str, ...]] = ("overdue_kws",)
+
+    def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """What is overdue, and what is if nothing of it is served in the next step."""
+        rated, longest_s = params.p_rated_kw, 2.0 * horizon * dt_s
+        return (
+            Field("overdue", "s at the rating", 0.0, longest_s, rated),
+            Field("due_next", "s at the rating", 0.0, longest_s, rated),
+        )
+
+    def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """What is overdue."""
+        rated = params.p_rated_kw
+        of_all = float(rated.sum()) or 1.0
+        return (CostTerm("late", "overdue_kws", rated, of_all, 2.0 * horizon * dt_s, weight=self.rule.late_weight),)
+
+    def initial(self, params: DataCenterParams, zero: Array) -> ServiceState:
+        """Empty queues, which need one bin alone."""
+        return ServiceState(zero[..., None], zero, zero)
+
+    def step(
+        self,
+        params: DataCenterParams,
+        own: ServiceState,
+        site: DataCenterState,
+        p_kw: Array,
+        setpoints: tuple[Array, ...],
+        given: Given,
+        dt_s: float,
+    ) -> tuple[ServiceState, DataCenterState, Array]:
+        """Take what was served out of the queue, see ``SiteFeature.step``."""
+        soon, later = self.rule.slack(dt_s)
+        queue, moved = own.slack_kws, given.load.moved_kw if given.load is not None and self.moves_late else None
+        if queue.shape[-1] != later + 1:
+            queue = namespace(queue).concat((queue,) * (later + 1), axis=-1)
+        share, first = self.rule.interactive_share, self.rule.order == "edf"
+        figures = (site.arrived_kw, site.served_kw, dt_s, soon, later, share, first)
+        if is_rows(site.arrived_kw) and is_rows(site.served_kw) and queue.flags.c_contiguous:
+            none = np.zeros((0, 0))
+            after = kernels().serve_by_slack(queue, none if moved is None else moved, *figures)
+        else:
+            after = serve_by_slack(queue, moved, *figures)
+        return ServiceState(*after), site, p_kw
+
+    def observe(self, params: DataCenterParams, own: ServiceState) -> tuple[Array, ...]:
+        """Raw figures of ``fields``."""
+        return own.overdue_kws, own.due_next_kws
+
+    def amount(self, name: str, params: DataCenterParams, own: ServiceState) -> Array:
+        """What the term of ``cost_terms`` charges."""
+        return own.overdue_kws
+
+    def totals(self, own: ServiceState) -> dict[str, Array]:
+        """Work that is overdue at all sites."""
+        return {"overdue_kws": sum_last(own.overdue_kws)}
+
+    def metrics(self, params: DataCenterParams, history: SiteState, own: ServiceState, dt_s: float) -> dict[str, float]:
+        """Figures of an episode, see ``engine.metrics``."""
+        moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
+        slack = self.rule.slack(dt_s)
+        share, first = self.rule.interactive_share, self.rule.order == "edf"
+        return lateness(history.arrived_kw[1:], moved[1:], history.served_kw[1:], slack, share, first, dt_s)
+
+
+def serve_by_slack(
+    queue_kws: Array,
+    moved_kw: Array | None,
+    arrived_kw: Array,
+    served_kw: Array,
+    dt_s: float,
+    soon: int,
+    later: int,
+    interactive_share: float,
+    by_deadline: bool,
+) -> tuple[Array, Array, Array]:
+    """The queue at the end of a step, what is overdue and what is due in the next step, kW s.
+
+    Parameters
+    ----------
+    queue_kws
+        That of before, (.., slot, later + 1).
+    moved_kw
+        What of the arriving work has a step less, (.., slot); None for nothing.
+    arrived_kw, served_kw
+        Work that arrives and that is served in the step, (.., slot).
+    dt_s
+        Length of the step, s.
+    soon, later
+        Steps that interactive and deferrable work have beyond that in which it arrives.
+    interactive_share, by_deadline
+        Share of the work that is interactive, and whether the earliest deadline comes first.
+    """
+    xp = namespace(arrived_kw)
+    bins = np.zeros((2, later + 2))
+    for slack, share in ((soon, interactive_share), (later, 1.0 - interactive_share)):
+        at = slack + 1 if by_deadline else later + 1
+        bins[0, at] += share
+        bins[1, max(at - 1, 1)] += share
+    here, less = (as_like(row, queue_kws) for row in bins)
+    own = arrived_kw if moved_kw is None else arrived_kw - moved_kw
+    x = xp.concat((queue_kws, 0.0 * queue_kws[..., :1]), axis=-1) + (own * dt_s)[..., None] * here
+    if moved_kw is not None:
+        x = x + (moved_kw * dt_s)[..., None] * less
+    before = x.cumsum(-1) - x
+    left = positive_part(x - positive_part((served_kw * dt_s)[..., None] - before))
+    queue = xp.concat((left[..., :1] + left[..., 1:2], left[..., 2:]), axis=-1)
+    return queue, *_due(queue, soon, later, interactive_share, by_deadline)
+
+
+def _due(queue: Array, soon: int, later: int, share: float, by_deadline: bool) -> tuple[Array, Array]:
+    """What is overdue, and what else is to be served in the next step."""
+    if by_deadline:
+        return queue[..., 0], queue[..., 1] + 0.0
+    old, young = later - soon, 1.0 - share
+    overdue = young * queue[..., 0] + share * sum_last(queue[..., : old + 1])
+    next_of_soon = queue[..., old + 1] if old + 1 <= later else 0.0 * overdue
+    return overdue, young * queue[..., 1] + share * next_of_soon

@@ -1,0 +1,83 @@
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownVariableType=false
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+"""Compiled forms of what ``work_routing`` and ``service_levels`` do, one pass over the sites each.
+
+Numba's functions have no types to check.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+TINY_KW = 1e-30
+
+
+@numba.njit(error_model="numpy", cache=True)
+def route(arrived_kw, route_share, p_dynamic_kw, movable_share):
+    """What arrives at each site after the move, what it sent and received, kW, and its share of all work that arrives.
+
+    Rows of (4, lane, slot), from arrays (lane, slot) and the sites' dynamic power (slot,); see ``RoutedSites.admit``.
+    """
+    lanes, slots = arrived_kw.shape
+    out = np.empty((4, lanes, slots))
+    for lane in range(lanes):
+        given = room = 0.0
+        for i in range(slots):
+            r = route_share[lane, i]
+            give = (-r if r < 0.0 else 0.0) * movable_share * arrived_kw[lane, i]
+            take = (r if r > 0.0 else 0.0) * p_dynamic_kw[i]
+            out[1, lane, i], out[2, lane, i] = give, take
+            given, room = given + give, room + take
+        moved = given if given < room else room
+        of_given, of_room, whole = moved / (given + TINY_KW), moved / (room + TINY_KW), 0.0
+        for i in range(slots):
+            sent, received = out[1, lane, i] * of_given, out[2, lane, i] * of_room
+            after = arrived_kw[lane, i] - sent + received
+            out[0, lane, i], out[1, lane, i], out[2, lane, i] = after, sent, received
+            whole += after
+        for i in range(slots):
+            out[3, lane, i] = out[0, lane, i] / (whole + TINY_KW)
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
+def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later, share, by_deadline):
+    """See ``service_levels.serve_by_slack``; ``moved_kw`` is (0, 0) where nothing has a step less."""
+    lanes, slots = arrived_kw.shape
+    queue = np.empty((lanes, slots, later + 1))
+    due = np.empty((2, lanes, slots))
+    at_soon = soon + 1 if by_deadline else later + 1
+    for lane in range(lanes):
+        for i in range(slots):
+            moved = moved_kw[lane, i] * dt_s if moved_kw.size else 0.0
+            own, left_kws = arrived_kw[lane, i] * dt_s - moved, served_kw[lane, i] * dt_s
+            carried, young_old = 0.0, 0.0
+            for j in range(later + 2):
+                x = queue_kws[lane, i, j] if j <= later else 0.0
+                if j == at_soon:
+                    x += own * share
+                if j == later + 1:
+                    x += own * (1.0 - share)
+                if j == max(at_soon - 1, 1):
+                    x += moved * share
+                if j == later:
+                    x += moved * (1.0 - share)
+                done = x if x < left_kws else left_kws
+                x, left_kws = x - done, left_kws - done
+                if j == 0:
+                    carried = x
+                elif j == 1:
+                    queue[lane, i, 0] = carried + x
+                else:
+                    queue[lane, i, j - 1] = x
+            if by_deadline:
+                due[0, lane, i], due[1, lane, i] = queue[lane, i, 0], queue[lane, i, 1]
+            else:
+                old = later - soon
+                for j in range(old + 1):
+                    young_old += queue[lane, i, j]
+                due[0, lane, i] = (1.0 - share) * queue[lane, i, 0] + share * young_old
+                after = queue[lane, i, old + 1] if old + 1 <= later else 0.0
+                due[1, lane, i] = (1.0 - share) * queue[lane, i, 1] + share * after
+    return queue, due[0], due[1]

@@ -1,0 +1,163 @@
+"""Work moved between sites: what arrives at one may be served at another of the same group.
+
+Of the work a_i that arrives at site i, the share ``movable_share`` m may be served elsewhere. The channel ``route``,
+r_i from -1 to 1, is how much of that the site gives away where it is below 0, and how much it takes where it is above:
+
+    give_i = m a_i max(-r_i, 0)                  room_i = P_i max(r_i, 0)          P_i: dynamic power at the rating
+    moved  = min(sum give, sum room)             what is given and finds room; the rest stays where it is
+    a'_i   = a_i - give_i moved / sum give + room_i moved / sum room
+
+so that the sum of a' is that of a, each site is given in a step at most what it can serve in one at the top clock, and
+what its clock then leaves waits in its queue. At rest, r = 0, every site keeps its own work. A site that is not on the
+grid has no room, and may give. The draw beside the work stays where it is.
+
+What is moved is served in the step in which it arrives, but counts as having waited ``move_latency_s`` by then: it is
+charged for that (``move_weight``), and service levels take a step off its slack. So the latency is at most one step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.checked import FieldError, check_fields, number, settle
+from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState, kernels
+from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
+from dcgrid_env.devices.ratings import DataCenterParams
+
+TINY_KW = 1e-30
+"""What a sum that is divided by is at least, kW."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Routing:
+    """How arriving work may be moved between the sites of a scenario; plain form: a mapping of these fields."""
+
+    movable_share: float = number(0.0, 1.0, default=1.0)
+    """Share of the arriving work that may be served at another site."""
+    move_latency_s: float = number(0.0, 3600.0, default=0.05)
+    """How much longer moved work takes to where it is served, s; at most one step."""
+    move_weight: float = number(0.0, 1e9, default=0.3)
+    """Weight of the cost term ``moving``: seconds of latency of the work moved in a step, at the sites' rating."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)
+
+    def check_step(self, dt_s: float) -> None:
+        """Raise FieldError where the latency is longer than a step."""
+        if self.move_latency_s > dt_s:
+            raise FieldError(
+                "DataCenters",
+                "routing.move_latency_s",
+                self.move_latency_s,
+                f"give at most one step, dt_s = {dt_s:g}, or 0",
+            )
+
+
+class RoutingState(NamedTuple):
+    """State of the routing, (lane, slot) each."""
+
+    sent_kw: Array
+    """Work that arrived here in the step and went elsewhere, kW."""
+    received_kw: Array
+    """Work that came from elsewhere, kW."""
+    work_share: Array
+    """Share of all work that arrived in the step that is served here or waits here; 0 where none arrived."""
+
+
+@dataclass(frozen=True)
+class RoutedSites(PassesBy):
+    """Sites with this routing."""
+
+    rule: Routing
+    boost_share: float = 1.0
+
+    amounts: ClassVar[tuple[str, ...]] = ("moved_kws",)
+    looks_ahead: ClassVar[bool] = True
+
+    def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
+        """What a site gives away, below 0, or takes, above."""
+        one = np.ones(len(params.p_rated_kw))
+        return (Channel("route", "share given (below 0) or taken (above)", -one, one, rest=0.0 * one),)
+
+    def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
+        """The site's share of the work now, and what arrives at all sites next."""
+        one = np.ones(len(params.p_rated_kw))
+        all_kw = one * (float(params.p_dynamic_kw.sum()) or 1.0)
+        return (
+            Field("work_share", "share of the work at all sites", 0.0, 1.0, one),
+            Field("work_next_all", "share of all sites' dynamic power", 0.0, 4.0, all_kw, of_preview=True),
+        )
+
+    def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
+        """The latency of what is moved."""
+        rated, rule = params.p_rated_kw, self.rule
+        largest = rule.move_latency_s * self.boost_share
+        return (CostTerm("moving", "moved_kws", rated, float(rated.sum()) or 1.0, largest, weight=rule.move_weight),)
+
+    def initial(self, params: DataCenterParams, zero: Array) -> RoutingState:
+        """Nothing has been moved."""
+        return RoutingState(zero, zero, zero)
+
+    def admit(
+        self,
+        params: DataCenterParams,
+        state: SiteState,
+        own: RoutingState,
+        load: Load,
+        setpoints: tuple[Array, ...],
+        given: Work,
+        dt_s: float,
+    ) -> tuple[RoutingState, Load]:
+        """Move work, see ``SiteFeature.admit``."""
+        xp, arrived, route = namespace(load.arrived_kw), load.arrived_kw, setpoints[0]
+        on_grid = self._on_grid(state, given)
+        share = load.compute_share
+        if share is None and on_grid is None and is_rows(arrived) and is_rows(route):
+            after = kernels().route(arrived, route, params.p_dynamic_kw, self.rule.movable_share)
+            return RoutingState(after[1], after[2], after[3]), load._replace(arrived_kw=after[0], moved_kw=after[2])
+        give = positive_part(-route) * self.rule.movable_share * arrived
+        room = positive_part(route) * params.p_dynamic_kw
+        room = room if on_grid is None else room * on_grid
+        all_given, all_room = sum_last(give)[..., None], sum_last(room)[..., None]
+        moved = xp.minimum(all_given, all_room)
+        sent = give * (moved / (all_given + TINY_KW))
+        received = room * (moved / (all_room + TINY_KW))
+        after = arrived - sent + received
+        if share is not None:
+            compute = sum_last(sent * share)[..., None] / (sum_last(sent)[..., None] + TINY_KW)
+            mixed = (arrived - sent) * share + received * compute
+            share = xp.where(after > 0.0, mixed / (after + TINY_KW), share)
+        of_all = after / (sum_last(after)[..., None] + TINY_KW)
+        return RoutingState(sent, received, of_all), load._replace(
+            arrived_kw=after, compute_share=share, moved_kw=received
+        )
+
+    def _on_grid(self, state: SiteState, given: Work) -> Array | None:
+        """Share of each site that is on the grid, None where all are for certain."""
+        ups = next((own.ups for own in state.features if "ups" in own._fields), None)
+        if ups is None:
+            return given.available
+        return ups.share if given.available is None else ups.share * given.available
+
+    def observe(self, params: DataCenterParams, own: RoutingState, given_next: Work) -> tuple[Array, ...]:
+        """Raw figures of ``fields``."""
+        coming = positive_part(given_next.p_ref_kw - params.p_idle_kw)
+        return own.work_share, 0.0 * coming + sum_last(coming)[..., None]
+
+    def amount(self, name: str, params: DataCenterParams, own: RoutingState) -> Array:
+        """Work that came from elsewhere, by how long it took, kW s."""
+        return own.received_kw * self.rule.move_latency_s
+
+    def totals(self, own: RoutingState) -> dict[str, Array]:
+        """Work moved in the step."""
+        return {"moved_kw": sum_last(own.received_kw)}
+
+    def metrics(self, params: DataCenterParams, history: SiteState, own: RoutingState, dt_s: float) -> dict[str, float]:
+        """Figures of an episode, see ``engine.metrics``."""
+        moved, arrived = own.received_kw[1:].sum(), history.arrived_kw[1:].sum()
+        return {"moved_kws": moved * dt_s, "moved_pct": 100.0 * moved / arrived if arrived > 0.0 else 0.0}
