@@ -6,6 +6,8 @@ what that is beyond its slack. Work that is not served by the end counts as if i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 
@@ -56,34 +58,20 @@ def _of_site(
     by_deadline: bool,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Steps late and work, of what was served together or never, for interactive and for deferrable work."""
-    shares = (share, 1.0 - share)
-    # Each entry: work of a kind, what is due when, and its place in line.
-    amounts, due, place = [], [], []
-    steps = np.arange(len(served))
-    for kind in (0, 1):
-        for less, part in enumerate(parts):
-            last = steps + max(slack[kind] - less, 0)
-            amounts.append(shares[kind] * part)
-            due.append(last)
-            place.append(last if by_deadline else steps - less)
-    kinds = np.repeat([0, 0, 1, 1], len(served))
-    amount, when, order = np.concatenate(amounts), np.concatenate(due), np.concatenate(place)
-    came = np.tile(steps, 4)
-    in_line = np.argsort(order, kind="stable")
-    amount, when, came, kinds = amount[in_line], when[in_line], came[in_line], kinds[in_line]
-    rounding = 1e-9 * amount.sum()
+    line = _line(parts, slack, share, by_deadline)
+    rounding = 1e-9 * line.amount.sum()
     late: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     work: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
 
     def note(step: int, taken: np.ndarray) -> None:
+        there = taken > 0.0
         for kind in (0, 1):
-            there = (kinds == kind) & (taken > 0.0)
-            late[kind].append(np.maximum(step - when[there], 0).astype(np.float64))
-            work[kind].append(taken[there])
+            late[kind].append(np.maximum(step - line.due[kind, there], 0).astype(np.float64))
+            work[kind].append(line.of_kind[kind, there] * taken[there])
 
-    left = amount.copy()
+    left = line.amount.copy()
     for step, capacity in enumerate(served):
-        here = np.where(came <= step, left, 0.0)
+        here = np.where(line.came <= step, left, 0.0)
         before = np.cumsum(here) - here
         taken = np.clip(capacity + rounding - before, 0.0, here)
         left = left - taken
@@ -91,6 +79,37 @@ def _of_site(
     left[left <= rounding] = 0.0
     note(len(served), left)
     return [np.concatenate(x) for x in late], [np.concatenate(x) for x in work]
+
+
+class _Line(NamedTuple):
+    """What arrived, in the order in which it is served, (n,) or by kind of work, interactive first, (2, n)."""
+
+    amount: np.ndarray
+    came: np.ndarray
+    """Step of its arrival."""
+    of_kind: np.ndarray
+    """Share of it that is of either kind."""
+    due: np.ndarray
+    """Last step in which it is in time."""
+
+
+def _line(parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: float, by_deadline: bool) -> _Line:
+    """All work in line: of the earliest deadline first each kind by itself, else both mixed as they arrive."""
+    steps, shares = np.arange(len(parts[0])), (share, 1.0 - share)
+    amounts, places, came, of_kind, due = [], [], [], [], []
+    for less, part in enumerate(parts):  # what was kept, and what was moved
+        last = np.stack([steps + max(its - less, 0) for its in slack])
+        mixed = [(part, steps - less, np.array(shares))]
+        apart = [(shares[kind] * part, last[kind], np.eye(2)[kind]) for kind in (0, 1)]
+        for amount, place, kinds in apart if by_deadline else mixed:
+            amounts.append(amount)
+            places.append(place)
+            came.append(steps)
+            of_kind.append(np.tile(kinds[:, None], len(steps)))
+            due.append(last)
+    order = np.argsort(np.concatenate(places), kind="stable")
+    flat = (np.concatenate(amounts), np.concatenate(came), np.hstack(of_kind), np.hstack(due))
+    return _Line(*(of[..., order] for of in flat))
 
 
 def _in_time(steps: np.ndarray, weight: np.ndarray) -> float:

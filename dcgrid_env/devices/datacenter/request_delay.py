@@ -12,11 +12,11 @@ clock, by the law's speed_c and speed_m as shares of those at the top clock:
     time to first token = first token + D_c(arrival + first token) + B_c
     end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token)) + B_c + B_m
 
-Where sites have batches, what a request waits longer for its batch than in the trace is added to B_c, and where work is
-moved between sites, the latency of those that are (``moved_requests``). D_c is that of compute-bound work (prefill),
-D_m that of memory-bound work (decode); with one class they are the same.
-What is never served counts as done at the end of the episode, and an instant beyond the end has the delay and the clock
-of the end: such delays are cut short, and ``requests_unfinished_pct`` says how many requests had work queued then.
+D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one class they are the same.
+Where sites have batches, what a request waits longer for its batch than in the trace is added to B_c, and so is the
+latency of a request that is moved between sites (``moved_requests``). What is never served counts as done at the end of
+the episode, and an instant beyond the end has the delay and the clock of the end: such delays are cut short, and
+``requests_unfinished_pct`` says how many requests had work queued then.
 """
 
 from __future__ import annotations

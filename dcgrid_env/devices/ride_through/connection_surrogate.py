@@ -9,6 +9,7 @@ so that every figure is exact, and has these slopes:
     trips slowly            b S((timer + dt - time) / time_s)        of both
     trips in a sag          the share that is on the grid            of that share, so that staying away avoids it
     returns                 S(rate / (rate_share fastest))           of the channel ``return``, where it may return
+    is back as a whole      1                                        of the share before, as having returned lasts
 
 with S(x) = 1 / (1 + exp(-x)). Lock-outs, counters and the delays before a return have no derivative.
 """
@@ -95,10 +96,11 @@ def with_derivatives(
     stays = (1.0 - beyond * smooth_step(spent_s, widths.time_s)).prod(-1)
     here, out = (xp.astype(flag, v.dtype) for flag in (before.share > 0.0, fell))
     kept = here * (1.0 - out) * before.share.detach() * no_value(stays)
+    whole = xp.astype((after.share >= 1.0) & (before.share > 0.0), v.dtype) * no_value(before.share)
     back = xp.astype(may_return & (after.share <= 0.0), v.dtype) * no_value(before.share + pace)
     tripped = out * before.share + (1.0 - out) * here * (1.0 - stays)
     return after._replace(
-        share=after.share + kept + back,
+        share=after.share + kept + whole + back,
         timer_s=after.timer_s.detach() + no_value(beyond * timer_s),
         tripped=after.tripped + no_value(tripped),
     )

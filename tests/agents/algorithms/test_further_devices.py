@@ -44,7 +44,7 @@ def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
 def lanes_of(scenario, view):
     joint = view == "centralised"
     vec_env = JointVecEnv(scenario, 4) if joint else AgentVecEnv(scenario, 4, nameplate=True)
-    vec_env.end_share = 1.0 / scenario.horizon
+    vec_env.end_as_it_arises = True
     return vec_env
 
 

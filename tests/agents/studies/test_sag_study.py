@@ -52,7 +52,7 @@ def test_the_page_and_the_figure_hold_all(study):
     figure = sag_figure(study)
     assert len(figure.axes) == 9
     assert [ax.get_title() for ax in figure.axes[:3]] == [
-        "no control", "return-by-hand", "best known (hindsight, no bound)"
+        "no control", "return-by-hand", "best known (no bound)"
     ]  # fmt: skip
     said = figure.axes[1].texts[0].get_text()
     assert f"{study.driven[1].course.figures['ups_trips']:.0f} trips" in said

@@ -251,7 +251,7 @@ def test_a_scenario_is_taken_as_it_is():
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
         ScenarioError,
-        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, smoothing$",
+        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, routing$",
     ):
         make_scenario(name)
 
