@@ -11,8 +11,10 @@ from dcgrid_env import (
     CostWeights,
     Fault,
     FeederError,
+    Routing,
     Scenario,
     ScenarioError,
+    ServiceLevels,
     action_layout,
     field_names,
     forecast,
@@ -63,6 +65,7 @@ TABLE = {
         "ieee34-3ph", 1.05, 3, 450.0, 1.1, (840, 860, 848), (816, 834, 844, 822, 838),
         (400.0, 400.0, 400.0, 80.0, 80.0), "inference", 0.05, 300,
     ),
+    "routing": ("ieee33", 1.05, 4, 1000.0, 1.02, (18, 33, 25, 12), WEAK, 100.0, "code", 0.05, 60),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
@@ -94,6 +97,11 @@ BEYOND = {
         "inverter_ride_through": RideThrough(
             curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
         ),
+    },
+    "routing": {
+        "datacenter_routing": Routing(movable_share=0.5, move_latency_s=0.1),
+        "datacenter_service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
+        "weights": CostWeights(backlog=0.0),
     },
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
@@ -232,7 +240,7 @@ def test_a_scenario_is_taken_as_it_is():
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
         ScenarioError,
-        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph-day$",
+        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph-day.*$",
     ):
         make_scenario(name)
 
