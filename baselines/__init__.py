@@ -4,6 +4,7 @@ from dcgrid_env.baselines.controller import Controller, Local, LocalController, 
 from dcgrid_env.baselines.hindsight_costs import Published, published
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
@@ -32,6 +33,7 @@ __all__ = [
     "DeadbandDroop",
     "Droop",
     "FeedbackOptimisation",
+    "FixedSmoothing",
     "ForScenario",
     "Local",
     "LocalController",

@@ -93,6 +93,16 @@ def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...]
         )
 
 
+def require_draws_of_work(who: str, scenario: Scenario) -> None:
+    """ValueError, naming the field, where sites draw something else than what their work takes."""
+    for field in ("smoothing", "cooling"):
+        if any(getattr(device, field, None) is not None for device in scenario.devices):
+            raise ValueError(
+                f"{who} plans draws that are those of the work served; scenario {scenario.name!r} has {field} at its "
+                f"data centres: use a law, or leave datacenter_{field} out"
+            )
+
+
 class LocalController:
     """Base of controllers that work on physical units: subclasses write ``control``.
 

@@ -29,7 +29,7 @@ FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
 BEST_KNOWN = "best known"
 """The ``kind`` of a file of best-known costs; files of hindsight have none."""
-FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "by": str}
+FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "by": str, "searched_J": float, "x": list}
 """What the record of an episode holds there."""
 
 

@@ -12,6 +12,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import PROFILES, FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
@@ -25,6 +26,12 @@ from dcgrid_env.baselines.tuning.search import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
+
+
+def _profile(name: str) -> Callable[[], Controller]:
+    """What makes the law of power smoothing at a profile."""
+    return lambda: FixedSmoothing(**PROFILES[name])
+
 
 CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "none": ("top clock, no reactive power", NoControl),
@@ -55,6 +62,12 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
         ReturnByHand,
     ),
     "staggered-return": ("the same, one site after the other", StaggeredReturn),
+    "smoothing": (
+        "power smoothing at a floor of 65 % and ramps of a second to the rating, the paper's droop beside it",
+        FixedSmoothing,
+    ),
+    "smoothing-light": ("the same with a floor of 50 % and ramps of half a second", _profile("light")),
+    "smoothing-strong": ("the same with a floor of 90 % and ramps of two seconds", _profile("strong")),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
     "feedback": (

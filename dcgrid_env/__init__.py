@@ -11,10 +11,13 @@ from dcgrid_env.devices import (
 )
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
@@ -28,7 +31,7 @@ from dcgrid_env.engine.connections import (
 )
 from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
-from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast
+from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
@@ -77,6 +80,7 @@ __all__ = [
     "Batching",
     "CapacitorControl",
     "Control",
+    "Cooling",
     "Cost",
     "CostWeights",
     "DataCenters",
@@ -93,6 +97,7 @@ __all__ = [
     "LinearDvfs",
     "Metric",
     "PowerFlowError",
+    "PowerSmoothing",
     "PrefillDecodeDvfs",
     "Recorder",
     "RideThrough",
@@ -111,6 +116,7 @@ __all__ = [
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
+    "TripWidths",
     "UpsRideThrough",
     "Workload",
     "__version__",
@@ -131,6 +137,7 @@ __all__ = [
     "parallel_env",
     "read_feeder",
     "register_device",
+    "sag_times",
     "scenario_hash",
     "sensitivity",
     "sensitivity_between_agents",

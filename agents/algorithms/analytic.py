@@ -28,20 +28,17 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, action_layout, end_costs, under_own_control
+from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, action_layout, end_costs, under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.episodes import NORMALISED_LANES, NORMALISED_STEPS, episode_seeds, windows
 from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
-from dcgrid_env.devices.ride_through.connection_surrogate import Widths
-
-NORMALISED_LANES, NORMALISED_STEPS = 32, 10
-"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +77,9 @@ class Analytic(Training):
         return Limits(self.delay_limit_s, self.violation_limit_pu)
 
     @property
-    def trip_widths(self) -> Widths | None:
-        """Of the surrogate of trips and returns; None without one."""
-        return Widths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
+    def trip_widths(self) -> TripWidths | None:
+        """Widths of the surrogate of trips and returns; None without one."""
+        return TripWidths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
 
 
 class Learner:
@@ -237,18 +234,6 @@ class Learner:
             networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with(),
             channels={name: own for view in self.interfaces for name, own in view.further_channels.items()},
         )  # fmt: skip
-
-
-def windows(horizon: int, window: int) -> list[int]:
-    """Lengths of an episode's windows, as equal as they come and about as long as asked."""
-    n = max(1, round(horizon / window))
-    return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
-
-
-def episode_seeds(seed: int, iteration: int, num_envs: int) -> range:
-    """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
-    first = (seed << 40) + iteration * num_envs
-    return range(first, first + num_envs)
 
 
 def check_settings(cfg: Analytic) -> None:

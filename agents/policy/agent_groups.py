@@ -26,7 +26,7 @@ class AgentGroup(NamedTuple):
     """Where their observations stand in the joint one, one agent after the other."""
 
     @property
-    def count(self) -> int:
+    def n(self) -> int:
         """Number of agents."""
         return self.agents.stop - self.agents.start
 

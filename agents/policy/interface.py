@@ -172,7 +172,7 @@ class PolicyInterface:
             return {"joint": _joined((joint, *plates)) if plates else joint}
         networks = {}
         for kind, group in self.groups.items():
-            own = joint[..., group.seen].reshape(*joint.shape[:-1], group.count, len(group.fields))
+            own = joint[..., group.seen].reshape(*joint.shape[:-1], group.n, len(group.fields))
             of_group = (plate[..., group.agents, None] for plate in plates)
             networks[kind] = _joined((own, *of_group)) if plates else own
         return networks

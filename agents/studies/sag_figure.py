@@ -11,7 +11,7 @@ from dcgrid_env.baselines.reproduction.drawing import new_figure
 
 SITES = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7")
 PV, VOLTAGE, WRONG = "#E69F00", "#444444", "#D55E00"
-TITLES = {"none": "no control", BEST_KNOWN: "best known (hindsight, no bound)"}
+TITLES = {"none": "no control", BEST_KNOWN: "best known (no bound)"}
 HIGH_PU, LOW_PU = 1.10, 0.90
 """Beyond these inverters and sites trip."""
 
@@ -19,8 +19,8 @@ HIGH_PU, LOW_PU = 1.10, 0.90
 def sag_figure(study: SagStudy) -> Figure:
     """Draw of the sites, PV and voltage over one episode, under each controller."""
     columns = len(study.driven)
-    figure = new_figure(3.3 * columns + 0.6, 6.6)
-    axes = figure.subplots(3, columns, sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1.4, 3))
+    figure = new_figure(3.0 * columns + 0.8, 7.4)
+    axes = figure.subplots(3, columns, sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1.3, 3.2))
     for column, one in enumerate(study.driven):
         _load(axes[0, column], one)
         _pv(axes[1, column], one)
@@ -31,6 +31,8 @@ def sag_figure(study: SagStudy) -> Figure:
             ax.spines[["top", "right"]].set_visible(False)
             ax.set_xlim(0.0, one.course.time_s[-1])
         axes[2, column].set_xlabel("time (s)")
+    low, high = axes[2, 0].get_ylim()
+    axes[2, 0].set_ylim(low, high + 0.2 * (high - low))  # room for what is said there
     for row, label in zip(axes, ("sites on the grid (kW)", "PV (kW)", "voltage (p.u.)"), strict=True):
         row[0].set_ylabel(label)
     handles, names = axes[0, 0].get_legend_handles_labels()
@@ -53,16 +55,18 @@ def _load(ax: Axes, one: Driven) -> None:
         f"{figures['ups_trips']:.0f} trips, {figures['ups_lost_kw']:.0f} kW lost in all\n"
         f"all back after {figures['ups_all_back_s']:.0f} s"
     )
-    ax.set_title(TITLES.get(one.name, one.name), fontsize=12, fontweight="bold", pad=34)
-    ax.text(0.5, 1.02, said, transform=ax.transAxes, ha="center", va="bottom", fontsize=10)
+    ax.set_title(TITLES.get(one.name, one.name), fontsize=12.5, fontweight="bold", pad=36)
+    ax.text(0.5, 1.02, said, transform=ax.transAxes, ha="center", va="bottom", fontsize=10.5)
 
 
 def _pv(ax: Axes, one: Driven) -> None:
     ax.fill_between(one.course.time_s, one.course.pv_kw, color=PV, linewidth=0, step="pre")
     ax.set_ylim(0.0, None)
     trips = one.course.figures["inverter_trips"]
-    ax.text(0.98, 0.06, f"{trips:.0f} inverters trip" if trips else "no inverter trips", transform=ax.transAxes,
-            ha="right", fontsize=9, color=WRONG if trips else "black")  # fmt: skip
+    said = f"{trips:.0f} inverters trip" if trips else "no inverter trips"
+    frame = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
+    ax.text(0.98, 0.06, said, transform=ax.transAxes, ha="right", fontsize=10, bbox=frame,
+            color=WRONG if trips else "black", fontweight="bold" if trips else "normal")  # fmt: skip
 
 
 def _voltage(ax: Axes, one: Driven) -> None:
@@ -70,10 +74,10 @@ def _voltage(ax: Axes, one: Driven) -> None:
     t, low, high = course.time_s, course.v_low_pu, course.v_high_pu
     ax.fill_between(t, low, high, color=VOLTAGE, alpha=0.35, linewidth=0, step="pre", label="lowest to highest voltage")
     ax.fill_between(t, HIGH_PU, high, where=high > HIGH_PU, color=WRONG, linewidth=0, step="pre",
-                    label="beyond what trips")  # fmt: skip
+                    label="above 1.10 or below 0.90: timers of trips run")  # fmt: skip
     ax.fill_between(t, low, LOW_PU, where=low < LOW_PU, color=WRONG, linewidth=0, step="pre")
     for edge in (LOW_PU, HIGH_PU):
         ax.axhline(edge, color=WRONG, linewidth=0.9)
     ax.axhline(1.0, color="black", linewidth=0.5, alpha=0.5)
     ax.text(0.98, 0.97, f"{low.min():.3f} to {high.max():.3f} p.u.", transform=ax.transAxes, ha="right", va="top",
-            fontsize=9)  # fmt: skip
+            fontsize=10)  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import METRICS, Metric, Recorder, Scenario, make_scenario
+from dcgrid_env import METRICS, Metric, Recorder, Scenario, make_scenario, sag_times
 from dcgrid_env.agents import find_controller
 from dcgrid_env.agents.studies.learning_tables import Table, page, wrapped
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
@@ -107,14 +107,7 @@ def sag_study(
         known = [record for record in best if record["seed"] < episodes]
         every.append((BEST_KNOWN, list(replayed(test, known, find_controller))))
     driven = tuple(_driven(name, of_name, seed, load_kw) for name, of_name in every)
-    return SagStudy(test, episodes, seed, load_kw, sags_of(test, seed), driven)
-
-
-def sags_of(scenario: Scenario, seed: int) -> np.ndarray:
-    """When the sags of an episode begin, s, (n_sag,)."""
-    from dcgrid_env.engine import episode  # brings the compiler with it
-
-    return episode.draw(scenario, np.array([seed], np.uint64), np.zeros(1, np.uint64)).sag[0, :, 0]
+    return SagStudy(test, episodes, seed, load_kw, sag_times(test, seed), driven)
 
 
 def _driven(name: str, recorders: Sequence[tuple[Sequence[int], Recorder]], seed: int, load_kw: float) -> Driven:

@@ -23,7 +23,7 @@ from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 Outputs = Literal["setpoint", "change", "droop"]
-REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 1.0), "droop": (0.5, 0.5, 1.0)}
+REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
 """What an action of 1 is, of a clock, a reactive setpoint and another channel, as an output of a network."""
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 """Largest action; changes are meant to stay well within it."""
@@ -42,8 +42,8 @@ class JointVecEnv(VecEnv):
     stands in ``infos[lane]["terminal_observation"]``, ``infos[lane]["TimeLimit.truncated"]`` says whether it ended at
     the horizon rather than in a voltage collapse, and ``infos[lane]["J"]`` is its cost; other steps have empty infos.
     Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps. With
-    ``end_share`` above 0 each step is charged this share of what the episode's end would charge there, and its end
-    nothing of it.
+    ``end_as_it_arises`` each step is charged by how much it raises what an episode's end would charge, and the end no
+    more: the same in sum, and what a step takes out of a storage costs there and then.
 
     Parameters
     ----------
@@ -76,7 +76,9 @@ class JointVecEnv(VecEnv):
         self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs
         self.physics_s = 0.0
-        self.reward_mean, self.reward_scale, self.end_share = 0.0, 1.0, 0.0
+        self.reward_mean, self.reward_scale = 0.0, 1.0
+        self.end_as_it_arises = False
+        self._due = self._due_at_rest = np.zeros(n_envs)
         self._actions = self._observation = np.zeros(0)
         observation, action = self._spaces()
         super().__init__(n_envs * self.lanes_per_env, observation, action)
@@ -150,6 +152,7 @@ class JointVecEnv(VecEnv):
         first = self._seeds[0]
         self._reset_seeds()
         self._observation, _ = self.batch.reset(seed=None if first is None else int(first))
+        self._due = self._due_at_rest = self._end_costs()
         return self._rows(self._observation)
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -161,9 +164,10 @@ class JointVecEnv(VecEnv):
         began_s = time.perf_counter()
         joint = self._interface.action(self._observation, self._means(self._actions))
         self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
-        if self.end_share:
-            due = sum(end_costs(self.scenario, self.batch.transition.state).values(), np.zeros(self.n_envs))
-            reward = reward - due * (self.end_share - truncated)
+        if self.end_as_it_arises:
+            due = self._end_costs()
+            reward = reward - (due - self._due) + due * truncated
+            self._due = np.where(terminated | truncated, self._due_at_rest, due)  # every episode begins at rest
         each = self.lanes_per_env
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -177,6 +181,10 @@ class JointVecEnv(VecEnv):
         observation = self._rows(self._observation)
         self.physics_s += time.perf_counter() - began_s
         return observation, paid, done, infos
+
+    def _end_costs(self) -> np.ndarray:
+        """What an episode's end would charge after the last step, (env,)."""
+        return sum(end_costs(self.scenario, self.batch.transition.state).values(), np.zeros(self.n_envs))
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """An image (height, width, 3) of each environment; RuntimeError unless the render mode is "rgb_array"."""

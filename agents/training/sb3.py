@@ -110,7 +110,7 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
     else:
         n_envs = max(1, cfg.num_envs // scenario.n_agents)
         vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, cfg.nameplate)
-    vec_env.end_share = dearer(cfg.gamma, cfg.wait) / scenario.horizon
+    vec_env.end_as_it_arises = True
     return vec_env
 
 
@@ -124,18 +124,14 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
     A discount hides most of a long wait, so that deferral would pay that should not. A wait of n steps costs n in truth
     and (1 - gamma^n) / (1 - gamma) discounted: the price is raised by the ratio of the two at n = ``wait``.
 
-    What else an episode's end charges, as energy that is missing in storages, is charged in the same way by the lanes
-    (``JointVecEnv.end_share``).
+    What else an episode's end charges, as energy that is missing in storages, is charged by the lanes as it arises
+    (``JointVecEnv.end_as_it_arises``).
     """
-    w, raised = scenario.weights, dearer(gamma, wait)
+    w = scenario.weights
+    raised = wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
     return scenario.replace(
         weights=w._replace(backlog=raised * (w.backlog + w.leftover / scenario.horizon), leftover=0.0)
     )
-
-
-def dearer(gamma: float, wait: float) -> float:
-    """What the price of waiting is raised by under a discount, see :func:`for_training`."""
-    return wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
 
 
 def episode_seed(seed: int, iteration: int, n_envs: int) -> int:

@@ -44,13 +44,12 @@ class PeakShaving(Droop):
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError for a scenario without storages."""
         super().reset(env_info)
-        group = next((device for device in env_info.devices if device.kind == "storage" and device.count), None)
-        if group is None:
+        if not has_storages(env_info):
             raise ValueError(
                 f"peak-shaving: scenario {env_info.name!r} has no storage; give it devices=(.., Storages(..)), or use "
                 "the law 'droop'"
             )
-        self._figures = group.parameters
+        self._figures = env_info.part("storage").parameters
 
     def draw(self, local: Local) -> np.ndarray:
         """See :class:`LocalController`."""
@@ -61,3 +60,8 @@ class PeakShaving(Droop):
         lacking = np.maximum(figures.returned_kwh - local.stored_kwh, 0.0)
         most = np.minimum(figures.p_rated_kw, lacking / (figures.charge_efficiency * hours))
         return np.clip(wanted, -figures.p_rated_kw, most)
+
+
+def has_storages(scenario: Scenario) -> bool:
+    """Whether a scenario has storages that are agents."""
+    return any(device.kind == "storage" and device.count for device in scenario.devices)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env import Scenario, UpsRideThrough, action_layout, field_names
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
-from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
 SLOWEST_PACE = 0.1
 """Slowest ramp that is searched for, as a share of the fastest."""
@@ -30,7 +29,7 @@ class ReturnByHand(Droop):
     return_delay_s
         How long after its last event a site returns that is not locked out, s; None for that of the scenario's rule.
     release_s
-        The same of one that is locked out; None for ``by_hand_s`` of the rule.
+        How long after its last event a site returns that is locked out, s; None for ``by_hand_s`` of the rule.
     pace
         How fast a site walks in, as a share of the fastest.
     """

@@ -28,7 +28,7 @@ from dcgrid_env import (
     acting_relays,
     forecast,
 )
-from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices
+from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
 from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
@@ -45,9 +45,9 @@ ROUNDS_SHORTENED = 14
 GAP_SHORTENED = 7e-5
 """Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS_ROUTED = 6
-"""The same where work is routed: J hardly changes from there on, while the bound nears it slowly."""
+"""Linear programs for an episode at most where work is routed: J hardly changes from there on, the bound slowly."""
 GAP_ROUTED = 3e-4
-"""The same gap there."""
+"""Gap between replay and program at which such an episode has settled, as a share of J."""
 ROUNDS = 6
 """Linear programs for an episode at most."""
 TOLERANCE = 2e-5
@@ -56,6 +56,22 @@ RELAXED = 1e-2
 """Change of the relaxation's optimum between programs at which it has settled, as a share of it; the next change would
 be some hundredth of that."""
 _ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, around positions at rest
+
+
+class Effort(NamedTuple):
+    """How far the episodes of a scenario are solved."""
+
+    rounds: int
+    """Linear programs for an episode at most."""
+    gap: float
+    """Gap between replay and program at which it has settled, as a share of J."""
+
+
+def effort_of(scenario: Scenario) -> Effort:
+    """How far episodes of this scenario are solved unless something else is asked for."""
+    if scenario.part("datacenter").routing is not None:
+        return Effort(ROUNDS_ROUTED, GAP_ROUTED)
+    return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
 
 class Hindsight(NamedTuple):
@@ -93,8 +109,7 @@ def hindsight(
     seed
         The episode.
     rounds
-        Linear programs to solve at most; None: ``ROUNDS``, or ``ROUNDS_SHORTENED`` where there are storages, or
-        ``ROUNDS_ROUTED`` where work is routed.
+        Linear programs to solve at most; None: those of :func:`effort_of`.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
@@ -108,8 +123,7 @@ def hindsight(
     """
     _check(scenario)
     if rounds is None:
-        routed = scenario.part("datacenter").routing is not None
-        rounds = ROUNDS_ROUTED if routed else ROUNDS if storages_of(scenario) is None else ROUNDS_SHORTENED
+        rounds = effort_of(scenario).rounds
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
@@ -197,9 +211,9 @@ def _shortened(
 ) -> tuple[np.ndarray, Recorder]:
     """The actions that do best on the way to the last solution, and their replay; the next program is around them.
 
-    Storages shift energy to where losses are least, and routes work, which solutions of the linear program overdo: around
-    each the next does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for quadratic
-    programming" (1956), its line searched at a few places.
+    Storages shift energy to where losses are least, and routes work, which solutions of the linear program overdo:
+    around each the next does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for
+    quadratic programming" (1956), its line searched at a few places.
     """
     tried = [(recorder.metrics()[0]["J"], 1.0, actions, recorder)]
     for share in SHORTER:
@@ -236,6 +250,7 @@ def _check(scenario: Scenario) -> None:
     planned = _has_equipment_agents(scenario)
     if not planned:
         require_known_devices("hindsight", scenario, further=("storage",))
+    require_draws_of_work("hindsight", scenario)
     if any(getattr(device, "ride_through", None) is not None for device in scenario.devices):
         raise ValueError(
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "

@@ -35,7 +35,7 @@ from dcgrid_env import (
     sensitivity_to_agents,
     under_own_control,
 )
-from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices
+from dcgrid_env.baselines.controller import Local, LocalController, require_draws_of_work, require_known_devices
 
 NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching", "ramp_excess", "voltage_step_excess")
 """Weights of cost terms that controllers with a model do not minimise, and hindsight neither."""
@@ -99,6 +99,7 @@ class ModelController(LocalController):
         """
         s = under_own_control(env_info)
         require_known_devices(self.name, s)
+        require_draws_of_work(self.name, s)
         if s.observe != "feeder":
             raise ValueError(f"{self.name}: observe is {s.observe!r}; make the scenario with observe='feeder'")
         if not isinstance(s.dvfs, LinearDvfs):

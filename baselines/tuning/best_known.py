@@ -1,9 +1,10 @@
-"""The best that is known of an episode in which sites trip and return: a search of it alone, with all of it known.
+"""The best that is known of an episode that no linear program plans: a search of it alone, with all of it known.
 
-Trips are no linear program, so there is no optimum to measure with. What stands in its place is the least cost that
-anyone has been seen to reach in that very episode: by the rule of a staggered return, its times, pace and gains fitted
-to the episode itself, or by one of the controllers that are named. It is no bound, and whoever reaches less makes it
-lower.
+Trips are no linear program, and neither is smoothing by settings that are held for seconds, so there is no optimum to
+measure with. What stands in its place is the least cost that anyone has been seen to reach in that very episode: by
+the rule of a staggered return, its times, pace and gains fitted to the episode itself, or of smoothing at a fixed
+profile, its floors, ramps and gains fitted to it; or by one of the controllers that are named. It is no bound, and
+whoever reaches less makes it lower.
 
 The fit is the cross-entropy method (R. Y. Rubinstein, 1999): in each generation parameters are drawn around those of
 the best quarter so far, from the tuned rule on. All candidates of all episodes are lanes of one batch.
@@ -16,13 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Recorder, Scenario
+from dcgrid_env import DcgridVectorEnv, Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Local
+from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.site_return import SLOWEST_PACE, StaggeredReturn, return_rule
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.tuning.lane_smoothing import LaneSmoothing, smoothing_bounds, smoothing_start
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
 GENERATIONS, CANDIDATES = 20, 32
+LONG_GENERATIONS = 6
+"""Generations where power is smoothed: such episodes have 6000 steps."""
 LANES = 800
 """Lanes of a batch."""
 SEARCH = "search"
@@ -33,14 +38,21 @@ _BEST = 8
 _KEPT = 0.3
 
 
+class Searched(NamedTuple):
+    """What the search reached in an episode."""
+
+    J: float
+    x: tuple[float, ...]
+    """Parameters of the law that is searched over, see :func:`searched_law`."""
+
+
 class BestKnown(NamedTuple):
     """The least cost of an episode."""
 
     J: float
     by: str
     """Who reached it: a controller's name, or ``SEARCH``."""
-    x: tuple[float, ...] = ()
-    """Parameters of :class:`LaneReturn` where it was the search."""
+    searched: Searched
 
 
 class LaneReturn(StaggeredReturn):
@@ -89,32 +101,62 @@ def start(scenario: Scenario) -> np.ndarray:
     )
 
 
+class SearchedLaw(NamedTuple):
+    """What an episode is searched over."""
+
+    make: Callable[[np.ndarray], Controller]
+    """From parameters (lane, n) to a controller of as many lanes."""
+    bounds: np.ndarray
+    """Lowest and highest of each parameter, (2, n)."""
+    start: np.ndarray
+    """Those to begin with, (n,)."""
+    generations: int
+    """Generations of the search."""
+
+
+def searched_law(scenario: Scenario) -> SearchedLaw:
+    """The law that episodes of a scenario are searched over.
+
+    ValueError for a scenario whose agents decide over neither return nor smoothing, or without tuned parameters.
+    """
+    if has_smoothing_channels(scenario):
+        return SearchedLaw(LaneSmoothing, smoothing_bounds(scenario), smoothing_start(scenario), LONG_GENERATIONS)
+    return SearchedLaw(LaneReturn, bounds(scenario), start(scenario), GENERATIONS)
+
+
 def best_known(
     scenario: Scenario,
     seeds: Sequence[int],
     controllers: Mapping[str, Controller],
+    searched: Mapping[int, Searched] | None = None,
 ) -> list[BestKnown]:
     """The least cost that is known of each episode.
 
     Parameters
     ----------
     scenario
-        One whose agents decide over the return, with a tuned staggered return.
+        One whose agents decide over the return, with a tuned staggered return; or over smoothing, with a tuned one.
     seeds
         One episode each. What is found of an episode does not depend on the others.
     controllers
         Who else is asked, by name.
+    searched
+        What the search reached before, by seed; these episodes are not searched again.
 
     Raises
     ------
     ValueError
-        For a scenario without the channel, or without a tuned staggered return.
+        For a scenario without these channels, or without the tuned law.
     """
+    known = dict(searched or {})
+    due = [seed for seed in seeds if seed not in known]
     each = max(1, LANES // CANDIDATES)
-    found = [own for i in range(0, len(seeds), each) for own in _searched(scenario, seeds[i : i + each])]
+    for i in range(0, len(due), each):
+        known |= zip(due[i : i + each], _search(scenario, due[i : i + each]), strict=True)
+    found = [BestKnown(known[seed].J, SEARCH, known[seed]) for seed in seeds]
     for name, controller in controllers.items():
         j = rollout(scenario, controller, seeds, name=name).costs().tolist()
-        found = [BestKnown(own, name) if own < known.J else known for own, known in zip(j, found, strict=True)]
+        found = [best._replace(J=own, by=name) if own < best.J else best for own, best in zip(j, found, strict=True)]
     return found
 
 
@@ -134,27 +176,44 @@ def replayed(
     """
     for who in dict.fromkeys(record["by"] for record in records):
         own = [record for record in records if record["by"] == who]
-        controller = LaneReturn(np.array([record["x"] for record in own])) if who == SEARCH else find(who, scenario)
+        if who == SEARCH:
+            controller = searched_law(scenario).make(np.array([record["x"] for record in own]))
+        else:
+            controller = find(who, scenario)
         seeds = [record["seed"] for record in own]
         yield seeds, rollout(scenario, controller, seeds, name=who)
 
 
-def _searched(scenario: Scenario, seeds: Sequence[int]) -> list[BestKnown]:
+def _search(scenario: Scenario, seeds: Sequence[int]) -> list[Searched]:
     """The least cost that the search reaches in each episode."""
-    low, high = bounds(scenario)
+    make, (low, high), begin, generations = searched_law(scenario)
     draws = [np.random.default_rng([7, seed]) for seed in seeds]
-    middle = np.repeat(np.clip(start(scenario), low, high)[None], len(seeds), axis=0)
+    middle = np.repeat(np.clip(begin, low, high)[None], len(seeds), axis=0)
     spread = np.repeat(0.25 * (high - low)[None], len(seeds), axis=0)
     best_x, best_j = np.round(middle, DIGITS), np.zeros(len(seeds))
     lanes = np.repeat(np.asarray(seeds), CANDIDATES).tolist()
-    for _ in range(GENERATIONS):
+    for _ in range(generations):
         noise = np.stack([draw.standard_normal((CANDIDATES, len(low))) for draw in draws])
         x = np.round(np.clip(middle[:, None] + spread[:, None] * noise, low, high), DIGITS)
         x[:, 0] = best_x
-        j = rollout(scenario, LaneReturn(x.reshape(-1, len(low))), lanes).costs().reshape(len(seeds), CANDIDATES)
+        j = _costs(scenario, make(x.reshape(-1, len(low))), lanes).reshape(len(seeds), CANDIDATES)
         order = np.argsort(j, axis=1, kind="stable")[:, :_BEST]
         elite = np.take_along_axis(x, order[..., None], axis=1)
         best_x, best_j = elite[:, 0], np.take_along_axis(j, order[:, :1], axis=1)[:, 0]
         middle = _KEPT * middle + (1.0 - _KEPT) * elite.mean(axis=1)
         spread = _KEPT * spread + (1.0 - _KEPT) * elite.std(axis=1)
-    return [BestKnown(float(j), SEARCH, tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]
+    return [Searched(float(j), tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]
+
+
+def _costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
+    """J of an episode for each seed, of which nothing else is kept: long episodes of many lanes would not fit."""
+    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
+    observations, _ = env.reset(seed=list(seeds))
+    controller.reset(scenario)
+    j, over = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
+    while not over.all():
+        observations, _, terminated, truncated, _ = env.step(controller.act(observations))
+        j += env.transition.cost_j * ~over
+        over |= terminated | truncated
+    env.close()
+    return j / scenario.horizon

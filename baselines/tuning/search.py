@@ -16,11 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, believed_sensitivity, nodes_by_bus, under_own_control
+from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_bus, under_own_control
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
 from dcgrid_env.baselines.laws.site_return import (
     SLOWEST_PACE,
@@ -64,6 +66,10 @@ def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
     return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), "alpha_per_s": _power(x[2])}
 
 
+def _peak_shaving(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    return _droop(x[:3], scenarios) | {"v_hold_pu": _rounded(x[3]), "gain": _power(x[4])}
+
+
 def _routing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     return _droop(x[:3], scenarios) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
 
@@ -84,17 +90,24 @@ def _droop_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
 def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     if len(scenarios) > 1:
         return {"q_share": _rounded(x[0])}
+    gives = _gives_reactive_power(scenarios[0])
+    shares = np.zeros(len(gives))
     # Data centres that are drawn anew in each episode are all alike beforehand.
-    first = [_rounded(x[0])] * (under_own_control(scenarios[0]).n_agents - len(x))
-    return {"q_share": (*first, *map(_rounded, x))}
+    shares[gives] = [*([x[0]] * (gives.sum() - len(x))), *x]
+    return {"q_share": tuple(map(_rounded, shares))}
 
 
 def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
     if len(scenarios) > 1:
         return [(-1.0, 1.0)]
-    scenario = under_own_control(scenarios[0])
+    scenario, n = scenarios[0], int(_gives_reactive_power(scenarios[0]).sum())
     drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    return [(-1.0, 1.0)] * (scenario.n_agents - scenario.n_datacenters + 1 if drawn else scenario.n_agents)
+    return [(-1.0, 1.0)] * (n - scenario.n_datacenters + 1 if drawn else n)
+
+
+def _gives_reactive_power(scenario: Scenario) -> np.ndarray:
+    """Which agents that a law drives have reactive power, bool, (n_agent,)."""
+    return action_layout(under_own_control(scenario)).reactive >= 0
 
 
 def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
@@ -145,6 +158,19 @@ def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
     return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (SLOWEST_PACE, 1.0)]
 
 
+def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    """Gains of the droop, the floor, and ramps between the slowest and the fastest, by factors."""
+    settings = [smoothing_of(s) for s in scenarios]
+    slowest = min(np.log10(own.slowest_share) for own in settings)
+    up, down = (min(getattr(own, f"ramp_{way}_w_per_s") for own in settings) for way in ("up", "down"))
+    return {
+        **_droop(x[:3], scenarios),
+        "floor_share": _rounded(x[3] * min(own.floor_share for own in settings)),
+        "ramp_up_w_per_s": _rounded(up * 10.0 ** (slowest * x[4])),
+        "ramp_down_w_per_s": _rounded(down * 10.0 ** (slowest * x[5])),
+    }
+
+
 TUNABLE: dict[str, Tunable] = {
     "droop": Tunable(Droop, _droop, _droop_bounds),
     "droop-q": Tunable(
@@ -155,6 +181,12 @@ TUNABLE: dict[str, Tunable] = {
         lambda x, _: {"k_share_per_pu": _power(x[0]), "deadband_pu": _rounded(x[1])},
         lambda _: [(0.0, 3.5), (0.0, 0.03)],
     ),
+    "peak-shaving": Tunable(
+        PeakShaving,
+        _peak_shaving,
+        lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3), (0.9, 1.0), (-2.0, 0.5)],
+        fits=has_storages,
+    ),
     "route-to-strongest": Tunable(
         RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)], fits=has_routing
     ),
@@ -162,6 +194,12 @@ TUNABLE: dict[str, Tunable] = {
     "return-by-hand": Tunable(ReturnByHand, _by_hand, _return_bounds, 6, has_return_channel),
     "staggered-return": Tunable(
         StaggeredReturn, _staggered, lambda s: [*_return_bounds(s), (0.0, 1.0)], 6, has_return_channel
+    ),
+    "smoothing": Tunable(
+        FixedSmoothing,
+        _smoothing,
+        lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0)],
+        fits=has_smoothing_channels,
     ),
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
     # The cost has plateaus and several valleys: the rule saturates.

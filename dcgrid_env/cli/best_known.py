@@ -25,17 +25,18 @@ EPISODES = 25
 
 @dataclass(frozen=True)
 class BestKnownValues(Command):
-    """Search the least cost of episodes in which sites trip and return, of which no linear program has the optimum.
+    """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
 
     Each episode is searched by itself, with all of it known: the times, pace and gains of a staggered return are fitted
-    to it. Named controllers are asked too, and the least of all counts. It is written in the place of hindsight's
-    costs, marked as best known: it bounds nothing, and whoever reaches less makes it lower. What stood in the file is
-    written anew.
+    to it, or the floors, ramps and gains of fixed smoothing. Named controllers are asked too, and the least of all
+    counts. It is written in the place of hindsight's costs, marked as best known: it bounds nothing, and whoever
+    reaches less makes it lower. Episodes that stand in the file are not searched again; controllers are asked anew.
     """
 
     scenario: str = "ride-through"
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; its sites must have a channel return, and dcgrid dev tune a staggered-return for it."""
+    makes your own; its sites must have a channel return and a staggered-return tuned by dcgrid dev tune, or a
+    channel floor and a smoothing tuned."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "none,return-by-hand-tuned,staggered-return-tuned"
@@ -59,9 +60,9 @@ class BestKnownValues(Command):
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         spec, names = ScenarioSpec(self.scenario, self.set), split_names(self.controllers)
         scenario, console = spec.make(self.split), plain_console()
-        kept_episodes(self.out, scenario)
-        seeds = range(self.episodes)
-        tasks = [Task(spec, self.split, seeds[i : i + EPISODES], tuple(names)) for i in seeds[::EPISODES]]
+        kept, seeds = kept_episodes(self.out, scenario), range(self.episodes)
+        parts = [seeds[i : i + EPISODES] for i in seeds[::EPISODES]]
+        tasks = [Task(spec, self.split, own, tuple(names), {i: kept[i] for i in own if i in kept}) for own in parts]
         records: dict[int, dict[str, Any]] = {}
         with alone_in(self.out, "dcgrid dev best-known"), progress_bar(console) as progress:
             bar = progress.add_task("episodes", total=self.episodes)
@@ -101,19 +102,28 @@ class Task(NamedTuple):
     split: str
     seeds: range
     controllers: tuple[str, ...]
+    kept: dict[int, dict[str, Any]]
+    """Records of those that have been searched."""
 
 
 def search(task: Task) -> dict[int, dict[str, Any]]:
     """The records of some episodes, by seed."""
     from dcgrid_env import episode_hash
     from dcgrid_env.agents import find_controller
-    from dcgrid_env.baselines.tuning.best_known import best_known
+    from dcgrid_env.baselines.tuning.best_known import Searched, best_known
 
     scenario = task.spec.make(task.split)
     asked = {name: find_controller(name, scenario) for name in task.controllers}
-    found = best_known(scenario, list(task.seeds), asked)
+    searched = {seed: Searched(record["searched_J"], tuple(record["x"])) for seed, record in task.kept.items()}
+    found = best_known(scenario, list(task.seeds), asked, searched)
     return {
-        seed: {"seed": seed, "hash": episode_hash(scenario, seed), "J": best.J, "by": best.by}
-        | ({"x": list(best.x)} if best.x else {})
+        seed: {
+            "seed": seed,
+            "hash": episode_hash(scenario, seed),
+            "J": best.J,
+            "by": best.by,
+            "searched_J": best.searched.J,
+            "x": list(best.searched.x),
+        }
         for seed, best in zip(task.seeds, found, strict=True)
     }

@@ -162,18 +162,18 @@ def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
 
 def _offer(scenario: Scenario, missing: Sequence[int], n: int, jobs: int, console: Console) -> str:
     """Why there is no score, how to get it and about how long that takes, as far as one linear program tells."""
-    from dcgrid_env.baselines.model_based.hindsight import ROUNDS, hindsight
+    from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
 
     with console.status("how long hindsight would take"):
         began_s = time.perf_counter()
         hindsight(scenario, missing[0], rounds=1)
         program_s = time.perf_counter() - began_s
-    turns = -(-len(missing) // jobs)
-    span = " to ".join(_duration(rounds * program_s * turns) for rounds in (2, ROUNDS))
+    turns, most = -(-len(missing) // jobs), effort_of(scenario).rounds
+    span = " to ".join(_duration(rounds * program_s * turns) for rounds in (2, most))
     return (
         f"no score: hindsight is not known for {len(missing)} of the {n} episodes; the same command with --hindsight "
         f"solves them, in about {span} (one linear program took {_duration(program_s)}, an episode takes 2 to "
-        f"{ROUNDS} of them, on {jobs} {'processes' if jobs > 1 else 'process'})"
+        f"{most} of them, on {jobs} {'processes' if jobs > 1 else 'process'})"
     )
 
 

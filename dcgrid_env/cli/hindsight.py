@@ -60,7 +60,7 @@ class HindsightValues(Command):
         console = plain_console()
         kept = solve_missing(specs, self.split, dict.fromkeys(specs, range(self.episodes)), self.out, jobs, console)
         for name, episodes in kept.items():
-            console.print(f"{name:>16}  {_said(episodes)}")
+            console.print(f"{name:>16}  {_said(specs[name].make(self.split), episodes)}")
 
 
 def solve_missing(
@@ -139,17 +139,18 @@ def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
     }
 
 
-def _said(episodes: dict[int, dict[str, Any]]) -> str:
+def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     """Sum of a scenario's file on one line."""
-    from dcgrid_env.baselines.model_based.hindsight import ROUNDS, TOLERANCE
+    from dcgrid_env.baselines.model_based.hindsight import effort_of
 
+    rounds, settled = effort_of(scenario)
     j = [episode["J"] for episode in episodes.values()]
     gaps = [abs(episode["J"] - episode["bound"]) / max(abs(episode["J"]), 1e-12) for episode in episodes.values()]
-    most = sum(e["rounds"] >= ROUNDS and gap > TOLERANCE for e, gap in zip(episodes.values(), gaps, strict=True))
+    most = sum(e["rounds"] >= rounds and gap > settled for e, gap in zip(episodes.values(), gaps, strict=True))
     missing = max(episodes) + 1 - len(episodes)
     return (
         f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, "
-        f"{most} stopped at {ROUNDS} programs with a gap above {TOLERANCE:g} of J"
+        f"{most} stopped at {rounds} programs with a gap above {settled:g} of J"
         + f"; {missing} of the seeds 0 to {max(episodes)} are missing"
         * (missing > 0)
     )

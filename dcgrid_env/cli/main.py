@@ -22,7 +22,7 @@ from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
-from dcgrid_env.cli.sags import Sags
+from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS

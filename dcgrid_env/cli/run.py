@@ -140,6 +140,7 @@ ROWS = (
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
     "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p95_s", "delay_p99_s",
     "ttft_mean_s", "ttft_p99_s", "e2e_mean_s", "e2e_p99_s", "unserved_kws", "loss_mean_kw",
+    "storage_throughput_kwh", "storage_missing_kwh",
 )  # fmt: skip
 """Metrics of the table, row by row."""
 OVER_EPISODES = {"mean": lambda values: sum(values) / len(values), "min": min, "max": max}
@@ -154,7 +155,7 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # of requests, where the load is made of them
+    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # where there are any
         cells = []
         for name in names:
             own = [r for r in records if r["controller"] == name]

@@ -58,9 +58,11 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
 def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
     """Lines that say which tuned controllers have their gains from a file rather than from what ships."""
     from dcgrid_env.baselines import TUNED
+    from dcgrid_env.baselines.tuning.search import TUNABLE
     from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_parameters
 
-    files = {
-        name: tuned_parameters(name.removesuffix(SUFFIX), scenario, tuned).file for name in controllers if name in TUNED
-    }
+    laws = {name: name.removesuffix(SUFFIX) for name in controllers if name in TUNED}
+    # A law that the scenario has nothing for is refused when it is given it, and has no gains.
+    fitting = {name: law for name, law in laws.items() if TUNABLE[law].fits(scenario)}
+    files = {name: tuned_parameters(law, scenario, tuned).file for name, law in fitting.items()}
     return [f"{name}: gains of {scenario.name} from {file}" for name, file in files.items() if file is not None]

@@ -37,8 +37,8 @@ class Tune(Command):
     """
 
     laws: str = "all"
-    """Laws separated by commas: droop, droop-q, deadband, return-by-hand, staggered-return, constant-q,
-    placement; or all, of which those that a scenario has nothing for are left out."""
+    """Laws separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return, smoothing,
+    constant-q, placement; or all, of which those that a scenario has nothing for are left out."""
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""

@@ -52,6 +52,16 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
     return Forecast(drawn.buses[0], *columns, capacitor_on=np.array(capacitors[1:]) if capacitors else None)
 
 
+def sag_times(scenario: Scenario, seed: int) -> np.ndarray:
+    """When the sags of a seed's first episode begin, s, (n_sag,); ValueError for a scenario without sags."""
+    from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
+
+    if not scenario.sags:
+        raise ValueError(f"scenario {scenario.name!r} has no sags; give it sags, such as 'virginia-2024'")
+    drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
+    return drawn.sag[0, :, 0]
+
+
 def episode_hash(scenario: Scenario, seed: int) -> str:
     """SHA-256 of what comes from outside in the first episode of a seed, 16 hexadecimal digits.
 

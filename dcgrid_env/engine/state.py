@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
-from dcgrid_env.devices.ride_through.connection_surrogate import Widths
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
 
@@ -36,8 +36,8 @@ class Exogenous(NamedTuple):
     (lane, n_capacitor); None where all can."""
     sags: Array | None = None
     """Sags that begin in the interval, (lane, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
-    trip_widths: Widths | None = None
-    """Of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
+    trip_widths: TripWidths | None = None
+    """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
 
 
 class Equipment(NamedTuple):

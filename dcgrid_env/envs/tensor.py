@@ -16,7 +16,7 @@ from array_api_compat import is_array_api_obj
 from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import Work
-from dcgrid_env.devices.ride_through.connection_surrogate import Widths
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.engine import dynamics, observation, reward
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
@@ -64,7 +64,7 @@ class TensorEnv:
         An array of the wanted kind, precision and device: ``torch.empty(0, device="cuda")``. float32 is solved to
         1e-2 kVA, float64 to 1e-4 kVA.
     trip_widths
-        Of a smooth surrogate that gives what trips and returns a derivative, values as without it
+        Widths of a smooth surrogate that gives what trips and returns a derivative, values as without it
         (``devices.ride_through.connection_surrogate``); None for no derivative. Tensors alone have one.
     **overrides
         Fields of the scenario.
@@ -75,7 +75,7 @@ class TensorEnv:
         scenario: str | Scenario = "ieee123",
         *,
         like: Array,
-        trip_widths: Widths | None = None,
+        trip_widths: TripWidths | None = None,
         **overrides: Any,
     ):
         if not _is_floating_array(like):

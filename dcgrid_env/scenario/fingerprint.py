@@ -18,7 +18,13 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
-from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs
+from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs, Storages
+from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
+from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
+from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
@@ -50,27 +56,50 @@ _SCENARIO = """
 _OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.kind, Inverters.kind)}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
+_DATA_CENTERS = """
+    count buses p_rated_kw idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases
+"""
+_STORAGES = """
+    buses p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h s_rated_kva initial_share
+    returned_share ageing_price missing_price phases
+"""
 _WEIGHTS = "voltage violation backlog effort leftover clock step loss"
 _RULE = "curve return_delay_s walk_in_s trip_weight"
 _UPS_RULE = f"""
     {_RULE} lockout_events lockout_window_s returns_per_minute release by_hand_s stagger_s on_battery battery_s
     recharge_share charge_efficiency away_weight missing_weight
 """
+_SMOOTHING = """
+    floor_share ramp_up_w_per_s ramp_down_w_per_s hysteresis_s gpus gpu_rated_w control change_every_s slowest_share
+    burnt_weight
+"""
+_SITE_STORAGE = """
+    p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h initial_share returned_share
+    ageing_price missing_price
+"""
+_BATCHING = "lowest highest reference batch_energy_share gather_s batch_weight"
+_SERVICE = "target_s deadline_s interactive_share order late_weight"
 
 SCHEMA_1: dict[type[Any], Kind] = {
     Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
     Feeder: Kind("Feeder", tuple(_FEEDER.split())),
     CostWeights: Kind("tuple8", tuple(_WEIGHTS.split()), with_names=False),
     Fault: Kind("Fault", ("among", "begin_s", "duration_s")),
+    DataCenters: Kind("DataCenters", tuple(_DATA_CENTERS.split())),
+    Inverters: Kind("Inverters", ("buses", "s_rated_kva", "injection", "phases")),
+    Storages: Kind("Storages", tuple(_STORAGES.split())),
     RideThroughCurve: Kind("RideThroughCurve", ("under", "over")),
     RideThrough: Kind("RideThrough", tuple(_RULE.split())),
     UpsRideThrough: Kind("UpsRideThrough", tuple(_UPS_RULE.split())),
     Sag: Kind("Sag", ("begin_s", "duration_s", "retained_pu", "since")),
+    PowerSmoothing: Kind("PowerSmoothing", tuple(_SMOOTHING.split())),
+    Cooling: Kind("Cooling", ("cooling_share", "time_constant_s", "auxiliary_share")),
+    SiteStorage: Kind("SiteStorage", tuple(_SITE_STORAGE.split())),
+    Routing: Kind("Routing", ("movable_share", "move_latency_s", "move_weight")),
+    Batching: Kind("Batching", tuple(_BATCHING.split())),
+    ServiceLevels: Kind("ServiceLevels", tuple(_SERVICE.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
-
-_LATER_OF_GROUPS = ("ride_through", "storage", "routing", "batching", "service")
-"""Fields of data centres and inverters that came after groups were hashed whole, and are left out where None."""
 
 
 def scenario_hash(scenario: Scenario) -> str:
@@ -83,9 +112,6 @@ def scenario_hash(scenario: Scenario) -> str:
 
 def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     """What schema 1 hashes of a value; None for a kind of which it says nothing."""
-    if isinstance(value, DataCenters | Inverters):
-        names = (n for n in _defaults(type(value)) if n not in _LATER_OF_GROUPS or getattr(value, n) is not None)
-        return type(value).__name__, ((n, getattr(value, n)) for n in names)
     kind = SCHEMA_1.get(type(value))
     if kind is None:
         return None

@@ -10,6 +10,8 @@ from typing import Any, Generic, Literal, TypeVar
 from dcgrid_env.devices import Dvfs
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.work_routing import Routing
@@ -64,6 +66,8 @@ class FlatNames:
     boost_share = Flat[float]("datacenter", "boost_share")
     datacenter_phases = Flat[Phases | None]("datacenter", "phases")
     datacenter_ride_through = Flat[UpsRideThrough | None]("datacenter", "ride_through")
+    datacenter_smoothing = Flat[PowerSmoothing | None]("datacenter", "smoothing")
+    datacenter_cooling = Flat[Cooling | None]("datacenter", "cooling")
     datacenter_routing = Flat[Routing | None]("datacenter", "routing")
     datacenter_batching = Flat[Batching | None]("datacenter", "batching")
     datacenter_service = Flat[ServiceLevels | None]("datacenter", "service")

@@ -11,6 +11,7 @@
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
 | sags | the name of a recorded sequence, or a list of mappings of the fields of Sag | tuple of Sag |
 | ride_through | a curve's name, or a mapping of the rule's fields | UpsRideThrough of sites, RideThrough of inverters |
+| storage, smoothing, cooling of sites | a mapping of its fields | SiteStorage, PowerSmoothing, Cooling |
 | storage, routing, batching, service of sites | a mapping of their fields | SiteStorage, Routing, .. |
 | dvfs, clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
@@ -34,7 +35,9 @@ from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter.batching import Batching
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.plain_laws import CLOCK_LAWS, plain_law
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.work_routing import Routing
@@ -62,7 +65,7 @@ def to_plain(value: Any) -> Any:
         return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
     if isinstance(value, Sag):
         return sag_to_plain(value)
-    if isinstance(value, SiteStorage | Routing | Batching | ServiceLevels):
+    if isinstance(value, SiteStorage | PowerSmoothing | Cooling | Routing | Batching | ServiceLevels):
         return {name: to_plain(field) for name, field in changed_fields(value).items()}
     if isinstance(value, RideThrough):
         return plain_rule(value)

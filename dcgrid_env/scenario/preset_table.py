@@ -122,6 +122,18 @@ TABLE = (
         three_phase.ride_through,
     ),
     Preset(
+        "ieee33-weak-ups",
+        "dcgrid/IEEE33WeakUPS-v0",
+        "bursty with 300 kW and 5 kWh of a UPS at each data centre: storage beside the clock",
+        balanced.ieee33_weak_ups,
+    ),
+    Preset(
+        "smoothing",
+        "dcgrid/Smoothing-v0",
+        "ieee33-weak with training jobs over ten minutes in steps of 0.1 s; agents set GPU power smoothing",
+        sites.smoothing,
+    ),
+    Preset(
         "routing",
         "dcgrid/Routing-v0",
         "4 sites of 1 MW under code completion that move half of their work, with a target and a deadline",

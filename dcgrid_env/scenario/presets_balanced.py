@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dcgrid_env.devices import Storages
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import load_feeder
 from dcgrid_env.scenario.cost import CostWeights
@@ -97,6 +98,15 @@ def khodr141() -> Scenario:
 def bursty() -> Scenario:
     """Make the preset ``bursty``."""
     return ieee33_weak().replace(name="bursty", trace="code")
+
+
+def ieee33_weak_ups() -> Scenario:
+    """Make the preset ``ieee33-weak-ups``."""
+    # What a UPS of 1 MW and 5 min lends to the grid of its 83 kWh: 300 kW for a minute, half full.
+    base = bursty()
+    assert base.datacenter_buses is not None
+    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
+    return base.replace(name="ieee33-weak-ups", devices=(*base.devices, ups))
 
 
 def sync() -> Scenario:

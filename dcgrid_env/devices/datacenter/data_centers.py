@@ -14,9 +14,11 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, check_step, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
@@ -53,7 +55,7 @@ class DataCenters(PickledByFields):
     f_min_mhz: float = number(1e-9, "f_max_mhz", default=210.0)
     """Lowest clock, MHz."""
     s_rated_share: float = number(1.0, float("inf"))
-    """Converter rating as a share of the rated power."""
+    """Converter rating as a share of the rated power, with cooling of what the site then draws, see ``cooling``."""
     q_max_share: float = number(0.0, "s_rated_share")
     """Reactive limit as a share of the rated power."""
     clock_law: Dvfs = field(default_factory=LinearDvfs)
@@ -68,6 +70,11 @@ class DataCenters(PickledByFields):
     """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
     storage: SiteStorage | None = None
     """A storage behind the site's converter, which the site's agent drives; None for sites without one."""
+    smoothing: PowerSmoothing | None = None
+    """GPU power smoothing; None for a draw that follows the work."""
+    cooling: Cooling | None = None
+    """What a site draws beside its computers; None for nothing. ``p_rated_kw`` is the rating of the computers. The
+    converter is then as much larger as the draw at the rating."""
     routing: Routing | None = None
     """How arriving work may be moved between the sites; None for work that stays where it arrives."""
     batching: Batching | None = None
@@ -116,7 +123,7 @@ class DataCenters(PickledByFields):
             p_dynamic_kw=p - self.idle_share * p,
             f_min_mhz=self.f_min_mhz * one,
             f_max_mhz=self.f_max_mhz * one,
-            s_rated_kva=self.s_rated_share * p,
+            s_rated_kva=self.s_rated_share * (self.cooling.pue_at_rating * p if self.cooling else p),
             q_max_kvar=self.q_max_share * p,
         )
         return DataCenterParams(*map(read_only, params))
@@ -128,7 +135,7 @@ class DataCenters(PickledByFields):
 
     @property
     def p_scale_kw(self) -> np.ndarray:
-        """Rating that a draw is a share of, kW."""
+        """Rating that a draw is a share of, kW: that of the computers, whatever is drawn beside them."""
         return self.parameters.p_rated_kw
 
     @property
@@ -139,7 +146,7 @@ class DataCenters(PickledByFields):
     @property
     def largest_draw_share(self) -> float:
         """Highest draw as a share of the rating."""
-        return self.boost_share
+        return self.cooling.largest_draw_share(self.boost_share) if self.cooling else self.boost_share
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:

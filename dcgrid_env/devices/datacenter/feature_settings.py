@@ -1,7 +1,7 @@
 """The fields of data centres that hold the settings of a feature, and what is made of them.
 
-A class of settings may have a method ``check_slots``, which raises FieldError for what cannot be of as many sites, and
-one ``check_step`` for what cannot be in steps of a length.
+A class of settings may have a method ``check_slots`` or ``check_sites``, which raises FieldError for what cannot be of
+such sites, and one ``check_step`` for what cannot be in steps of a length.
 """
 
 from __future__ import annotations
@@ -12,32 +12,42 @@ from typing import Any
 
 from dcgrid_env.core.checked import FieldError, from_mapping, refuse
 from dcgrid_env.devices.datacenter.batching import BatchedSites, Batching
+from dcgrid_env.devices.datacenter.cooled_site import CooledSite, Cooling
+from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServedSites, ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import SiteFeature
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.smoothed_site import SmoothedSite
 from dcgrid_env.devices.datacenter.ups_site import UpsSite
 from dcgrid_env.devices.datacenter.work_routing import RoutedSites, Routing
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
 
+SETTINGS: dict[str, type[Any]] = {
+    "routing": Routing,
+    "batching": Batching,
+    "smoothing": PowerSmoothing,
+    "cooling": Cooling,
+    "ride_through": UpsRideThrough,
+    "storage": SiteStorage,
+    "service": ServiceLevels,
+}
+"""The class of the settings in each field, in the order in which features act: on the work, from the chips towards the
+grid, and service levels last, since they see what was served in the end."""
+_REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=.."}
+"""What has to be given of each."""
 
-def _of_work(field: str, kind: type[Any], value: Any) -> Any:
-    """Settings out of their plain form, errors with the field of the data centres in front."""
+
+def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:
+    """What a function returns; a FieldError of settings names the field of the sites that holds them too."""
     try:
-        return from_mapping(kind, value)
+        return function(*given)
     except FieldError as error:
         raise FieldError("DataCenters", f"{field}.{error.name}", error.value, error.remedy) from None
 
 
-_OF_WORK: dict[str, type[Any]] = {"routing": Routing, "batching": Batching, "service": ServiceLevels}
-SETTINGS: dict[str, type[Any]] = {"ride_through": UpsRideThrough, "storage": SiteStorage, **_OF_WORK}
-"""The class of the settings in each field."""
-_REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=..", **dict.fromkeys(_OF_WORK, "")}
-"""What has to be given of each."""
-
 CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    **{field: partial(with_path, field, from_mapping, kind) for field, kind in SETTINGS.items()},
     "ride_through": partial(rule_of, UpsRideThrough),
-    "storage": partial(from_mapping, SiteStorage),
-    **{field: partial(_of_work, field, kind) for field, kind in _OF_WORK.items()},
 }
 """How settings are made of their plain form, a mapping of their fields, for each field."""
 
@@ -49,7 +59,11 @@ def check_settings(sites: Any) -> None:
         if given is None:
             continue
         if not isinstance(given, kind):
-            raise refuse(sites, name, f"give {kind.__name__}({_REQUIRED[name]}), a mapping of its fields, or None")
+            raise refuse(
+                sites, name, f"give {kind.__name__}({_REQUIRED.get(name, '..')}), a mapping of its fields, or None"
+            )
+        if hasattr(given, "check_sites"):
+            with_path(name, given.check_sites, sites.count, sites.idle_share)
         if hasattr(given, "check_slots"):
             given.check_slots(sites.count)
     if sites.storage is not None and sites.ride_through is not None:
@@ -65,12 +79,13 @@ def check_step(sites: Any, dt_s: float) -> None:
 
 
 def features_of(sites: Any) -> tuple[SiteFeature, ...]:
-    """The features that sites have, in the order in which they act: on the work, then from the chips towards the grid,
-    and service levels last, since they see what was served in the end."""
+    """The features that sites have, in the order in which they act."""
     moves_late = sites.routing is not None and sites.routing.move_latency_s > 0.0
     features = (
         sites.routing and RoutedSites(sites.routing, sites.boost_share),
         sites.batching and BatchedSites(sites.batching),
+        sites.smoothing and SmoothedSite(sites.smoothing, sites.boost_share),
+        sites.cooling and CooledSite(sites.cooling, sites.boost_share),
         sites.ride_through and UpsSite(sites.ride_through),
         sites.storage,
         sites.service and ServedSites(sites.service, moves_late),

@@ -104,9 +104,9 @@ class UpsSite:
 
     def observe(self, params: DataCenterParams, own: UpsState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        xp, ups, rule = namespace(own.ups.share), own.ups, self.rule
-        recent = sum_last(xp.astype(ups.event_age_s < rule.lockout_window_s, ups.share.dtype))
-        returns = sum_last(xp.astype(ups.return_age_s < 60.0, ups.share.dtype))
+        ups, rule = own.ups, self.rule
+        recent = connection.younger(ups.event_age_s, rule.lockout_window_s)
+        returns = connection.younger(ups.return_age_s, 60.0)
         full = params.p_rated_kw * rule.battery_s
         stored = own.battery.stored_kws / full if rule.battery_s > 0.0 else 0.0 * ups.share
         return ups.share, ups.locked, recent, returns, connection.timer_share(rule, ups), ups.wait_s, stored

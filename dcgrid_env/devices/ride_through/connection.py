@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace
+from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, sum_last
 from dcgrid_env.devices.ride_through import connection_surrogate
 from dcgrid_env.devices.ride_through.rules import ALL_BACK, RideThrough
 
@@ -39,8 +39,8 @@ class Supply(NamedTuple):
     sags: Array | None
     """Sags by their beginning, (lane, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
     the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
-    widths: connection_surrogate.Widths | None = None
-    """Of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
+    widths: connection_surrogate.TripWidths | None = None
+    """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
 
 
 class ConnectionState(NamedTuple):
@@ -177,12 +177,19 @@ def by_rule(rule: RideThrough, dt_s: float) -> float:
 def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
     """How near the slow trip is, 0 .. 1, (lane, slot): the largest share of its time that an element has counted."""
     xp, like = namespace(state.share), state.share
-    if isinstance(like, np.ndarray) and not state.timer_s.any():
-        return 0.0 * like
+    if is_rows(like):
+        return _kernel().largest_timer_share(state.timer_s, rule.elements(like.shape[-1]).time_s)
     time_s = as_like(rule.elements(like.shape[-1]).time_s, like)
     shares = xp.where(state.timer_s > 0.0, state.timer_s / (time_s + 1e-9), 0.0 * state.timer_s)
     largest = shares.max(-1) if isinstance(shares, np.ndarray) else shares.amax(-1)
     return xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
+
+
+def younger(ages_s: Array, than_s: float) -> Array:
+    """How many of the ages of events or returns are below a time, (lane, slot), of ages (lane, slot, n)."""
+    if isinstance(ages_s, np.ndarray) and ages_s.dtype == np.float64 and ages_s.ndim == 3:
+        return _kernel().younger(ages_s, than_s)
+    return sum_last(namespace(ages_s).astype(ages_s < than_s, ages_s.dtype))
 
 
 def _advance_lanes(
@@ -192,8 +199,9 @@ def _advance_lanes(
     shape, elements = before.share.shape, rule.elements(before.share.shape[-1])
     volts = tuple(map(np.ascontiguousarray, (supply.v_lowest_pu, supply.v_highest_pu)))
     sags = np.zeros((shape[0], 0, 3)) if supply.sags is None else np.ascontiguousarray(supply.sags)
+    paces = pace if is_rows(pace) else np.full(shape, pace)
     after = _kernel().advance_lanes(
-        tuple(before[:6]), volts, sags, np.broadcast_to(pace, shape).copy(), elements.threshold, elements.time_s,
+        tuple(before[:6]), volts, sags, paces, elements.threshold, elements.time_s,
         elements.n_under, *rule.delays_s(shape[-1]), rule.longest_wait_s(shape[-1]), rule.remembered_s,
         float(rule.lockout_window_s), dt_s,
     )  # fmt: skip

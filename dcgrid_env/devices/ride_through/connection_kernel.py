@@ -78,3 +78,29 @@ def advance_lanes(
             locked[i, j] = 1.0 if is_locked else 0.0
             tripped[i, j] = 1.0 if event and connected else 0.0
     return share, timer, wait, events, returns, locked, tripped, lost
+
+
+@numba.njit(cache=True)
+def largest_timer_share(timer_s, time_s):
+    """How near the slow trip is, 0 .. 1, (lane, slot), see ``connection.timer_share``."""
+    lanes, slots, n_element = timer_s.shape
+    largest = np.zeros((lanes, slots))
+    for i in range(lanes):
+        for j in range(slots):
+            for k in range(n_element):
+                if timer_s[i, j, k] > 0.0:
+                    largest[i, j] = max(largest[i, j], timer_s[i, j, k] / (time_s[j, k] + 1e-9))
+            largest[i, j] = min(largest[i, j], 1.0)
+    return largest
+
+
+@numba.njit(cache=True)
+def younger(ages_s, than_s):
+    """How many ages of each slot are below a time, (lane, slot)."""
+    lanes, slots, n = ages_s.shape
+    count = np.zeros((lanes, slots))
+    for i in range(lanes):
+        for j in range(slots):
+            for k in range(n):
+                count[i, j] += ages_s[i, j, k] < than_s
+    return count

@@ -9,6 +9,7 @@ so that every figure is exact, and has these slopes:
     trips slowly            b S((timer + dt - time) / time_s)        of both
     trips in a sag          the share that is on the grid            of that share, so that staying away avoids it
     returns                 S(rate / (rate_share fastest))           of the channel ``return``, where it may return
+    is back as a whole      1                                        of the share before, as having returned lasts
 
 with S(x) = 1 / (1 + exp(-x)). Lock-outs, counters and the delays before a return have no derivative.
 """
@@ -21,21 +22,21 @@ from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.checked import FieldError, finite
 
 
-class Widths(NamedTuple):
+class TripWidths(NamedTuple):
     """How wide the smooth steps are; a step has most of its slope within four times that."""
 
     v_pu: float = 0.01
-    """Of a threshold, p.u."""
+    """Width of the step at a threshold, p.u."""
     time_s: float = 1.0
-    """Of the time to a slow trip, s."""
+    """Width of the step at the time to a slow trip, s."""
     rate_share: float = 0.3
-    """Of what is to stay away and what to return, as a share of the fastest return."""
+    """Width of the step between what is to stay away and what to return, as a share of the fastest return."""
 
     def check(self) -> None:
         """Raise FieldError for a width that is not above 0."""
         for name, width in self._asdict().items():
             if not finite(width, 1e-9, 1e9):
-                raise FieldError("Widths", name, width, "give a finite number above 0")
+                raise FieldError("TripWidths", name, width, "give a finite number above 0")
 
 
 _NEVER_S = 1e6
@@ -58,7 +59,7 @@ def softplus(x: Array, width: float) -> Array:
     return xp.where(x > 30.0 * width, x, width * xp.log(1.0 + xp.exp(xp.clip(x / width, -30.0, 30.0))))
 
 
-def smoothed_pace(pace: Array, rate: Array, fastest: float, dt_s: float, widths: Widths) -> Array:
+def smoothed_pace(pace: Array, rate: Array, fastest: float, dt_s: float, widths: TripWidths) -> Array:
     """The pace of a return with a derivative by the rate that asks for it, share/s, on both sides of 0: that of a
     softplus of this width."""
     width = widths.rate_share * fastest
@@ -67,7 +68,7 @@ def smoothed_pace(pace: Array, rate: Array, fastest: float, dt_s: float, widths:
 
 def with_derivatives(
     before: Any, after: Any, v: Array, threshold: Array, time_s: Array, fell: Array, may_return: Array, pace: Any,
-    dt_s: float, widths: Widths,
+    dt_s: float, widths: TripWidths,
 ) -> Any:  # fmt: skip
     """The exact state after an interval with the derivatives of the surrogate.
 
@@ -86,7 +87,7 @@ def with_derivatives(
     dt_s
         Length of the interval, s.
     widths
-        Of the surrogate.
+        Widths of its smooth steps.
     """
     xp = namespace(v)
     beyond = smooth_step(threshold - v, widths.v_pu)
@@ -95,10 +96,11 @@ def with_derivatives(
     stays = (1.0 - beyond * smooth_step(spent_s, widths.time_s)).prod(-1)
     here, out = (xp.astype(flag, v.dtype) for flag in (before.share > 0.0, fell))
     kept = here * (1.0 - out) * before.share.detach() * no_value(stays)
+    whole = xp.astype((after.share >= 1.0) & (before.share > 0.0), v.dtype) * no_value(before.share)
     back = xp.astype(may_return & (after.share <= 0.0), v.dtype) * no_value(before.share + pace)
     tripped = out * before.share + (1.0 - out) * here * (1.0 - stays)
     return after._replace(
-        share=after.share + kept + back,
+        share=after.share + kept + whole + back,
         timer_s=after.timer_s.detach() + no_value(beyond * timer_s),
         tripped=after.tripped + no_value(tripped),
     )

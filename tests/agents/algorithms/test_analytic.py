@@ -9,16 +9,9 @@ import torch
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
-from dcgrid_env.agents.algorithms.analytic import (
-    Analytic,
-    Learner,
-    check_settings,
-    episode_seeds,
-    grids_of,
-    main,
-    windows,
-)
+from dcgrid_env.agents.algorithms.analytic import Analytic, Learner, check_settings, grids_of, main
 from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.episodes import episode_seeds, windows
 from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from helpers.states import with_fields
 
@@ -232,6 +225,8 @@ def test_batches_share_no_episode():
         ({"updates": 0}, "updates is 0; give more than 0"),
         ({"num_envs": -1}, "num_envs is -1"),
         ({"window": 0}, "window is 0"),
+        ({"trip_width_pu": -0.1}, "trip_width_pu is -0.1; give a number of at least 0"),
+        ({"trip_width_s": 0.0}, "trip_width_s is 0.0; give a number of at least 1e-09"),
         ({"learning_rate": float("nan")}, "learning_rate is nan"),
         ({"max_grad_norm": 0.0}, "max_grad_norm is 0.0"),
         ({"validation_episodes": 0}, "validation_episodes is 0"),

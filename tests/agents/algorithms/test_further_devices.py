@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import DcgridVectorEnv, TensorEnv, end_costs
+from dcgrid_env import DcgridVectorEnv, TensorEnv, action_layout, end_costs
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.algorithms import ppo, td3
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
@@ -44,7 +44,7 @@ def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
 def lanes_of(scenario, view):
     joint = view == "centralised"
     vec_env = JointVecEnv(scenario, 4) if joint else AgentVecEnv(scenario, 4, nameplate=True)
-    vec_env.end_share = 1.0 / scenario.horizon
+    vec_env.end_as_it_arises = True
     return vec_env
 
 
@@ -102,3 +102,34 @@ def test_safe_training_refuses_what_it_has_no_bound_for():
         require_plain(SCENARIOS["storages"])
     with pytest.raises(ValueError, match="of kind datacenter have the channels clock, q, return: train analytic"):
         require_plain(SCENARIOS["riding"])
+
+
+def test_the_surrogate_of_trips_leads_the_channel_of_the_return_and_its_absence_hardly_does():
+    """A site that is away feels what returning brings through the surrogate alone."""
+    slopes = {}
+    for width in (0.0, 0.01):
+        learner = Learner(Analytic(num_envs=8, window=40, hidden=(8,), trip_width_pu=width), [ride_through_34()])
+        (env,) = learner.envs
+        joint = env.reset(range(8))
+        asked, total = torch.full((3,), -0.2, requires_grad=True), torch.zeros(())
+        returns = torch.tensor(action_layout(env.scenario).is_channel("return"))
+        for _ in range(60):
+            rest = learner.act(0, joint).detach()
+            step = env.step(torch.where(returns, asked[0], rest))
+            joint, total = step.observation, total + step.cost_j.mean()
+        total.backward()
+        assert asked.grad is not None
+        slopes[width] = abs(asked.grad[0].item())
+    assert slopes[0.0] == 0.0
+    assert slopes[0.01] > 0.0
+
+
+def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
+    scenario = SCENARIOS["riding"]
+    vec_env = lanes_of(scenario, "shared")
+    model = ppo.make(ppo.Ppo(hidden=(8,), nameplate=True, further_begin=-0.5), vec_env)
+    begun = dict(zip(vec_env.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
+    assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)
+    for given, outputs in ((2.0, "setpoint"), (0.0, "droop")):
+        with pytest.raises(ValueError, match=rf"further_begin is {given}; give -1 to 1, with outputs = 'setpoint'"):
+            ppo.main(ppo.Ppo(further_begin=given, outputs=outputs, out=tmp_path))

@@ -53,16 +53,19 @@ def test_kinds_are_told_apart_and_use_their_own_entries():
     assert JointVecEnv(toy6_storage(), 1, "q").used.tolist() == [[0, 1, 1, 1, 0, 0]]
 
 
-def test_what_the_end_charges_is_spread_over_the_steps():
+def test_what_the_end_charges_is_charged_as_it_arises():
     scenario = toy6_storage(4)
-    plain, spread = JointVecEnv(scenario, 2), JointVecEnv(scenario, 2)
-    spread.end_share = 0.25
-    for lanes in (plain, spread):
+    plain, early = JointVecEnv(scenario, 2), JointVecEnv(scenario, 2)
+    early.end_as_it_arises = True
+    for lanes in (plain, early):
         lanes.seed(0)
         lanes.reset()
     action = np.tile(np.array([1.0, 0.0, 0.0, 0.0, -1.0, -0.5], np.float32), (2, 1))
-    for step in range(4):
-        paid, other = (lanes.step(action)[1] for lanes in (plain, spread))
-        due = np.sum(list(end_costs(scenario, plain.batch.transition.state).values()), axis=0)
-        assert (due > 0.0).all()
-        np.testing.assert_allclose(other, paid - due * (0.25 - (step == 3)), rtol=1e-5)
+    for _ in range(2):  # episodes, the second begun by the step that ends the first
+        sums = np.zeros((2, 2))
+        for step in range(4):
+            sums += [lanes.step(action)[1] for lanes in (plain, early)]
+            due = np.sum(list(end_costs(scenario, plain.batch.transition.state).values()), axis=0)
+            assert (due > 0.0).all()
+            expected = sums[0] - due * (step < 3)  # it has all been charged, now or before
+            np.testing.assert_allclose(sums[1], expected, rtol=1e-5)

@@ -88,7 +88,7 @@ def test_every_preset_ships_every_law():
     ("law", "preset"),
     [
         (law, preset)
-        for preset in ("toy6", "ieee33", "robust", "ride-through")
+        for preset in ("toy6", "ieee33", "robust", "ride-through", "ieee33-weak-ups")
         for law in SHIPPED["laws"]
         if preset in SHIPPED["laws"][law]
     ],
@@ -118,6 +118,13 @@ def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
     with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
         make_controller("pid-tuned", own)
     assert isinstance(tuned_parameters("constant-q", make_scenario("ieee33")).parameters["q_share"], tuple)
+
+
+def test_agents_without_reactive_power_have_no_share_of_it():
+    scenario = make_scenario("ieee33-weak-ups")
+    assert len(TUNABLE["constant-q"].bounds([scenario])) == 7
+    shares = TUNABLE["constant-q"].parameters(np.full(7, 0.5), [scenario])["q_share"]
+    assert shares == (0.5,) * 7 + (0.0,) * 3
 
 
 class Refusing(NoControl):

@@ -232,10 +232,13 @@ def test_a_cut_stops_the_derivative_by_draws_before_it():
         ({"ramp_window_s": 5.0}, "ramp_window_s is 5.0; give ramp_limit_kw_per_s too, or leave it out"),
         (
             {"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 2.5},
-            "ramp_window_s is 2.5; give a whole number of steps of 1 s, 120 of them at most",
+            "ramp_window_s is 2.5; give a whole number of steps of 1 s, 10,000 of them at most",
         ),
         ({"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 0.1}, "ramp_window_s is 0.1; give a whole number of steps"),
-        ({"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 121.0}, "ramp_window_s is 121.0; give a whole number of steps"),
+        (
+            {"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 10_001.0},
+            "ramp_window_s is 10001.0; give a whole number of steps",
+        ),
         (
             {"ramp_limit_kw_per_s": 5.0, "n_datacenters": 0, "datacenter_buses": None},
             "it out: the scenario has no data",

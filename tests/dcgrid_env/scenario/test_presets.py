@@ -11,6 +11,7 @@ from dcgrid_env import (
     CostWeights,
     Fault,
     FeederError,
+    PowerSmoothing,
     Routing,
     Scenario,
     ScenarioError,
@@ -51,6 +52,7 @@ TABLE = {
     "scale-32": (
         "khodr141", 1.05, 32, 500.0, 1.02, None, (10, 32, 40, 52, 60, 75, 100, 120), 600.0, "inference", 0.05, 60,
     ),
+    "ieee33-weak-ups": ("ieee33", 1.05, 3, 1000.0, 1.02, (18, 33, 25), WEAK, 100.0, "code", 0.05, 120),
     "ieee13-3ph": (
         "ieee13-3ph", 1.0001, 2, 500.0, 1.1, (671, 680), (633, 675, 611, 652), (300.0, 400.0, 120.0, 120.0),
         "inference", 0.05, 120,
@@ -65,6 +67,7 @@ TABLE = {
         "ieee34-3ph", 1.05, 3, 450.0, 1.1, (840, 860, 848), (816, 834, 844, 822, 838),
         (400.0, 400.0, 400.0, 80.0, 80.0), "inference", 0.05, 300,
     ),
+    "smoothing": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 6000),
     "routing": ("ieee33", 1.05, 4, 1000.0, 1.02, (18, 33, 25, 12), WEAK, 100.0, "code", 0.05, 60),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
@@ -97,6 +100,22 @@ BEYOND = {
         "inverter_ride_through": RideThrough(
             curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
         ),
+    },
+    "smoothing": {
+        "dt_s": 0.1,
+        "datacenter_smoothing": PowerSmoothing(
+            floor_share=0.9,
+            ramp_up_w_per_s=12_000.0,
+            ramp_down_w_per_s=12_000.0,
+            hysteresis_s=2.0,
+            control="agent",
+            change_every_s=10.0,
+            burnt_weight=3.0,
+        ),
+        "ramp_limit_kw_per_s": 60.0,
+        "ramp_window_s": 1.0,
+        "voltage_step_limit_pu": 0.01,
+        "weights": CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
     },
     "routing": {
         "datacenter_routing": Routing(movable_share=0.5, move_latency_s=0.1),
@@ -240,7 +259,7 @@ def test_a_scenario_is_taken_as_it_is():
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
         ScenarioError,
-        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, ieee123-3ph-day.*$",
+        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, routing$",
     ):
         make_scenario(name)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from dcgrid_env import Scenario
+from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 
@@ -17,16 +18,28 @@ def stays_connected(scenario: Scenario) -> bool:
     return all(getattr(device, "ride_through", None) is None for device in scenario.devices)
 
 
+def can_be_planned(scenario: Scenario) -> bool:
+    """Whether no site leaves the grid or draws something else than what its work takes, which no linear model has."""
+    sites = scenario.part("datacenter")
+    return stays_connected(scenario) and sites.smoothing is None and sites.cooling is None
+
+
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "peak-shaving": has_storage,
     "return-by-hand": has_return_channel,
     "staggered-return": has_return_channel,
+    "smoothing": has_smoothing_channels,
+    "smoothing-light": has_smoothing_channels,
+    "smoothing-strong": has_smoothing_channels,
     "route-to-strongest": has_routing,
-    "mpc": stays_connected,
-    "mpc-one-step": stays_connected,
-    "feedback": stays_connected,
+    "mpc": can_be_planned,
+    "mpc-one-step": can_be_planned,
+    "feedback": can_be_planned,
 }
-NEEDING_A_DEVICE = ("peak-shaving", "return-by-hand", "staggered-return", "route-to-strongest")
+NEEDING_A_DEVICE = (
+    "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
+    "route-to-strongest",
+)  # fmt: skip
 """Controllers that refuse a scenario of data centres and inverters alone."""
 
 

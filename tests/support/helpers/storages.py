@@ -4,20 +4,12 @@ from typing import Any
 
 from dcgrid_env import Scenario, Storages, make_scenario
 
-NEEDING_STORAGE = ("peak-shaving",)
-"""Controllers that refuse a scenario without storages."""
 FIGURES: dict[str, Any] = {"p_rated_kw": 300.0, "energy_kwh": 5.0, "ageing_price": 0.05}
 
 
 def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
-    """The proposal of a preset: ieee33-weak under bursts of requests, at each data centre what a UPS lends to the grid.
-
-    Of a UPS of 1 MW and 5 min, 83 kWh, it is 300 kW and 5 kWh, a minute, half full; docs/storage.md says what
-    controllers reach on it.
-    """
-    base: Any = make_scenario("ieee33-weak", trace=trace)
-    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
-    return base.replace(**({"name": "ieee33-weak-ups", "devices": (*base.devices, ups)} | overrides))
+    """The preset ``ieee33-weak-ups``, with another workload if it is asked for."""
+    return make_scenario("ieee33-weak-ups", **({} if trace == "code" else {"trace": trace}), **overrides)
 
 
 def toy6_storage(horizon: int = 20, figures: dict | None = None, **overrides) -> Scenario:

@@ -8,7 +8,7 @@ from dcgrid_env import TensorEnv, action_layout, make_scenario
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.connection import Supply
-from dcgrid_env.devices.ride_through.connection_surrogate import Widths, smooth_step, softplus
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths, smooth_step, softplus
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from helpers.riding import ride_through_34
 
@@ -33,7 +33,7 @@ def driven(widths):
 
 
 def test_every_value_is_as_without_it_and_the_derivative_another():
-    exact, smooth = driven(None), driven(Widths())
+    exact, smooth = driven(None), driven(TripWidths())
     assert torch.equal(exact[0], smooth[0])
     assert torch.equal(exact[1], smooth[1])
     assert (exact[1] < 1.0).any()
@@ -47,7 +47,7 @@ def after(v, share, rate=0.0, sags=None, wait_s=3.0, timer_s=0.0):
         share=share, wait_s=torch.full((1, 1), wait_s), timer_s=torch.full((1, 1, 6), timer_s)
     )
     pace = torch.full((1, 1), rate) if not isinstance(rate, torch.Tensor) else rate
-    return connection.advance(RULE, before, Supply(None, v, v, sags, Widths()), pace, 1.0)
+    return connection.advance(RULE, before, Supply(None, v, v, sags, TripWidths()), pace, 1.0)
 
 
 def test_a_lower_voltage_is_nearer_to_a_slow_trip():
@@ -82,7 +82,7 @@ def test_smooth_steps_and_their_integral_stay_finite():
 
 def test_bad_widths_and_arrays_without_derivatives():
     with pytest.raises(FieldError, match=r"v_pu is 0.0; give a finite number above 0"):
-        TensorEnv("ride-through", like=torch.empty(0), trip_widths=Widths(v_pu=0.0))
-    env = TensorEnv(make_scenario("ride-through", horizon=3), like=np.empty(0), trip_widths=Widths())
+        TensorEnv("ride-through", like=torch.empty(0), trip_widths=TripWidths(v_pu=0.0))
+    env = TensorEnv(make_scenario("ride-through", horizon=3), like=np.empty(0), trip_widths=TripWidths())
     env.reset([0])
     assert np.isfinite(env.step(np.zeros((1, 14))).cost_j).all()

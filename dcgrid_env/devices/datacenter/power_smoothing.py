@@ -1,0 +1,82 @@
+"""Settings of GPU power smoothing, in the terms of the profiles that NVML has for Blackwell GPUs.
+
+A profile there has a floor in percent of the largest power, ramp rates up and down in W/s a GPU and a hysteresis in ms
+(NVML API reference, "Power Smoothing Information"); a floor of 20 to 90 % is that of GB200. No source gives typical
+rates or times: the defaults are choices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.devices.ratings import Rating, check_each, per_device
+
+GPU_RATED_W = 1200.0
+"""Rated power of a GPU of the GB200, W."""
+LARGEST_RAMP_W_PER_S = 1e9
+LONGEST_S = 86_400.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PowerSmoothing:
+    """A floor under a site's draw, limits on its ramps, and how long the floor outlasts the work.
+
+    Whatever is drawn beyond what the work takes is burnt, and charged; what a slow ramp up keeps from being served
+    waits in the queue.
+    """
+
+    floor_share: float = number(0.0, 1.0, default=0.9)
+    """Floor as a share of the rated power (GB200: 0.2 to 0.9), above the idle share, or 0 for none. Where the agent
+    decides, the highest that it may choose."""
+    ramp_up_w_per_s: float = number(1e-9, LARGEST_RAMP_W_PER_S, default=1200.0)
+    """Fastest rise of the draw, W/s a GPU. Where the agent decides, the fastest that it may choose; so for the fall."""
+    ramp_down_w_per_s: float = number(1e-9, LARGEST_RAMP_W_PER_S, default=1200.0)
+    """Fastest fall of the draw, W/s a GPU."""
+    hysteresis_s: float = number(0.0, LONGEST_S, default=5.0)
+    """How long the work must take less than the floor before the floor is released, s, rounded to whole steps."""
+    gpus: Rating | None = None
+    """GPUs of a site, one number or one for each; None: its rating over ``gpu_rated_w``."""
+    gpu_rated_w: float | None = None
+    """Rated power of a GPU, W, where ``gpus`` is not given; None: 1200 W, that of a GPU of the GB200."""
+    control: Literal["fixed", "agent"] = choice("fixed", "agent", default="fixed")
+    """Whether floor and ramps are as they stand here, or channels of the site's agent: ``floor``, ``ramp_up`` and
+    ``ramp_down``, without a floor and at the fastest ramps at rest."""
+    change_every_s: float = number(0.0, LONGEST_S, default=10.0)
+    """How long what the agent has chosen is held before it may change again, s, rounded to whole steps."""
+    slowest_share: float = number(1e-6, 1.0, default=0.01)
+    """Slowest ramp that the agent may choose, as a share of the fastest."""
+    burnt_weight: float = number(0.0, 1e9, default=1.0)
+    """Weight of the cost term ``burnt``: power burnt over the sum of the ratings. At 1 a site of all that burns its
+    rating costs what a mean deviation of 0.01 p.u. costs."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_fields(self)
+        if self.gpu_rated_w is not None and not finite(self.gpu_rated_w, 1.0, 1e6):
+            raise refuse(self, "gpu_rated_w", "give a number in [1, 1e+06], or None")
+        if self.gpus is not None and self.gpu_rated_w is not None:
+            raise refuse(self, "gpus", "give either gpus or gpu_rated_w, since one follows from the other")
+
+    def check_sites(self, n: int, idle_share: float) -> None:
+        """Raise FieldError where the settings do not fit so many sites of this idle share."""
+        if 0.0 < self.floor_share <= idle_share:
+            raise refuse(
+                self, "floor_share", f"give more than the idle_share of the sites, {idle_share:g}, or 0 for none"
+            )
+        if self.gpus is not None:
+            check_each(self, "gpus", n, 1.0, 1e9)
+
+    def gpus_of(self, p_rated_kw: np.ndarray) -> np.ndarray:
+        """Number of GPUs of sites with these ratings, (slot,)."""
+        if self.gpus is not None:
+            return per_device(self.gpus, len(p_rated_kw))
+        return 1000.0 * p_rated_kw / (self.gpu_rated_w or GPU_RATED_W)
+
+    def ramps_kw_per_s(self, p_rated_kw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fastest rise and fall of sites with these ratings, kW/s, (slot,) each."""
+        of_gpus = self.gpus_of(p_rated_kw) / 1000.0
+        return self.ramp_up_w_per_s * of_gpus, self.ramp_down_w_per_s * of_gpus

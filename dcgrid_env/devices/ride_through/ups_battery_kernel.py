@@ -1,0 +1,37 @@
+"""The compiled form of ``ups_battery.step``: one pass over lanes and slots, to the bit what the array form gives."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True)
+def step_lanes(
+    stored_kws, share, p_kw, p_idle_kw, served_kw, p_rated_kw, battery_s, recharge_share, efficiency, serves, dt_s
+):
+    """The fields of ``BatteryState``, the draw from the grid and the share of the work that is done, (lane, slot) each.
+
+    ``p_rated_kw`` are (slot,); ``serves`` says whether work goes on on battery.
+    """
+    lanes, slots = share.shape
+    after, battery, recharge = np.empty_like(share), np.empty_like(share), np.empty_like(share)
+    work, grid, works = np.empty_like(share), np.empty_like(share), np.empty_like(share)
+    for i in range(lanes):
+        for j in range(slots):
+            own, stored, p = share[i, j], stored_kws[i, j], p_kw[i, j]
+            full = p_rated_kw[j] * battery_s
+            b = min((1.0 - own) * (p if serves else p_idle_kw[i, j]), stored / dt_s)
+            done = own
+            if serves:
+                done = (own * p + b) / p if p > 0.0 else 1.0
+            c = 0.0
+            if own >= 1.0:
+                most = min(p_rated_kw[j] * recharge_share, max(full - stored, 0.0) / (efficiency * dt_s))
+                c = min(most, max(p_rated_kw[j] - p, 0.0))
+            done = min(done, 1.0)  # beyond 1 by rounding
+            after[i, j] = min(max(stored - b * dt_s, 0.0) + efficiency * dt_s * c, full)
+            battery[i, j], recharge[i, j], works[i, j] = b, c, done
+            work[i, j] = (done - own) * served_kw[i, j]
+            grid[i, j] = own * p + c
+    return after, battery, recharge, work, grid, works
