@@ -157,6 +157,7 @@ def test_the_schema_lists_every_published_field():
     later |= {"ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"}
     later |= {"datacenter_ride_through", "inverter_ride_through", "sags", "datacenter_storage"}
     later |= {"datacenter_routing", "datacenter_batching", "datacenter_service"}
+    later |= {"datacenter_smoothing", "datacenter_cooling"}
     assert listed | later == own | set(FLAT)
     assert set(fingerprint.SCHEMA_1[Feeder].fields) == {field.name for field in dataclasses.fields(Feeder)}
     later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess")
