@@ -9,41 +9,47 @@ from dcgrid_env.baselines import CONTROLLERS, TUNED, make_controller, published,
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, _shipped, records
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.tuning.best_known import replayed
-from helpers.needs import drives, stays_connected
+from helpers.needs import can_be_planned, drives, stays_connected
 
-EPISODES = 100
+EPISODES = dict.fromkeys(PRESETS, 100) | {"smoothing": 8}
+"""Episodes that ship of each preset; those of 6000 steps take long."""
 LINEARISED = 1e-4
 """By how much of J the program's linearised grid may differ from the exact one; 2e-5 has been seen (mixed)."""
 TRIPPING = [name for name in PRESETS if not stays_connected(make_scenario(name))]
-"""Where sites trip, which no linear program has: what ships is the best known."""
-SOLVED = [name for name in PRESETS if name not in TRIPPING]
+"""Where sites trip."""
+UNPLANNED = [name for name in PRESETS if not can_be_planned(make_scenario(name))]
+"""Where there is no linear program, of trips or of smoothing: what ships is the best known."""
+SOLVED = [name for name in PRESETS if name not in UNPLANNED]
 PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 ACTING = [name for name in SOLVED if acting_relays(make_scenario(name)) is not None]
 """Where regulators act by themselves, which makes the program's optimum that of one course of taps and no bound."""
 BOUNDED = [name for name in SOLVED if name not in ACTING]
-LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02}
-"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound."""
+LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02, "routing": 0.03}
+"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound, and where
+work is routed the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_has_its_hundred_test_episodes(name):
+def test_every_preset_has_its_test_episodes(name):
     values = published(make_scenario(name, split="test"))
     assert values is not None, "the preset has changed; make its values anew with dcgrid dev hindsight"
-    assert values.seeds.tolist() == list(range(EPISODES))
+    assert values.seeds.tolist() == list(range(EPISODES[name]))
     assert np.isfinite(values.J).all()
-    assert len(set(values.episode_hashes)) == EPISODES
+    assert len(set(values.episode_hashes)) == EPISODES[name]
     if name in BOUNDED:
         assert (values.bound < values.J * (1.0 + LINEARISED)).all()
         assert (values.J - values.bound < LARGEST_GAP[name] * values.J).all()
     content = _shipped(name)
     assert content is not None
-    if name in TRIPPING:
+    if name in UNPLANNED:
         assert content["kind"] == BEST_KNOWN
         assert values.is_best_known
-        assert content["command"].startswith(f"dcgrid dev best-known --scenario {name} --split test --episodes 100")
+        assert content["command"].startswith(
+            f"dcgrid dev best-known --scenario {name} --split test --episodes {EPISODES[name]} "
+        )
         return
     assert not values.is_best_known
-    options = f"--scenarios {name} --split test --episodes {EPISODES}"
+    options = f"--scenarios {name} --split test --episodes {EPISODES[name]}"
     assert content["command"] in (f"dcgrid hindsight {options}", f"dcgrid dev hindsight {options}")
 
 
@@ -74,7 +80,8 @@ def test_there_is_headroom(name):
     scenario = make_scenario(name, split="test")
     values = published(scenario)
     assert values is not None
-    j = {c: rollout(scenario, make_controller(c, scenario), range(20)).costs() for c in ("none", "droop-tuned")}
+    seeds = range(min(20, EPISODES[name]))
+    j = {c: rollout(scenario, make_controller(c, scenario), seeds).costs() for c in ("none", "droop-tuned")}
     none, droop, best = j["none"].mean(), j["droop-tuned"].mean(), values.J[:20].mean()
     # Regulators that act undo most of what a law does with reactive power.
     assert (none - droop) > (0.1 if name in BOUNDED else 0.015) * none
@@ -101,6 +108,17 @@ def test_rules_of_return_lie_in_order_and_the_best_known_episode_can_be_driven_a
         assert recorder.costs().tolist() == pytest.approx([known[seed]["J"] for seed in seeds], rel=1e-9)
 
 
+def test_smoothing_at_a_tuned_profile_lies_between_the_droop_and_the_best_known_which_can_be_driven_again():
+    scenario = make_scenario("smoothing", split="test")
+    rules = ("none", "droop-tuned", "smoothing-tuned")
+    j = [rollout(scenario, make_controller(rule, scenario), range(4)).costs().mean() for rule in rules]
+    known = records(scenario)[:4]
+    j.append(np.mean([record["J"] for record in known]))
+    assert j == sorted(j, reverse=True)
+    for seeds, recorder in replayed(scenario, known, find_controller):
+        assert recorder.costs().tolist() == pytest.approx([known[seed]["J"] for seed in seeds], rel=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ACTING)
 def test_where_regulators_act_nobody_is_better_than_hindsight_on_average(name):
@@ -120,7 +138,7 @@ def test_nobody_beats_the_bound_or_hindsight_by_more_than_its_gap(name):
     scenario = make_scenario(name, split="test")
     values = published(scenario)
     assert values is not None
-    seeds = np.random.default_rng(PRESETS_SEED[name]).choice(EPISODES, 4, replace=False)
+    seeds = np.random.default_rng(PRESETS_SEED[name]).choice(EPISODES[name], 4, replace=False)
     gap = (values.J - values.bound)[seeds]
     for controller in (*CONTROLLERS, *TUNED):
         if controller == "mpc" or not drives(controller, scenario):
