@@ -12,7 +12,7 @@ STEPS = 100_000
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["mixed", "fault", "ieee123-3ph", "ieee123-3ph-day"])
+@pytest.mark.parametrize("scenario", ["mixed", "fault", "ieee123-3ph", "ieee123-3ph-day", "smoothing"])
 def test_random_actions(scenario):
     env = DcgridEnv(scenario)
     assert isinstance(env.observation_space, gymnasium.spaces.Box)
