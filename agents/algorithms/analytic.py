@@ -238,13 +238,11 @@ class Learner:
 
 def check_settings(cfg: Analytic) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
-    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "dual_rate")
+    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "trip_width_s", "dual_rate")
     cfg.limits.check()
-    for name, least in (("trip_width_pu", 0.0), ("trip_width_s", 1e-9)):
-        if not least <= getattr(cfg, name) < math.inf:
-            raise ValueError(f"{name} is {getattr(cfg, name)}; give a number of at least {least:g}")
-    if cfg.vary < 0:
-        raise ValueError(f"vary is {cfg.vary}; give at least 0")
+    for name in ("vary", "trip_width_pu"):
+        if not 0 <= getattr(cfg, name) < math.inf:
+            raise ValueError(f"{name} is {getattr(cfg, name)}; give at least 0")
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:

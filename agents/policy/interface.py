@@ -32,7 +32,7 @@ KINDS = ("joint", "shared")
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
-HIDDEN = ("p_ref_next", "p_ref_next_compute")
+HIDDEN = ("p_ref_next", "p_ref_next_compute", "work_next_all")
 """Fields that a policy without preview is not given."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
 """Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""

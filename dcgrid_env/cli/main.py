@@ -11,7 +11,7 @@ import traceback
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
-from dcgrid_env.cli.best_known import BestKnownValues
+from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate

@@ -155,7 +155,8 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    for metric in (METRICS[name] for name in ROWS if name in records[0]):  # where there are any
+    # Those of requests and of storages are there where the scenario has any.
+    for metric in (METRICS[name] for name in ROWS if name in records[0]):
         cells = []
         for name in names:
             own = [r for r in records if r["controller"] == name]

@@ -29,6 +29,8 @@ class Forecast(NamedTuple):
     """1 for an agent that is connected to the grid and 0 for one that is not, (T, n_agent)."""
     capacitor_on: np.ndarray | None = None
     """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all can be on."""
+    sags: np.ndarray | None = None
+    """Sags in time: beginning, s from the episode's, duration, s, and share of the voltage left, (n_sag, 3)."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
@@ -49,17 +51,16 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
         if outside.capacitor_on is not None:
             capacitors.append(outside.capacitor_on[0])
     columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
-    return Forecast(drawn.buses[0], *columns, capacitor_on=np.array(capacitors[1:]) if capacitors else None)
+    capacitor_on = np.array(capacitors[1:]) if capacitors else None
+    return Forecast(drawn.buses[0], *columns, capacitor_on, drawn.sag[0] if scenario.sags else None)
 
 
 def sag_times(scenario: Scenario, seed: int) -> np.ndarray:
     """When the sags of a seed's first episode begin, s, (n_sag,); ValueError for a scenario without sags."""
-    from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
-
-    if not scenario.sags:
+    sags = forecast(scenario, seed).sags
+    if sags is None:
         raise ValueError(f"scenario {scenario.name!r} has no sags; give it sags, such as 'virginia-2024'")
-    drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
-    return drawn.sag[0, :, 0]
+    return sags[:, 0]
 
 
 def episode_hash(scenario: Scenario, seed: int) -> str:

@@ -1,4 +1,4 @@
-"""Rows of the figure of a run that show the grid: voltages, and on a three-phase feeder phases, unbalance and taps."""
+"""Rows of the figure of a run: voltages, on a three-phase feeder phases, unbalance and taps, and what storages hold."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from matplotlib.ticker import MaxNLocator
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
+from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.history import node_words
 from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks, taps_act
 from dcgrid_env.scenario.scenario import Scenario
 
 _SMALL: dict[str, Any] = {"fontsize": 8, "frameon": False}
+_NAMED = 10
+"""Storages named in the legend at most."""
 
 
 class Row(NamedTuple):
@@ -65,6 +68,25 @@ def phase_rows(scenario: Scenario) -> list[Row]:
     if taps_act(scenario):
         rows.append(_taps(feeder))
     return rows
+
+
+def storage_rows(scenario: Scenario) -> list[Row]:
+    """The row of storages that are agents, if there are any: stored energy as a share, each in its own colour."""
+    group = next((device for device in scenario.devices if device.kind == "storage" and device.count), None)
+    if group is None:
+        return []
+    energy_kwh = group.parameters.energy_kwh
+
+    def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
+        for i, share in enumerate((run.stored_kwh / energy_kwh).T):
+            ax.plot(t, 100.0 * share, color=agent_colour(i), linewidth=1.2, label=f"sto_{i}")
+
+    def finish(across: np.ndarray, runs: list[Series]) -> None:
+        across[0].set_ylim(-2.0, 102.0)
+        if len(energy_kwh) <= _NAMED:
+            across[0].legend(loc="lower left", ncols=min(len(energy_kwh), 5), **_SMALL)
+
+    return [Row("stored (%)", 1.8, draw, finish)]
 
 
 def _phase(scenario: Scenario, name: str, nodes: np.ndarray) -> Row:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.feeder_map import agent_colour
-from dcgrid_env.rendering.figure_rows import Row, fit_voltages, phase_rows, voltages
+from dcgrid_env.rendering.figure_rows import Row, fit_voltages, phase_rows, storage_rows, voltages
 from dcgrid_env.scenario.scenario import Scenario
 
 MOST_NAMED = 10
@@ -23,10 +23,11 @@ _REST_IN = 8.2 / 3.0
 def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figure:
     """Columns are controllers; rows are voltages, clocks and backlog, each on one scale for all.
 
-    The voltages of a three-phase feeder take a row for each phase, and its unbalance and taps one each.
+    The voltages of a three-phase feeder take a row for each phase, and its unbalance and taps one each. What storages
+    hold has a row of its own.
     """
     by_phase = isinstance(scenario.feeder, ThreePhaseFeeder)
-    rows = phase_rows(scenario) if by_phase else _balanced_rows(scenario)
+    rows = [*(phase_rows(scenario) if by_phase else _balanced_rows(scenario)), *storage_rows(scenario)]
     heights = [row.height_in for row in rows] + [2.0 if by_phase else _REST_IN] * 2
     width = 1.6 + 4.0 * len(series) + 0.8 * by_phase  # the taps' legend stands beside them
     figure = Figure(figsize=(width, sum(heights)), layout="constrained")

@@ -24,8 +24,9 @@ PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 ACTING = [name for name in SOLVED if acting_relays(make_scenario(name)) is not None]
 """Where regulators act by themselves, which makes the program's optimum that of one course of taps and no bound."""
 BOUNDED = [name for name in SOLVED if name not in ACTING]
-LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02}
-"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound."""
+LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02, "routing": 0.03}
+"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound, and where
+work is routed the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
 
 
 @pytest.mark.parametrize("name", PRESETS)

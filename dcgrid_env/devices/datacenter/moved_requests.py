@@ -47,6 +47,6 @@ def by_site(
         goes = inside & ((number * _EVENLY[0]) % 1.0 < gone[step, site])
         level = ((number * _EVENLY[1]) % 1.0) * to[step, -1]
         served_at = np.where(goes, np.minimum((to[step] <= level[:, None]).sum(axis=1), sent.shape[1] - 1), site)
-        for other in np.unique(served_at[inside]):
+        for other in np.union1d(served_at[inside], [site]):
             taken = inside & (served_at == other)
             yield RequestTimes(*(of_each[taken] for of_each in times)), begin_s, int(other), site

@@ -13,7 +13,7 @@ from dcgrid_env.baselines.benchmark.summary import summarise
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, read_hindsight, records
 from dcgrid_env.baselines.tuning import best_known as search
 from dcgrid_env.baselines.tuning.best_known import SEARCH, Searched, best_known, replayed
-from dcgrid_env.cli.best_known import BestKnownValues
+from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.evaluate import Evaluate
 
 SHORT = ("horizon=40",)

@@ -22,7 +22,7 @@ LIMITED = {
     "weights": {"ramp_excess": 1.0, "voltage_step_excess": 1.0},
 }
 OF_LEAVING = {name for name in METRICS if name.startswith(("ups", "inverter", "battery"))}
-OF_LEAVING |= {"cost_trips", "cost_away", "cost_recharge", "voltage_after_loss_max_pu"}
+OF_LEAVING |= {"cost_trips", "cost_inverter_trips", "cost_away", "cost_recharge", "voltage_after_loss_max_pu"}
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,11 @@ from dcgrid_env import DcgridEnv
 STEPS = 100_000
 
 
+LONG = ("mixed", "fault", "ieee123-3ph", "ieee123-3ph-day", "ieee33-weak-ups", "ride-through", "smoothing", "routing")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["mixed", "fault", "ieee123-3ph", "ieee123-3ph-day", "smoothing"])
+@pytest.mark.parametrize("scenario", LONG)
 def test_random_actions(scenario):
     env = DcgridEnv(scenario)
     assert isinstance(env.observation_space, gymnasium.spaces.Box)

@@ -13,6 +13,7 @@ from dcgrid_env import (
     PrefillDecodeDvfs,
     Scenario,
     Sensing,
+    Storages,
     episode_hash,
     make_scenario,
     scenario_hash,
@@ -173,3 +174,21 @@ def test_a_rule_of_ride_through_keeps_its_hash_when_fields_are_added():
         assert fields(rule) is not None
     assert scenario_hash(scenario) != scenario_hash(make_scenario("ride-through", sags=scenario.sags[:1]))
     assert scenario_hash(make_scenario("ride-through", split="test")) == RIDE_THROUGH_TEST
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _LaterStorages(Storages):
+    """Storages with a field that came after a preset of theirs was published."""
+
+    ramp_kw_per_s: float | None = None
+
+
+def test_a_later_field_of_storages_at_its_default_changes_no_hash(monkeypatch):
+    assert set(fingerprint.SCHEMA_1[Storages].fields) == {field.name for field in dataclasses.fields(Storages)}
+    monkeypatch.setitem(fingerprint.SCHEMA_1, _LaterStorages, fingerprint.SCHEMA_1[Storages])
+    scenario = make_scenario("ieee33-weak-ups", split="test")
+    *others, storages = scenario.devices
+    given = {field.name: getattr(storages, field.name) for field in dataclasses.fields(storages)}
+    assert scenario_hash(scenario.replace(devices=(*others, _LaterStorages(**given)))) == scenario_hash(scenario)
+    other = scenario.replace(devices=(*others, _LaterStorages(**given, ramp_kw_per_s=10.0)))
+    assert scenario_hash(other) != scenario_hash(scenario)

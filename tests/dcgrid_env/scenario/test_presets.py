@@ -12,8 +12,10 @@ from dcgrid_env import (
     Fault,
     FeederError,
     PowerSmoothing,
+    Routing,
     Scenario,
     ScenarioError,
+    ServiceLevels,
     action_layout,
     field_names,
     forecast,
@@ -66,6 +68,7 @@ TABLE = {
         (400.0, 400.0, 400.0, 80.0, 80.0), "inference", 0.05, 300,
     ),
     "smoothing": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 6000),
+    "routing": ("ieee33", 1.05, 4, 1000.0, 1.02, (18, 33, 25, 12), WEAK, 100.0, "code", 0.05, 60),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
@@ -113,6 +116,11 @@ BEYOND = {
         "ramp_window_s": 1.0,
         "voltage_step_limit_pu": 0.01,
         "weights": CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
+    },
+    "routing": {
+        "datacenter_routing": Routing(movable_share=0.5, move_latency_s=0.1),
+        "datacenter_service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
+        "weights": CostWeights(backlog=0.0),
     },
     "toy6": {"trace_window": "start"},
     "sync": {"site_correlation": 1.0},
@@ -251,7 +259,7 @@ def test_a_scenario_is_taken_as_it_is():
 def test_an_unknown_scenario_lists_those_there_are(name):
     with pytest.raises(
         ScenarioError,
-        match=rf"unknown scenario '{name}'; there are toy6, ieee123, ieee33-weak, .*, scale-32, .*, routing$",
+        match=rf"unknown scenario '{name}'; there are {', '.join(PRESETS)}$",
     ):
         make_scenario(name)
 

@@ -24,6 +24,11 @@ def can_be_planned(scenario: Scenario) -> bool:
     return stays_connected(scenario) and sites.smoothing is None and sites.cooling is None
 
 
+def is_known_to_models(scenario: Scenario) -> bool:
+    """Whether controllers with a model know all that is there; of storages hindsight alone knows."""
+    return can_be_planned(scenario) and not has_storage(scenario)
+
+
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "peak-shaving": has_storage,
     "return-by-hand": has_return_channel,
@@ -32,9 +37,9 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "smoothing-light": has_smoothing_channels,
     "smoothing-strong": has_smoothing_channels,
     "route-to-strongest": has_routing,
-    "mpc": can_be_planned,
-    "mpc-one-step": can_be_planned,
-    "feedback": can_be_planned,
+    "mpc": is_known_to_models,
+    "mpc-one-step": is_known_to_models,
+    "feedback": is_known_to_models,
 }
 NEEDING_A_DEVICE = (
     "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from dcgrid_env import DcgridVectorEnv, Fault, Routing, ScenarioError, TensorEnv, action_layout, make_scenario
 from dcgrid_env.devices import DataCenterParams, DataCenters, Work
+from dcgrid_env.devices.datacenter.moved_requests import by_site
 from dcgrid_env.devices.datacenter.site_features import Load
 from dcgrid_env.devices.datacenter.work_routing import RoutedSites
+from dcgrid_env.traces import RequestTimes
 from helpers.routing import routed
 
 SHARES = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)
@@ -138,3 +140,18 @@ def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
 def test_what_cannot_be_is_refused_by_name(changes, message):
     with pytest.raises(ScenarioError, match=message):
         make_scenario("ieee33", **changes)
+
+
+def test_requests_are_followed_to_the_site_that_serves_them():
+    n, arrivals = 4000, np.linspace(0.0, 3.999, 4000)
+    times = RequestTimes(arrivals, np.zeros(n), np.zeros(n), np.zeros(n))
+    arrived = np.array([[0.0, 0.0, 0.0]] + [[60.0, 30.0, 10.0]] * 4)
+    sent, received = np.zeros((5, 3)), np.zeros((5, 3))
+    sent[1:, 0], received[1:, 1], received[1:, 2] = 40.0, 30.0, 10.0
+    history: Any = type("History", (), {"arrived_kw": arrived, "sent_kw": sent, "received_kw": received})()
+    none = RequestTimes(*(np.zeros(0),) * len(times))
+    parts = list(by_site([(times, 0.0), (none, 0.0), (none, 0.0)], history, 1.0))
+    share = {(site, came): len(part.arrival_s) / n for part, _, site, came in parts}
+    # Of 100 kW that come to the first site 40 leave, 30 of them to the second.
+    assert [share[i, 0] for i in range(3)] == pytest.approx([0.6, 0.3, 0.1], abs=0.01)
+    assert sum(len(part.arrival_s) for part, *_ in parts) == n
