@@ -66,7 +66,7 @@ def _score(cell):
 
 def test_scores_are_those_of_the_document():
     documents = [
-        (ROOT / "docs" / name).read_text() for name in ("benchmark.md", "benchmark-3ph.md", "benchmark-storage.md")
+        (ROOT / "docs" / name).read_text() for name in ("benchmark.md", "benchmark-3ph.md", "benchmark-storage.md", "benchmark-routing.md")
     ]
     parts = [part for document in documents for part in document.split("\n## ")[2:]]
     by_scenario = {part.partition(":")[0]: part for part in parts}
