@@ -32,8 +32,6 @@ KINDS = ("joint", "shared")
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
-HIDDEN = ("p_ref_next", "p_ref_next_compute", "work_next_all")
-"""Fields that a policy without preview is not given."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
 """Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""
 
@@ -88,7 +86,10 @@ class PolicyInterface:
         """The agents of each kind."""
         self._n_observed = sum(map(len, names))
         joined = [name for own in names for name in own]
-        visible = np.array([preview or name not in HIDDEN for name in joined])
+        # What a policy without preview is not given.
+        fields = (field for device in scenario.devices for field in device.fields(scenario.horizon, scenario.dt_s))
+        hidden = {field.name for field in fields if field.of_preview}
+        visible = np.array([preview or name not in hidden for name in joined])
         self._visible = None if visible.all() else array(visible.astype(np.float32))
         self._starts = np.cumsum([0, *map(len, names)])[:-1]
         p_scale_kw, q_scale_kvar = np.concatenate([d.p_scale_kw for d in scenario.devices]), scenario.q_scale_kvar

@@ -118,7 +118,8 @@ class WorkRows:
         return parts
 
     def _last(self, steps: int) -> Any:
-        """What sums over so many steps up to each."""
+        """What sums over so many steps up to each, and over all where there are fewer."""
+        steps = min(steps, self.steps)
         window = (
             sparse.diags([1.0] * steps, [-k for k in range(steps)], shape=(self.steps, self.steps))
             if steps

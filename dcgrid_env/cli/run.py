@@ -140,7 +140,10 @@ ROWS = (
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
     "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p95_s", "delay_p99_s",
     "ttft_mean_s", "ttft_p99_s", "e2e_mean_s", "e2e_p99_s", "unserved_kws", "loss_mean_kw",
-    "storage_throughput_kwh", "storage_missing_kwh",
+    "storage_throughput_kwh", "storage_missing_kwh", "site_storage_throughput_kwh", "site_storage_missing_kwh",
+    "ups_trips", "ups_lost_step_kw", "ups_away_s", "ups_all_back_s", "inverter_trips", "voltage_after_loss_max_pu",
+    "burnt_kwh", "held_back_kws", "pue", "pst_max", "swing_share_max_pct", "ramp_excess_pct", "in_time_pct",
+    "lateness_p95_s", "moved_pct", "batch_mean",
 )  # fmt: skip
 """Metrics of the table, row by row."""
 OVER_EPISODES = {"mean": lambda values: sum(values) / len(values), "min": min, "max": max}
@@ -155,7 +158,7 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    # Those of requests and of storages are there where the scenario has any.
+    # Those of requests and of what sites have beside clock and queue are there where the scenario has any.
     for metric in (METRICS[name] for name in ROWS if name in records[0]):
         cells = []
         for name in names:

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
+
+_LARGEST = sys.float_info.max
+"""Largest finite number; whole numbers in Python may be larger, and are then no number of ours."""
 
 
 class FieldError(ValueError):
@@ -134,4 +138,4 @@ def _check_choice(owner: Any, f: dataclasses.Field[Any]) -> None:
 
 def finite(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
     """Whether it is a finite number within bounds."""
-    return is_number(value) and math.isfinite(value) and low <= value <= high
+    return is_number(value) and -_LARGEST <= value <= _LARGEST and low <= value <= high

@@ -220,4 +220,4 @@ def may_leave(device: Any) -> bool:
     method ``connected``: from its state to the share of its power that is on the grid, (lane, slot), which its reactive
     power is cut by.
     """
-    return getattr(device, "ride_through", None) is not None and device.count > 0
+    return getattr(device, "ride_through", None) is not None

@@ -31,7 +31,8 @@ def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice
     else:
         phases = state.three_phase
         low, high = phases.v_agent_lowest_pu[..., agents], phases.v_agent_highest_pu[..., agents]
-    return Supply(given, low, high, exogenous.sags, exogenous.trip_widths)
+    available = None if exogenous.available is None else exogenous.available[..., agents]
+    return Supply(given, low, high, exogenous.sags, exogenous.trip_widths, available)
 
 
 def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:

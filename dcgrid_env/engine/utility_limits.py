@@ -80,11 +80,13 @@ def _over_limits(kind: Any) -> tuple[str, ...]:
 
 
 def largest_ramp_excess(scenario: Scenario) -> float:
-    """Upper bound of the excess of any site's ramp: from nothing to the most that it can draw within the window."""
+    """Upper bound of the excess of any site's ramp: from the most that it can give to the most that it can draw."""
     limit = scenario.ramp_limit_kw_per_s
     if limit is None:
         return 0.0
-    largest_kw = scenario.largest_boost * float(scenario.site_rated_kw.max(initial=0.0))
+    sites = [device for device in scenario.devices if device.input == "workload"]
+    swings = [device.largest_draw_share + getattr(device, "largest_export_share", 0.0) for device in sites]
+    largest_kw = max(swings, default=0.0) * float(scenario.site_rated_kw.max(initial=0.0))
     return max(largest_kw / (ramp_steps(scenario) * scenario.dt_s) / limit - 1.0, 0.0)
 
 

@@ -45,8 +45,12 @@ def _check_sags(scenario: Any) -> None:
         raise ScenarioError(
             f"scenario {scenario.name!r}: sags[0].since is 'previous', but none is listed before it; give 'episode'"
         )
-    if not any(may_leave(device) for device in scenario.devices):
+    with_curve = [device for device in scenario.devices if may_leave(device)]
+    if not any(device.count for device in with_curve):
+        remedy = "give datacenter_ride_through or inverter_ride_through"
+        if with_curve:
+            remedy = f"there is no {' and no '.join(device.kind for device in with_curve)}: give at least one"
         raise ScenarioError(
-            f"scenario {scenario.name!r}: sags is given, but no device has a curve that they are held against; give "
-            "datacenter_ride_through or inverter_ride_through, or leave sags out"
+            f"scenario {scenario.name!r}: sags is given, but no device has a curve that they are held against; {remedy}"
+            ", or leave sags out"
         )

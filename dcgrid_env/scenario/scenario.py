@@ -217,7 +217,8 @@ class Scenario(PickledByFields, FlatNames):
     @cached_property
     def largest_boost(self) -> float:
         """Highest draw of a site that is driven by the workload, as a share of its rating."""
-        shares = [device.largest_draw_share for device in self.devices if device.input == "workload"]
+        groups = [device for device in self.devices if device.input == "workload"]
+        shares = [getattr(device, "boost_share", device.largest_draw_share) for device in groups]
         return max(shares, default=1.0)
 
     def _of_input(self, source: str, field: str) -> np.ndarray:

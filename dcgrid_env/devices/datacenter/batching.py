@@ -75,8 +75,11 @@ class BatchedSites(PassesBy):
     """Sites with these batches."""
 
     rule: Batching
+    boost_share: float = 1.0
+    """Highest draw of a site as a share of its rating."""
 
     amounts: ClassVar[tuple[str, ...]] = ("gathered_kws",)
+    accounts_last: ClassVar[bool] = True
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
         """The batch size by its logarithm, so that each doubling is as far."""
@@ -92,7 +95,9 @@ class BatchedSites(PassesBy):
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
         """What requests wait for their batches."""
         rule, rated = self.rule, params.p_rated_kw
-        largest = self._longest_s / max(self._energy(np.log2(rule.highest)), 1e-2)
+        idle_share = float((params.p_idle_kw / rated).min(initial=1.0))
+        served = max(1.0, self.boost_share) - idle_share
+        largest = served * self._longest_s / max(self._energy(np.log2(rule.highest)), 1e-2)
         of_all = float(rated.sum()) or 1.0
         return (CostTerm("gathering", "gathered_kws", rated, of_all, largest, weight=rule.batch_weight),)
 

@@ -59,6 +59,8 @@ class CoolingState(NamedTuple):
     """Mean cooling power over the step, kW."""
     cooling_end_kw: Array
     """Cooling power at its end, kW."""
+    auxiliary_kw: Array
+    """Draw of everything else over the step, kW."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class CooledSite:
 
     def initial(self, params: DataCenterParams, zero: Array) -> CoolingState:
         """Cooling that will have settled by t = 0."""
-        return CoolingState(zero, zero, zero + NONE_YET)
+        return CoolingState(zero, zero, zero + NONE_YET, zero)
 
     def step(
         self,
@@ -103,8 +105,14 @@ class CooledSite:
         begun_kw = namespace(p_kw).where(own.cooling_end_kw < 0.0, steady_kw, own.cooling_end_kw)
         left, mean = _left(self.settings.time_constant_s, dt_s)
         cooling_kw = steady_kw + mean * (begun_kw - steady_kw)
-        after = CoolingState(p_kw, cooling_kw, steady_kw + left * (begun_kw - steady_kw))
-        return after, site, p_kw + cooling_kw + self.settings.auxiliary_share * params.p_rated_kw
+        auxiliary_kw = 0.0 * p_kw + self.settings.auxiliary_share * params.p_rated_kw
+        after = CoolingState(p_kw, cooling_kw, steady_kw + left * (begun_kw - steady_kw), auxiliary_kw)
+        return after, site, p_kw + cooling_kw + auxiliary_kw
+
+    def with_supply(self, own: CoolingState, share: Array) -> CoolingState:
+        """The state where this share of the draw is supplied, (lane, slot)."""
+        drawn = (own.computing_kw * share, own.cooling_kw * share, own.cooling_end_kw, own.auxiliary_kw * share)
+        return CoolingState(*drawn)
 
     def observe(self, params: DataCenterParams, own: CoolingState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
@@ -120,8 +128,7 @@ class CooledSite:
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: CoolingState, dt_s: float) -> dict[str, float]:
         """Energy of cooling, and the power usage effectiveness of all sites over the episode."""
-        computing, cooling = own.computing_kw[1:].sum(), own.cooling_kw[1:].sum()
-        rest = self.settings.auxiliary_share * float(params.p_rated_kw.sum()) * len(own.cooling_kw[1:])
+        computing, cooling, rest = (kw[1:].sum() for kw in (own.computing_kw, own.cooling_kw, own.auxiliary_kw))
         pue = (computing + cooling + rest) / computing if computing > 0.0 else 1.0
         return {"cooling_kwh": cooling * dt_s / 3600.0, "pue": pue}
 

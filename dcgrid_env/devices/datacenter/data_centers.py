@@ -148,6 +148,11 @@ class DataCenters(PickledByFields):
         """Highest draw as a share of the rating."""
         return self.cooling.largest_draw_share(self.boost_share) if self.cooling else self.boost_share
 
+    @property
+    def largest_export_share(self) -> float:
+        """Highest power that a site gives to the grid, as a share of the rating: where a storage stands behind it."""
+        return 0.0 if self.storage is None else 1.0
+
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
         """Clock, then reactive power, then those of the features."""
@@ -181,7 +186,9 @@ class DataCenters(PickledByFields):
         """Work that waits, work that is left over, the movement of the clock, and what the features are charged for."""
         rated = self.parameters.p_rated_kw
         of_all = float(rated.sum()) or 1.0
-        queued = (self.boost_share - self.idle_share) * horizon * dt_s
+        # A site to which work is moved is given at most what it can serve beside its own.
+        arriving = self.boost_share - self.idle_share + (1.0 - self.idle_share) * bool(self.routing)
+        queued = arriving * horizon * dt_s
         one = np.ones_like(rated)
         return (
             CostTerm("backlog", "backlog_kws", rated, of_all, queued),

@@ -47,7 +47,7 @@ def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:
 
 CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     **{field: partial(with_path, field, from_mapping, kind) for field, kind in SETTINGS.items()},
-    "ride_through": partial(rule_of, UpsRideThrough),
+    "ride_through": partial(with_path, "ride_through", rule_of, UpsRideThrough),
 }
 """How settings are made of their plain form, a mapping of their fields, for each field."""
 
@@ -65,7 +65,7 @@ def check_settings(sites: Any) -> None:
         if hasattr(given, "check_sites"):
             with_path(name, given.check_sites, sites.count, sites.idle_share)
         if hasattr(given, "check_slots"):
-            given.check_slots(sites.count)
+            with_path(name, given.check_slots, sites.count)
     if sites.storage is not None and sites.ride_through is not None:
         raise refuse(sites, "storage", "leave it out beside ride_through, or give Storages, agents of their own")
 
@@ -83,11 +83,11 @@ def features_of(sites: Any) -> tuple[SiteFeature, ...]:
     moves_late = sites.routing is not None and sites.routing.move_latency_s > 0.0
     features = (
         sites.routing and RoutedSites(sites.routing, sites.boost_share),
-        sites.batching and BatchedSites(sites.batching),
+        sites.batching and BatchedSites(sites.batching, sites.boost_share),
         sites.smoothing and SmoothedSite(sites.smoothing, sites.boost_share),
         sites.cooling and CooledSite(sites.cooling, sites.boost_share),
-        sites.ride_through and UpsSite(sites.ride_through),
+        sites.ride_through and UpsSite(sites.ride_through, sites.cooling),
         sites.storage,
-        sites.service and ServedSites(sites.service, moves_late),
+        sites.service and ServedSites(sites.service, moves_late, sites.boost_share),
     )
     return tuple(feature for feature in features if feature is not None)

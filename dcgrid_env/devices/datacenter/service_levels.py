@@ -85,12 +85,14 @@ class ServedSites(PassesBy):
     rule: ServiceLevels
     moves_late: bool = False
     """Whether work that was moved has a step less."""
+    boost_share: float = 1.0
+    """Highest draw of a site as a share of its rating."""
 
     amounts: ClassVar[tuple[str, ...]] = ("overdue_kws",)
 
     def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
         """What is overdue, and what is if nothing of it is served in the next step."""
-        rated, longest_s = params.p_rated_kw, 2.0 * horizon * dt_s
+        rated, longest_s = params.p_rated_kw, self._longest_s(horizon, dt_s)
         return (
             Field("overdue", "s at the rating", 0.0, longest_s, rated),
             Field("due_next", "s at the rating", 0.0, longest_s, rated),
@@ -100,7 +102,15 @@ class ServedSites(PassesBy):
         """What is overdue."""
         rated = params.p_rated_kw
         of_all = float(rated.sum()) or 1.0
-        return (CostTerm("late", "overdue_kws", rated, of_all, 2.0 * horizon * dt_s, weight=self.rule.late_weight),)
+        return (
+            CostTerm(
+                "late", "overdue_kws", rated, of_all, self._longest_s(horizon, dt_s), weight=self.rule.late_weight
+            ),
+        )
+
+    def _longest_s(self, horizon: int, dt_s: float) -> float:
+        """Most work of a site that can be overdue, s at the rating: its own, and as much again from other sites."""
+        return (self.boost_share + 1.0) * horizon * dt_s
 
     def initial(self, params: DataCenterParams, zero: Array) -> ServiceState:
         """Empty queues, which need one bin alone."""

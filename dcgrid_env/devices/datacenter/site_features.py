@@ -97,7 +97,9 @@ class SiteFeature(Protocol):
     """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (lane, slot, ..).
 
     One that acts on the work before it is served is an ``AdmittingFeature``. One with a class attribute
-    ``looks_ahead = True`` has the work of the coming interval as a third argument of ``observe``.
+    ``looks_ahead = True`` has the work of the coming interval as a third argument of ``observe``; one with
+    ``accounts_last = True`` steps behind the others. One that draws power itself has ``with_supply``: from its state
+    and the share of the site's draw that grid and battery supply, (lane, slot), to its state.
     """
 
     amounts: ClassVar[tuple[str, ...]]

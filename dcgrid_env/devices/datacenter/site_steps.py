@@ -35,6 +35,12 @@ class SiteSteps:
         ends = np.cumsum([1, *(len(feature.channels(parameters)) for feature in features)]).tolist()
         self.channels_at = tuple(map(slice, ends[:-1], ends[1:]))
         """Where the setpoints of each feature stand, behind the clock's."""
+        # What accounts for work served does so behind all that may put work back into the queue.
+        self.order = sorted(range(len(features)), key=lambda i: getattr(features[i], "accounts_last", False))
+        """The order in which features act on what was served."""
+        drawing = tuple(i for i, feature in enumerate(features) if hasattr(feature, "with_supply"))
+        self.drawing = {i: drawing for i, feature in enumerate(features) if drawing and hasattr(feature, "supplied")}
+        """The features that draw power themselves, by the one that may leave them without."""
         self.admitting = tuple(i for i, feature in enumerate(features) if hasattr(feature, "admit"))
         """The features that act on work before it is served."""
 
@@ -61,9 +67,12 @@ class SiteSteps:
             site, p_kw = self._admitted(params, state.site, setpoints[0], load, dt_s)
         else:
             site, p_kw = self.plain(params, state.site, setpoints[0], given.work, dt_s)
-        for i, feature in enumerate(self.features):
+        for i in self.order:
             set_to = setpoints[self.channels_at[i]]
-            owns[i], site, p_kw = feature.step(params, owns[i], site, p_kw, set_to, given, dt_s)
+            before_kw = p_kw
+            owns[i], site, p_kw = self.features[i].step(params, owns[i], site, p_kw, set_to, given, dt_s)
+            for j in self.drawing.get(i, ()):
+                owns[j] = self.features[j].with_supply(owns[j], self.features[i].supplied(owns[i], before_kw))
         return SiteState(*site, tuple(owns)), p_kw
 
     def _admitted(

@@ -138,6 +138,10 @@ class SmoothedSite:
         )
         return after, with_share_served(site, share, dt_s), smoothed_kw
 
+    def with_supply(self, own: SmoothingState, share: Array) -> SmoothingState:
+        """The state where this share of the draw is supplied, (lane, slot): nothing else is burnt."""
+        return own._replace(burnt_kw=own.burnt_kw * share)
+
     def observe(self, params: DataCenterParams, own: SmoothingState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         held_kw = namespace(own.quiet_s).where(self._held(own), own.floor_kw, 0.0 * own.floor_kw)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
 from dcgrid_env.devices.device import Channel, CostTerm, Field
@@ -32,6 +33,8 @@ class UpsSite:
     """Sites behind a UPS with this rule."""
 
     rule: UpsRideThrough
+    cooling: Cooling | None = None
+    """What the sites draw beside their computers, which the UPS carries too."""
 
     amounts: ClassVar[tuple[str, ...]] = ("tripped", "away", "missing_kws")
 
@@ -61,9 +64,8 @@ class UpsSite:
         rule, rated_kw = self.rule, params.p_rated_kw
         one, slots = np.ones_like(rated_kw), float(max(len(rated_kw), 1))
         of_all = float(rated_kw.sum()) or 1.0
-        missing = CostTerm(
-            "recharge", "missing_kws", rated_kw, of_all, rule.battery_s, at_end=True, weight=rule.missing_weight
-        )
+        most = rule.battery_s * self._site_share
+        missing = CostTerm("recharge", "missing_kws", rated_kw, of_all, most, at_end=True, weight=rule.missing_weight)
         return (
             CostTerm("trips", "tripped", one, slots, 1.0, weight=rule.trip_weight),
             CostTerm("away", "away", one, slots, 1.0, weight=rule.away_weight),
@@ -72,7 +74,7 @@ class UpsSite:
 
     def initial(self, params: DataCenterParams, zero: Array) -> UpsState:
         """Connected, with a full battery."""
-        full = zero + params.p_rated_kw * self.rule.battery_s
+        full = zero + self._full_kws(params)
         return UpsState(connection.initial(self.rule, zero), ups_battery.BatteryState(full, zero, zero, zero))
 
     def step(
@@ -95,19 +97,42 @@ class UpsSite:
             if supply.widths is not None:
                 pace = connection_surrogate.smoothed_pace(pace, rate, 1.0 / rule.walk_in_s, dt_s, supply.widths)
         ups = connection.advance(rule, own.ups, supply, pace, dt_s)
-        idle_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw)
+        idle_kw, rated_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw), params.p_rated_kw
+        if self.cooling is not None:
+            idle_kw = (1.0 + self.cooling.cooling_share) * idle_kw + self.cooling.auxiliary_share * rated_kw
+            rated_kw = rated_kw * self._site_share
         battery, grid_kw, works = ups_battery.step(
-            rule, own.battery.stored_kws, ups.share, p_kw, idle_kw, site.served_kw, params.p_rated_kw, dt_s
+            rule, own.battery.stored_kws, ups.share, p_kw, idle_kw, site.served_kw, rated_kw, dt_s
         )
+        if supply.available is not None:  # what a fault has taken already is not lost again, and recharges nothing
+            ups = ups._replace(tripped=ups.tripped * supply.available)
+            battery = ups_battery.without_grid(rule, battery, supply.available, dt_s)
         ups = ups._replace(lost_kw=ups.tripped * own.ups.share * p_kw)
         return UpsState(ups, battery), with_share_served(site, works, dt_s), grid_kw
+
+    def supplied(self, own: UpsState, p_kw: Array) -> Array:
+        """Share of what the sites would draw, ``p_kw``, that grid and battery have supplied, (lane, slot)."""
+        xp, one = namespace(p_kw), 0.0 * p_kw + 1.0
+        some = p_kw > 0.0
+        share = (own.ups.share * p_kw + own.battery.battery_kw) / xp.where(some, p_kw, one)
+        return xp.where(some, xp.minimum(share, one), one)
+
+    @property
+    def _site_share(self) -> float:
+        """Rating of a site as a share of that of its computers."""
+        return 1.0 if self.cooling is None else self.cooling.pue_at_rating
+
+    def _full_kws(self, params: DataCenterParams) -> Array:
+        """Energy of each full battery, kW s."""
+        full = params.p_rated_kw * self.rule.battery_s
+        return full if self.cooling is None else full * self._site_share
 
     def observe(self, params: DataCenterParams, own: UpsState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         ups, rule = own.ups, self.rule
         recent = connection.younger(ups.event_age_s, rule.lockout_window_s)
         returns = connection.younger(ups.return_age_s, 60.0)
-        full = params.p_rated_kw * rule.battery_s
+        full = self._full_kws(params)
         stored = own.battery.stored_kws / full if rule.battery_s > 0.0 else 0.0 * ups.share
         return ups.share, ups.locked, recent, returns, connection.timer_share(rule, ups), ups.wait_s, stored
 
@@ -117,7 +142,7 @@ class UpsSite:
             return own.ups.tripped
         if name == "away":
             return 1.0 - own.ups.share
-        return params.p_rated_kw * self.rule.battery_s - own.battery.stored_kws
+        return self._full_kws(params) - own.battery.stored_kws
 
     def totals(self, own: UpsState) -> dict[str, Array]:
         """Trips and draw lost in the step, sites that are away or locked out, and the draw from batteries."""
@@ -132,7 +157,7 @@ class UpsSite:
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: UpsState, dt_s: float) -> dict[str, float]:
         """Figures of an episode, see ``engine.metrics``."""
-        ups, battery, full_kws = own.ups, own.battery, params.p_rated_kw * self.rule.battery_s
+        ups, battery, full_kws = own.ups, own.battery, self._full_kws(params)
         gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1))
         lost_kw = ups.lost_kw[1:].sum(axis=1)
         return {

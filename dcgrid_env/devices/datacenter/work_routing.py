@@ -88,9 +88,11 @@ class RoutedSites(PassesBy):
         """The site's share of the work now, and what arrives at all sites next."""
         one = np.ones(len(params.p_rated_kw))
         all_kw = one * (float(params.p_dynamic_kw.sum()) or 1.0)
+        idle_share = float((params.p_idle_kw / params.p_rated_kw).max(initial=0.0))
+        most = (self.boost_share - idle_share) / (1.0 - idle_share)
         return (
             Field("work_share", "share of the work at all sites", 0.0, 1.0, one),
-            Field("work_next_all", "share of all sites' dynamic power", 0.0, 4.0, all_kw, of_preview=True),
+            Field("work_next_all", "share of all sites' dynamic power", 0.0, most, all_kw, of_preview=True),
         )
 
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:

@@ -41,6 +41,8 @@ class Supply(NamedTuple):
     the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
     widths: connection_surrogate.TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
+    available: Array | None = None
+    """1 where a fault has left the device on the grid and 0 where not, (lane, slot); None where all are."""
 
 
 class ConnectionState(NamedTuple):

@@ -40,6 +40,8 @@ def step(
     """Inject what the schedule says, as far as it is connected, see ``Device.step``."""
     before = state.connection
     after = connection.advance(rule, before, supply, connection.by_rule(rule, dt_s), dt_s)
+    if supply.available is not None:  # what a fault has taken already is not lost again
+        after = after._replace(tripped=after.tripped * supply.available)
     after = after._replace(lost_kw=-after.tripped * before.share * supply.given)
     return RidingInverterState(after), -after.share * supply.given
 

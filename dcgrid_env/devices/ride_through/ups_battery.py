@@ -98,6 +98,15 @@ def step_arrays(
     return BatteryState(xp.minimum(after, full), battery_kw, recharge, work), share * p_kw + recharge, works
 
 
+def without_grid(rule: UpsRideThrough, state: BatteryState, available: Array, dt_s: float) -> BatteryState:
+    """The state where a fault has taken the site from the grid, ``available`` 0: nothing has been recharged."""
+    undone_kw = state.recharge_kw * (1.0 - available)
+    return state._replace(
+        stored_kws=state.stored_kws - rule.charge_efficiency * dt_s * undone_kw,
+        recharge_kw=state.recharge_kw - undone_kw,
+    )
+
+
 @cache
 def _kernel() -> Any:
     """The compiled form, imported on first use: it brings the compiler with it."""
