@@ -65,8 +65,7 @@ def _score(cell):
 
 
 def test_scores_are_those_of_the_document():
-    pages = ("benchmark.md", "benchmark-3ph.md", "benchmark-storage.md", "benchmark-ride-through.md")
-    documents = [(ROOT / "docs" / name).read_text() for name in pages]
+    documents = [page.read_text() for page in sorted((ROOT / "docs").glob("benchmark*.md"))]
     parts = [part for document in documents for part in document.split("\n## ")[2:]]
     by_scenario = {part.partition(":")[0]: part for part in parts}
     assert set(scores()) == set(by_scenario) == set(dcgrid_env.PRESETS)

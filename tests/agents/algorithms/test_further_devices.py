@@ -13,9 +13,10 @@ from dcgrid_env.agents.training import sb3
 from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.riding import ride_through_34
+from helpers.routing import routed
 from helpers.storages import toy6_storage
 
-SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20)}
+SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20), "routing": routed(horizon=20)}
 given = pytest.mark.parametrize("name", SCENARIOS)
 views = pytest.mark.parametrize("view", ["shared", "centralised"])
 
