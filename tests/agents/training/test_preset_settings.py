@@ -41,7 +41,8 @@ def test_settings_are_fields_that_differ_from_the_defaults(algorithm, scenario):
     plain, found = kind(algorithm)(), settings(algorithm, scenario)
     assert found
     for field, value in found.items():
-        assert type(value) is type(getattr(plain, field))
+        default = getattr(plain, field)
+        assert default is None or type(value) is type(default)
         assert value != getattr(plain, field)
 
 
