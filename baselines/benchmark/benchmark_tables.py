@@ -39,7 +39,7 @@ LEGEND = (
 )
 
 IS_NO_BOUND = (
-    "Where sites trip there is no linear program: a score of 1 is the best known cost of each episode, found by a "
+    "There is no linear program of this scenario: a score of 1 is the best known cost of each episode, found by a "
     "search of that episode and by controllers. It is no bound, and may be beaten."
 )
 

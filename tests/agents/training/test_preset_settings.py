@@ -9,6 +9,7 @@ import tyro
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+from dcgrid_env.agents.shipping import without_horizon
 from dcgrid_env.agents.training.preset_settings import _all, settings
 from dcgrid_env.cli.train import ALGORITHMS, shipped_settings
 
@@ -24,6 +25,9 @@ def kind(algorithm):
 def test_the_plain_command_of_a_card_means_all_that_the_policy_was_made_with(name):
     """The weights hold the command as it was given, most with every setting; the card's one line is the same run."""
     card, made_with = Card.load(FOLDER / f"{name}.json"), shlex.split(Policy.load(name).made_with)
+    if card.scenario != without_horizon(card.scenario):  # on shorter episodes: the card's line has every option
+        assert shlex.split(card.command) == made_with
+        return
     assert card.command == f"dcgrid train {card.algorithm} --scenario {card.scenario} --seed {card.seed}"
     assert made_with[:3] == ["dcgrid", "train", card.algorithm]
     # What the settings were called when the weights were made stays in their files, byte for byte.
