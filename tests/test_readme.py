@@ -65,9 +65,8 @@ def _score(cell):
 
 
 def test_scores_are_those_of_the_document():
-    documents = [
-        (ROOT / "docs" / name).read_text() for name in ("benchmark.md", "benchmark-3ph.md", "benchmark-storage.md", "benchmark-routing.md")
-    ]
+    names = ("benchmark.md", "benchmark-3ph.md", "benchmark-storage.md", "benchmark-routing.md")
+    documents = [(ROOT / "docs" / name).read_text() for name in names]
     parts = [part for document in documents for part in document.split("\n## ")[2:]]
     by_scenario = {part.partition(":")[0]: part for part in parts}
     assert set(scores()) == set(by_scenario) == set(dcgrid_env.PRESETS)

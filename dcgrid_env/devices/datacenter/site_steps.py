@@ -64,7 +64,7 @@ class SiteSteps:
         for i, feature in enumerate(self.features):
             set_to = setpoints[self.channels_at[i]]
             owns[i], site, p_kw = feature.step(params, owns[i], site, p_kw, set_to, given, dt_s)
-        return SiteState(*site, tuple(owns)), p_kw
+        return SiteState._make((*site, tuple(owns))), p_kw
 
     def _admitted(
         self, params: DataCenterParams, state: DataCenterState, f_mhz: Array, load: Load, dt_s: float
