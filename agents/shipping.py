@@ -102,7 +102,7 @@ def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
     if not name or Path(name).name != name or Path(name).suffix:
         raise PolicyError(f"name is {name!r}; give a plain name without folder or suffix")
     preset = preset_of(name)
-    if preset and preset != cards[0].scenario:
+    if preset and preset != without_horizon(cards[0].scenario):
         raise PolicyError(f"name is {name!r}, the policy was trained on {cards[0].scenario}; name it after that")
     for card, folder in zip(cards, folders, strict=True):
         for field in ("algorithm", "scenario", "version"):
@@ -115,6 +115,12 @@ def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
     twice = [card.seed for card in cards if sum(other.seed == card.seed for other in cards) > 1]
     if twice:
         raise PolicyError(f"folders: seed {twice[0]} is there twice; give each run once")
+
+
+def without_horizon(trained_on: str) -> str:
+    """The preset that a training names, where its episodes were of another length and all else was the preset's."""
+    preset, said, rest = trained_on.partition(" --set horizon=")
+    return preset if said and rest.isdigit() else trained_on
 
 
 def _check_settings(folders: Sequence[Path]) -> None:

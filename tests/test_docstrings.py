@@ -17,7 +17,6 @@ ONE_IDEA = {
     "hindsight": {"baselines/model_based/hindsight.py", "dcgrid_env/cli/hindsight.py"},
     "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
-    "best_known": {"baselines/tuning/best_known.py", "dcgrid_env/cli/best_known.py"},
     "sag_study": {"agents/studies/sag_study.py", "dcgrid_env/cli/sag_study.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},

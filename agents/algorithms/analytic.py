@@ -154,7 +154,7 @@ class Learner:
                 joint = step.observation
                 total = total + self._priced(env, step)
                 waited = waited + step.state.backlog_kws.detach().sum(-1)
-                arrived = arrived + step.state.arrived_kw.sum(-1)
+                arrived = arrived + step.state.arrived_kw.detach().sum(-1)
                 excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.weights.violation or 1.0)
             assert step is not None
             loss = (total + self._left(env, step)) / size

@@ -106,8 +106,13 @@ def sag_study(
     if best:
         known = [record for record in best if record["seed"] < episodes]
         every.append((BEST_KNOWN, list(replayed(test, known, find_controller))))
-    driven = tuple(_driven(name, of_name, seed, load_kw) for name, of_name in every)
+    driven = tuple(sorted((_driven(name, of_name, seed, load_kw) for name, of_name in every), key=_cost))
     return SagStudy(test, episodes, seed, load_kw, sag_times(test, seed), driven)
+
+
+def _cost(one: Driven) -> float:
+    """What controllers are put in the order of, the dearest first: J."""
+    return -one.figures[0]
 
 
 def _driven(name: str, recorders: Sequence[tuple[Sequence[int], Recorder]], seed: int, load_kw: float) -> Driven:

@@ -30,8 +30,9 @@ COLUMNS = tuple(
 """Columns that are means over episodes."""
 
 LEGEND = (
-    f"Score: 0 is {REFERENCE}, 1 is perfect foresight; mean(J_ref - J) / mean(J_ref - J_hindsight) over the same test "
-    "episodes. In parentheses its 95 % paired bootstrap interval, and that of the paired difference of J.",
+    f"Score: 0 is {REFERENCE}, 1 is perfect foresight, or where a table says so the best known; mean(J_ref - J) / "
+    "mean(J_ref - J_hindsight) over the same test episodes. In parentheses its 95 % paired bootstrap interval, and "
+    "that of the paired difference of J.",
     "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
     "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
     "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dcgrid_env.cli.command import Command
@@ -20,9 +20,11 @@ class Sags(Command):
 
     scenario: str = "ride-through"
     """Name of a preset with sags and sites that leave (dcgrid list)."""
-    controllers: str = "none,return-by-hand,staggered-return,staggered-return-tuned"
+    controllers: str = "none,return-by-hand,staggered-return,staggered-return-tuned,ride-through-analytic"
     """Controllers separated by commas, a column of the figure each; the best known stands behind them where it is
     known of all episodes."""
+    beside: str = "droop-tuned,ride-through-ppo"
+    """Controllers that stand in the table alone, separated by commas, none for the empty text."""
     episodes: int = 100
     """Number of test episodes: seeds 0, 1, .."""
     seed: int = 1
@@ -48,8 +50,10 @@ class Sags(Command):
         every = known is not None and known.is_best_known and not known.missing(range(self.episodes))
         with working(console, f"{self.episodes} test episodes of {name}"):
             best = records(test, FOLDER) if every else ()
-            study = sag_study(name, split_names(self.controllers), self.episodes, self.seed, best)
-        write_figure(self.out / "images" / "sag-study.png", sag_figure(study), dpi=110)
+            beside = split_names(self.beside)
+            study = sag_study(name, [*split_names(self.controllers), *beside], self.episodes, self.seed, best)
+        drawn = replace(study, driven=tuple(one for one in study.driven if one.name not in beside))
+        write_figure(self.out / "images" / "sag-study.png", sag_figure(drawn), dpi=110)
         write_text(self.out / "sag-study.md", markdown(study, meta()["command"], "images/sag-study.png"))
         console.print(table(study).rich(console.width))
         say(console, f"wrote {self.out / 'sag-study.md'} and {self.out / 'images' / 'sag-study.png'}")

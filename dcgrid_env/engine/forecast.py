@@ -52,7 +52,8 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
             capacitors.append(outside.capacitor_on[0])
     columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
     capacitor_on = np.array(capacitors[1:]) if capacitors else None
-    return Forecast(drawn.buses[0], *columns, capacitor_on, drawn.sag[0] if scenario.sags else None)
+    sags = drawn.sag[0] if scenario.sags else None
+    return Forecast(drawn.buses[0], *columns, capacitor_on=capacitor_on, sags=sags)
 
 
 def sag_times(scenario: Scenario, seed: int) -> np.ndarray:

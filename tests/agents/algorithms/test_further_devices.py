@@ -13,9 +13,10 @@ from dcgrid_env.agents.training import sb3
 from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.riding import ride_through_34
+from helpers.routing import routed
 from helpers.storages import toy6_storage
 
-SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20)}
+SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20), "routing": routed(horizon=20)}
 given = pytest.mark.parametrize("name", SCENARIOS)
 views = pytest.mark.parametrize("view", ["shared", "centralised"])
 
@@ -132,4 +133,4 @@ def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
     assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)
     for given, outputs in ((2.0, "setpoint"), (0.0, "droop")):
         with pytest.raises(ValueError, match=rf"further_begin is {given}; give -1 to 1, with outputs = 'setpoint'"):
-            ppo.main(ppo.Ppo(further_begin=given, outputs=outputs, out=tmp_path))
+            ppo.main(ppo.Ppo(further_begin=given, outputs=outputs, out=tmp_path))  # pyright: ignore[reportArgumentType]

@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -187,7 +188,8 @@ def test_a_later_field_of_storages_at_its_default_changes_no_hash(monkeypatch):
     assert set(fingerprint.SCHEMA_1[Storages].fields) == {field.name for field in dataclasses.fields(Storages)}
     monkeypatch.setitem(fingerprint.SCHEMA_1, _LaterStorages, fingerprint.SCHEMA_1[Storages])
     scenario = make_scenario("ieee33-weak-ups", split="test")
-    *others, storages = scenario.devices
+    *others, _ = scenario.devices
+    storages: Any = scenario.part("storage")
     given = {field.name: getattr(storages, field.name) for field in dataclasses.fields(storages)}
     assert scenario_hash(scenario.replace(devices=(*others, _LaterStorages(**given)))) == scenario_hash(scenario)
     other = scenario.replace(devices=(*others, _LaterStorages(**given, ramp_kw_per_s=10.0)))

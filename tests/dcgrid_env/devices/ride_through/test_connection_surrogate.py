@@ -1,5 +1,7 @@
 """The surrogate of trips and returns: values as without it, slopes that point where they should."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -29,6 +31,7 @@ def driven(widths):
         shares.append(step.state.devices[0].ups.share.detach())
         total = total + step.cost_j.mean()
     total.backward()
+    assert more.grad is not None
     return torch.stack(costs), torch.stack(shares), more.grad
 
 
@@ -41,7 +44,7 @@ def test_every_value_is_as_without_it_and_the_derivative_another():
     assert not torch.allclose(exact[2], smooth[2], rtol=0.01)
 
 
-def after(v, share, rate=0.0, sags=None, wait_s=3.0, timer_s=0.0):
+def after(v, share, rate: Any = 0.0, sags=None, wait_s=3.0, timer_s=0.0):
     """The state of one site after a step from a share, under a voltage, with a rate of return."""
     before = connection.initial(RULE, torch.zeros(1, 1))._replace(
         share=share, wait_s=torch.full((1, 1), wait_s), timer_s=torch.full((1, 1, 6), timer_s)
