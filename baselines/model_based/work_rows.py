@@ -45,7 +45,7 @@ class WorkRows:
     def __init__(self, scenario: Scenario, arrived_kw: np.ndarray, available: np.ndarray) -> None:
         group = scenario.part("datacenter")
         self.routing = getattr(group, "routing", None) if group.count else None
-        self.service = getattr(group, "service", None) if group.count else None
+        self.service: Any = getattr(group, "service", None) if group.count else None
         self.steps, self.n = arrived_kw.shape
         self.dt_s, self.arrived_kw = scenario.dt_s, arrived_kw
         self.rated_kw = float(scenario.datacenter.p_rated_kw.sum()) or 1.0
@@ -118,14 +118,9 @@ class WorkRows:
         return parts
 
     def _last(self, steps: int) -> Any:
-        """What sums over so many steps up to each, and over all where there are fewer."""
-        steps = min(steps, self.steps)
-        window = (
-            sparse.diags([1.0] * steps, [-k for k in range(steps)], shape=(self.steps, self.steps))
-            if steps
-            else (sparse.csr_matrix((self.steps, self.steps)))
-        )
-        return sparse.kron(window, sparse.identity(self.n), format="csr")
+        """What sums over so many steps up to each."""
+        window = np.tri(self.steps) - np.tri(self.steps, k=-steps)
+        return sparse.kron(sparse.csr_matrix(window), sparse.identity(self.n), format="csr")
 
     def route(self, net: np.ndarray) -> np.ndarray:
         """Setpoints of the channel ``route`` by which sites receive so much more than they send, kW, (T, n_dc)."""

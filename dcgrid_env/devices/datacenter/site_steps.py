@@ -73,7 +73,7 @@ class SiteSteps:
             owns[i], site, p_kw = self.features[i].step(params, owns[i], site, p_kw, set_to, given, dt_s)
             for j in self.drawing.get(i, ()):
                 owns[j] = self.features[j].with_supply(owns[j], self.features[i].supplied(owns[i], before_kw))
-        return SiteState(*site, tuple(owns)), p_kw
+        return SiteState._make((*site, tuple(owns))), p_kw
 
     def _admitted(
         self, params: DataCenterParams, state: DataCenterState, f_mhz: Array, load: Load, dt_s: float

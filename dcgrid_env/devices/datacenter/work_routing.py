@@ -146,8 +146,9 @@ class RoutedSites(PassesBy):
             return given.available
         return ups.share if given.available is None else ups.share * given.available
 
-    def observe(self, params: DataCenterParams, own: RoutingState, given_next: Work) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, own: RoutingState, given_next: Work | None = None) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
+        assert given_next is not None  # which a feature that looks ahead is always given
         coming = positive_part(given_next.p_ref_kw - params.p_idle_kw)
         return own.work_share, 0.0 * coming + sum_last(coming)[..., None]
 

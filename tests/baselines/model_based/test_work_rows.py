@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import action_layout, make_scenario
-from dcgrid_env.baselines import NoControl, find_controller, make_controller, rollout
+from dcgrid_env.baselines import NoControl, RouteToStrongest, find_controller, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from helpers.routing import routed
 
@@ -75,4 +75,4 @@ def test_the_rule_sends_work_to_the_strongest_bus():
     with pytest.raises(ValueError, match="route-to-strongest: the sites of scenario 'ieee33' have no channel 'route'"):
         rollout(make_scenario("ieee33"), make_controller("route-to-strongest"), [0])
     with pytest.raises(ValueError, match="route-to-strongest: route_gain_per_pu is -1"):
-        type(law)(route_gain_per_pu=-1.0)
+        RouteToStrongest(route_gain_per_pu=-1.0)

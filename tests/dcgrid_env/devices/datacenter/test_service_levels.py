@@ -53,8 +53,9 @@ def test_kernel_arrays_and_tensors_agree(course, soon, more, share, by_deadline)
         at[2] = np.minimum(at[2], at[1] + queue.sum())
         figures = (1.0, soon, later, share, by_deadline)
         compiled = kernels().serve_by_slack(queue, *at, *figures)
-        plain = serve_by_slack(queue, *at, *figures)
-        tensors = serve_by_slack(torch.tensor(queue), *map(torch.tensor, at), *figures)
+        plain = serve_by_slack(queue, at[0], at[1], at[2], *figures)
+        on_tensors = [torch.tensor(values) for values in (queue, *at)]
+        tensors = serve_by_slack(on_tensors[0], on_tensors[1], on_tensors[2], on_tensors[3], *figures)
         for a, b, c in zip(compiled, plain, tensors, strict=True):
             assert b == pytest.approx(a, abs=1e-9)
             assert c.numpy() == pytest.approx(a, abs=1e-9)
