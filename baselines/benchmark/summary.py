@@ -149,5 +149,5 @@ def _why_no_score(droop: Sequence[float] | None, best: np.ndarray | None, episod
     if episodes < 2:
         return "an interval takes at least 2 episodes"
     if np.mean(droop - best) <= 0.0:
-        return f"hindsight, or the best known, (J {best.mean():.4f}) does not beat {REFERENCE} (J {np.mean(droop):.4f})"
+        return f"hindsight (J {best.mean():.4f}) does not beat {REFERENCE} (J {np.mean(droop):.4f})"
     return None

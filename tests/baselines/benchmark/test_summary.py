@@ -42,7 +42,9 @@ def episodes(costs, delay=0.0):
 
 
 def published(n=4, costs=BEST):
-    return SimpleNamespace(seeds=np.arange(n), J=np.array(costs[:n]), bound=np.array(costs[:n]) - 0.1)
+    return SimpleNamespace(
+        seeds=np.arange(n), J=np.array(costs[:n]), bound=np.array(costs[:n]) - 0.1, is_best_known=False
+    )
 
 
 def made(found=None, doubt=None, failures=None, **records):
