@@ -8,51 +8,57 @@ from helpers.riding import riding
 from helpers.storages import toy6_storage
 from helpers.three_phase import ieee13
 
-OF_REQUESTS = {name for name in METRICS if name.startswith(("requests", "ttft", "e2e"))}
-OF_THREE_PHASES = {"cost_unbalance", "cost_switching", "unbalance_mean_pct", "unbalance_max_pct"}
-OF_STORAGE = {name for name in METRICS if name.startswith("stor")} | {"cost_ageing", "cost_missing"}
-OF_THREE_PHASES |= {"nema_unbalance_max_pct", "tap_moves", "capacitor_switchings"}
-OF_LIMITS = {"cost_ramp_excess", "ramp_max_kw_per_s", "ramp_excess_pct"}
-OF_LIMITS |= {"cost_voltage_step_excess", "voltage_step_max_pu", "voltage_step_excess_pct"}
-OF_TENTHS = {"pst_max", "swing_share_max_pct", "swing_rms_max_pct"}
-"""What takes steps of 0.1 s for 600 s."""
+
+def named(*beginnings: str) -> set[str]:
+    return {name for name in METRICS if name.startswith(beginnings)}
+
+
 LIMITED = {
     "ramp_limit_kw_per_s": 10.0,
     "voltage_step_limit_pu": 0.02,
     "weights": {"ramp_excess": 1.0, "voltage_step_excess": 1.0},
 }
-OF_LEAVING = {name for name in METRICS if name.startswith(("ups", "inverter", "battery"))}
-OF_LEAVING |= {"cost_trips", "cost_inverter_trips", "cost_away", "cost_recharge", "voltage_after_loss_max_pu"}
+SITES = {f"datacenter_{name}": {} for name in ("smoothing", "cooling", "routing", "batching", "service")} | {
+    "datacenter_storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}
+}
+GROUPS = {
+    "requests": named("requests", "ttft", "e2e"),
+    "phases": named("unbalance", "nema", "tap_moves", "capacitor_switchings", "cost_unbalance", "cost_switching"),
+    "limits": named("ramp", "voltage_step_max", "voltage_step_excess", "cost_ramp", "cost_voltage_step"),
+    "tenths": named("pst", "swing"),
+    "storage": named("stor") | {"cost_ageing", "cost_missing"},
+    "leaving": named("ups", "inverter", "battery", "voltage_after_loss")
+    | {"cost_trips", "cost_inverter_trips", "cost_away", "cost_recharge"},
+    "smoothing": named("burnt", "held_back", "floor_mean", "cost_burnt"),
+    "cooling": named("cooling", "pue"),
+    "routing": named("moved", "cost_moving"),
+    "batching": named("batch", "cost_gathering"),
+    "service": named("in_time", "interactive", "deferrable", "lateness", "cost_late"),
+    "behind sites": named("site_", "cost_site_"),
+}
+"""Metrics that a scenario has or has not, together; tenths are steps of 0.1 s for 600 s."""
+OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind sites"}
 
 
 @pytest.mark.parametrize(
-    ("scenario", "without"),
+    ("scenario", "has"),
     [
-        (
-            make_scenario("toy6", horizon=3),
-            OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_STORAGE | OF_LEAVING,
-        ),
-        (
-            make_scenario("toy6", horizon=3, **LIMITED),
-            OF_REQUESTS | OF_THREE_PHASES | OF_TENTHS | OF_STORAGE | OF_LEAVING,
-        ),
-        (
-            make_scenario("toy6", horizon=6000, dt_s=0.1),
-            OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_STORAGE | OF_LEAVING,
-        ),
-        (
-            make_scenario("ieee33", horizon=3, trace="deepseek-v3"),
-            OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_STORAGE | OF_LEAVING,
-        ),
-        (ieee13().replace(horizon=3), OF_REQUESTS | OF_LIMITS | OF_TENTHS | OF_STORAGE | OF_LEAVING),
-        (toy6_storage(3), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_LEAVING),
-        (riding(horizon=3), OF_REQUESTS | OF_THREE_PHASES | OF_LIMITS | OF_TENTHS | OF_STORAGE),
+        (make_scenario("toy6", horizon=3), set()),
+        (make_scenario("toy6", horizon=3, **LIMITED), {"limits"}),
+        (make_scenario("toy6", horizon=6000, dt_s=0.1), {"tenths"}),
+        (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), {"requests"}),
+        (ieee13().replace(horizon=3), {"phases"}),
+        (toy6_storage(3), {"storage"}),
+        (riding(horizon=3), {"leaving"}),
+        (make_scenario("toy6", horizon=3, **SITES), OF_SITES),
     ],
-    ids=["balanced", "limits", "tenths of a second", "requests", "three phases", "storage", "leaving"],
+    ids=["balanced", "limits", "tenths of a second", "requests", "three phases", "storage", "leaving", "sites"],
 )
-def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, without):
+def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, has):
     own = rollout(scenario, NoControl(), [0]).metrics()[0]
+    without = set().union(*(names for group, names in GROUPS.items() if group not in has))
     assert set(own) == set(METRICS) - without
+    assert all(GROUPS.values())
     for name, metric in METRICS.items():
         assert metric.name == name
 
