@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from dcgrid_env import PowerSmoothing, Scenario, action_layout
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
-PROFILES: Mapping[str, Mapping[str, float]] = {
+PROFILES: Mapping[str, Mapping[str, Any]] = {
     "light": {"floor_share": 0.5, "ramp_up_w_per_s": 2400.0, "ramp_down_w_per_s": 2400.0},
     "strong": {"floor_share": 0.9, "ramp_up_w_per_s": 600.0, "ramp_down_w_per_s": 600.0},
 }

@@ -50,7 +50,8 @@ def test_net_loads(parts):
     p_load, q_load, p, q = (RNG.normal(0, 50, (lanes, k)) for k in (n, n, agents, agents))
     outside = Exogenous(p_load, q_load, p[:, :1], p[:, :1], nodes)
     ours = _net_loads(outside, p, q)
-    as_tensors = Exogenous(*(torch.tensor(x) for x in (p_load, q_load, p[:, :1], p[:, :1], nodes)))
+    tensors = [torch.tensor(x) for x in (p_load, q_load, p[:, :1], p[:, :1], nodes)]
+    as_tensors = Exogenous(tensors[0], tensors[1], tensors[2], tensors[3], tensors[4])
     theirs = _net_loads(as_tensors, torch.tensor(p), torch.tensor(q))
     for mine, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(mine, other.numpy())

@@ -1,6 +1,7 @@
 """Cooling and auxiliaries of sites: a lag that any step resolves exactly, within the bounds of what is observed."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def draws(scenario, steps):
 
 
 def test_the_lag_is_that_of_first_order_whatever_the_step():
-    site = CooledSite(Cooling(cooling_share=0.4, time_constant_s=7.0, auxiliary_share=0.0), 1.0)
+    site: Any = CooledSite(Cooling(cooling_share=0.4, time_constant_s=7.0, auxiliary_share=0.0), 1.0)
     params, none, energies = cooled().datacenter, np.zeros((1, 1)), []
     for dt_s in (0.5, 2.0, 20.0):
         own = site.step(params, site.initial(params, none), None, none + 500.0, (), None, dt_s)[0]

@@ -1,6 +1,7 @@
 """Episodes in which sites smooth their power: the same in every interface, nothing is lost, and nothing is free."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,8 +143,11 @@ def test_single_batch_and_tensors_agree_and_gradients_flow(smoothing):
     actions = rng.uniform(-1.0, 1.0, (s.horizon, action_layout(s).n)).astype(np.float32)
     one, batch, many = DcgridEnv(s), DcgridVectorEnv(2, s), parallel_env(s)
     tensors = TensorEnv(s, like=torch.empty(0, dtype=torch.float64))
-    one.reset(seed=7), batch.reset(seed=[6, 7]), many.reset(seed=7)
+    one.reset(seed=7)
+    batch.reset(seed=[6, 7])
+    many.reset(seed=7)
     tensors.reset([7])
+    info = {}
     kept = torch.tensor(actions, dtype=torch.float64, requires_grad=True)
     total = torch.zeros((), dtype=torch.float64)
     slices = action_layout(s).slices
@@ -162,12 +166,13 @@ def test_single_batch_and_tensors_agree_and_gradients_flow(smoothing):
         assert one.observation_space.contains(observed)
     assert {"burnt_kw", "held_back_kw", "cooling_kw", "cost_burnt"} <= set(info)
     total.backward()
-    assert torch.isfinite(kept.grad).all()
+    gradient: Any = kept.grad
+    assert torch.isfinite(gradient).all()
     if smoothing:
         for channel in ("floor", "ramp_up", "ramp_down"):
             at = action_layout(s).is_channel(channel)
-            assert kept.grad[:, at].abs().max() > 0.0, channel
-            assert (kept.grad[1:20, at] == 0.0).all(), channel  # held: what is set there has no effect
+            assert gradient[:, at].abs().max() > 0.0, channel
+            assert (gradient[1:20, at] == 0.0).all(), channel  # held: what is set there has no effect
 
 
 def test_observed_are_draw_floor_and_timer():
