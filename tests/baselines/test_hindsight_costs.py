@@ -108,6 +108,7 @@ def test_rules_of_return_lie_in_order_and_the_best_known_episode_can_be_driven_a
         assert recorder.costs().tolist() == pytest.approx([known[seed]["J"] for seed in seeds], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_smoothing_at_a_tuned_profile_lies_between_the_droop_and_the_best_known_which_can_be_driven_again():
     scenario = make_scenario("smoothing", split="test")
     rules = ("none", "droop-tuned", "smoothing-tuned")

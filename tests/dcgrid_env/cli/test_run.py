@@ -16,7 +16,11 @@ def run(tmp_path, *arguments):
     return json.loads((tmp_path / "results.json").read_text())
 
 
-@pytest.mark.parametrize("scenario", PRESETS)
+LONG = ("ieee123-3ph-day", "smoothing")
+"""Presets of more than a thousand steps."""
+
+
+@pytest.mark.parametrize("scenario", [pytest.param(s, marks=pytest.mark.slow) if s in LONG else s for s in PRESETS])
 def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
     results = run(tmp_path, "--scenario", scenario, "--episodes", "2", "--seed", "3", "--controllers", "none, droop")
     printed = capsys.readouterr().out
