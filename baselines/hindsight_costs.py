@@ -4,8 +4,8 @@ The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenar
 made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
 differs in any field has none of them.
 
-Where sites trip there is no linear program. What stands there in hindsight's place is the best that is known
-(``tuning.best_known``), in a file whose ``kind`` says so, and it bounds nothing.
+Where sites trip, or agents smooth their power, there is no linear program. What stands there in hindsight's place is
+the best that is known (``tuning.best_known``), in a file whose ``kind`` says so, and it bounds nothing.
 """
 
 from __future__ import annotations

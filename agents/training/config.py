@@ -46,7 +46,7 @@ class Training:
     num_envs: int = 128
     """Environments that are stepped at once, each with an episode of its own."""
     hidden: tuple[int, ...] = (64, 64)
-    """TripWidths of the hidden layers."""
+    """Widths of the hidden layers."""
     validation_episodes: int = 32
     """Episodes of the validation split that a policy is judged on."""
     validate_every: int = 10

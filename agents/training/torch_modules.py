@@ -28,7 +28,7 @@ class Perceptron(torch.nn.Module):
     n_out
         Width of the output.
     hidden
-        TripWidths of the hidden layers.
+        Widths of the hidden layers.
     """
 
     mean: torch.Tensor
@@ -73,7 +73,7 @@ class Monotone(torch.nn.Module):
     offsets
         Which heads have an offset.
     hidden
-        TripWidths of the context networks' hidden layers.
+        Widths of the context networks' hidden layers.
     """
 
     def __init__(

@@ -38,7 +38,7 @@ class Tune(Command):
 
     laws: str = "all"
     """Laws separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return, smoothing,
-    constant-q, placement; or all, of which those that a scenario has nothing for are left out."""
+    route-to-strongest, constant-q, placement; or all, of which those that a scenario has nothing for are left out."""
     scenarios: Scenarios = "all"
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""

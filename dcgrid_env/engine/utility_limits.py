@@ -84,8 +84,8 @@ def largest_ramp_excess(scenario: Scenario) -> float:
     limit = scenario.ramp_limit_kw_per_s
     if limit is None:
         return 0.0
-    sites = [device for device in scenario.devices if device.input == "workload"]
-    swings = [device.largest_draw_share + getattr(device, "largest_export_share", 0.0) for device in sites]
+    groups = [device for device in scenario.devices if device.input == "workload"]
+    swings = [group.largest_draw_share + getattr(group, "largest_export_share", 0.0) for group in groups]
     largest_kw = max(swings, default=0.0) * float(scenario.site_rated_kw.max(initial=0.0))
     return max(largest_kw / (ramp_steps(scenario) * scenario.dt_s) / limit - 1.0, 0.0)
 

@@ -24,7 +24,7 @@ _LIMIT: dict[str, Any] = {"color": "black", "linewidth": 1.1, "linestyle": (0, (
 _NAMED = 10
 """Data centres named in the legend at most."""
 _DIGIT_PT, _COMMA_PT, _PAD_PT = 5.8, 2.9, 8.0
-"""TripWidths on the axes, and what stands between figures, ticks and the axes' names, points."""
+"""Widths on the axes, and what stands between figures, ticks and the axes' names, points."""
 _NAME_PX = 33.5
 """Width of an axis's name in two lines."""
 

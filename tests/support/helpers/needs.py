@@ -4,13 +4,9 @@ from collections.abc import Callable
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
+from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
-
-
-def has_storage(scenario: Scenario) -> bool:
-    """Whether there are storages."""
-    return any(device.kind == "storage" and device.count for device in scenario.devices)
 
 
 def stays_connected(scenario: Scenario) -> bool:
@@ -26,11 +22,11 @@ def can_be_planned(scenario: Scenario) -> bool:
 
 def is_known_to_models(scenario: Scenario) -> bool:
     """Whether controllers with a model know all that is there; of storages hindsight alone knows."""
-    return can_be_planned(scenario) and not has_storage(scenario)
+    return can_be_planned(scenario) and not has_storages(scenario)
 
 
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
-    "peak-shaving": has_storage,
+    "peak-shaving": has_storages,
     "return-by-hand": has_return_channel,
     "staggered-return": has_return_channel,
     "smoothing": has_smoothing_channels,
