@@ -1,0 +1,52 @@
+"""What a scenario's grid may meet: loads, work and sun at moments drawn from its training episodes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env import Scenario, forecast
+
+FIRST_SEED = 1 << 44
+"""The training episodes that moments are drawn from begin at this seed, far from those that policies are trained on."""
+EPISODES = 48
+
+
+class OperatingPoints(NamedTuple):
+    """Moments of an operation without control, m of them; nothing of them depends on where agents stand."""
+
+    p_load_kw: np.ndarray
+    """Other loads, kW, (m, n_leg)."""
+    q_load_kvar: np.ndarray
+    """Other loads, kvar, (m, n_leg)."""
+    p_agent_kw: np.ndarray
+    """What each agent would draw, kW, an inverter's injection negative, (m, n_agent): data centres at the top clock with
+    nothing queued."""
+
+    @property
+    def sun(self) -> np.ndarray:
+        """What the inverters inject together, kW, (m,), by which moments are ordered by their sun."""
+        return np.maximum(-self.p_agent_kw, 0.0).sum(axis=1)
+
+
+def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
+    """Draw moments of the scenario's training split, the same for the same scenario.
+
+    Parameters
+    ----------
+    scenario
+        Data centres first and inverters behind them, see ``require_known_devices``.
+    count
+        How many moments, at the least.
+    """
+    training = scenario.replace(split="train")
+    rng = np.random.default_rng(0)
+    each = -(-count // EPISODES)
+    parts = []
+    for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
+        episode = forecast(training, seed)
+        steps = rng.choice(scenario.horizon, min(each, scenario.horizon), replace=False)
+        drawn = np.concatenate((episode.p_ref_kw, -episode.p_inverter_kw), axis=1)
+        parts.append((episode.p_load_kw[steps], episode.q_load_kvar[steps], drawn[steps]))
+    return OperatingPoints(*(np.concatenate(column) for column in zip(*parts, strict=True)))
