@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from dcgrid_env.engine.figures_by_parts import FiguresByParts
 from dcgrid_env.engine.metrics import Series
+from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import over_arrays
 from dcgrid_env.scenario.scenario import Scenario
 
-if TYPE_CHECKING:
-    from dcgrid_env.engine.simulation import Transition
-
-WHOLE_COURSE_BYTES = 512 * 2**20
+WHOLE_COURSE_BYTES = 256 * 2**20
 """Largest course that a run keeps whole; beyond, it is recorded in parts."""
 _PART_BYTES = 48 * 2**20
 _PART_STEPS = 16, 1024
@@ -61,8 +59,9 @@ class StreamingRecorder:
         self, scenario: Scenario, begun: Transition, sinks: Sequence[PartSink] = (), part_steps: int | None = None
     ):
         self.scenario, self.sinks = scenario, tuple(sinks)
-        lowest, highest = _PART_STEPS
-        self.part_steps = part_steps or int(np.clip(_PART_BYTES // transition_bytes(begun), lowest, highest))
+        values, arrays = _size(begun)
+        fitting = _PART_BYTES // (values + arrays * _ARRAY_BYTES)
+        self.part_steps = part_steps or int(np.clip(fitting, *_PART_STEPS))
         self._waiting = [begun]
         self._steps = 0
         lanes = len(begun.terminated)
@@ -109,18 +108,22 @@ class StreamingRecorder:
         self._part_length[:] = 0
 
 
-def transition_bytes(transition: Transition) -> int:
-    """Memory that a transition takes, bytes."""
+def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
+    """Memory that :class:`Recorder` takes for the whole course of an episode of each seed, bytes.
+
+    Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
+    """
+    values, arrays = _size(Simulation(scenario, 1).reset([seeds[0]]))
+    return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
+
+
+def _size(transition: Transition) -> tuple[int, int]:
+    """Bytes of the values of a transition, and the number of its arrays."""
     sizes: list[int] = []
 
     def measure(values: Any) -> Any:
-        sizes.append(getattr(values, "nbytes", 0) + _ARRAY_BYTES)
+        sizes.append(getattr(values, "nbytes", 0))
         return values
 
     over_arrays(measure, tuple(transition))
-    return sum(sizes)
-
-
-def too_long_to_keep(scenario: Scenario, begun: Transition) -> bool:
-    """Whether the course of the episodes that a reset has begun would take more than ``WHOLE_COURSE_BYTES``."""
-    return scenario.horizon * transition_bytes(begun) > WHOLE_COURSE_BYTES
+    return sum(sizes), len(sizes)

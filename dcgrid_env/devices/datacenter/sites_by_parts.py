@@ -73,9 +73,7 @@ class SitesByParts:
         figures = delay_figures(self._waiting.delays()) | self._combined.figures()
         if self.requests:
             whole = SimpleNamespace(**{name: np.concatenate(parts) for name, parts in self._kept.items()})
-            figures |= figures_of_requests(
-                self.params, self.clock_law, whole, self.dt_s, self.requests, self.latency_s
-            )
+            figures |= figures_of_requests(self.params, self.clock_law, whole, self.dt_s, self.requests, self.latency_s)
         for own in self._own:
             if own is not None:
                 figures |= own.figures()
