@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.rendering.banded_figure import long_figure
 from dcgrid_env.rendering.envelope import Envelope
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.figure_rows import Row, fit_voltages, phase_rows, storage_rows, voltages
-from dcgrid_env.rendering.long_figure import long_figure
 from dcgrid_env.scenario.scenario import Scenario
 
 MOST_NAMED = 10
