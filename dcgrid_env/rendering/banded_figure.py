@@ -18,7 +18,7 @@ from dcgrid_env.rendering.phase_curves import UNBALANCE, tap_looks
 from dcgrid_env.scenario.scenario import Scenario
 
 _MOST_NAMED = 10
-_TICKS_H = (1 / 60, 1 / 12, 1 / 6, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0, 24.0, 48.0, 168.0)
+_TICKS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0, 24.0, 48.0, 168.0)
 _MOST_TICKS = 9
 
 
