@@ -35,6 +35,8 @@ TRAINING = {"--updates": "1", "--num-envs": "2", "--validation-episodes": "2"}
 STEPS = {"--steps": "240", "--num-envs": "2", "--validation-episodes": "2"}
 SHORTER = {
     "dcgrid run": {"--episodes": "2"},
+    "dcgrid run --scenario ieee33-weak --horizon 86400": {"--horizon": "40"},
+    "dcgrid run --scenario ieee33-weak --horizon 1440": {"--horizon": "4"},
     "dcgrid benchmark": {"--episodes": "2", "--jobs": "1"},
     "dcgrid benchmark --controllers all": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
     "dcgrid benchmark --scenarios ieee33-weak,mixed": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
@@ -63,6 +65,7 @@ ELSEWHERE = {
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
+    "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
