@@ -97,7 +97,7 @@ class StreamingRecorder:
         return [own.figures() for own in self._figures]
 
     def _end_part(self) -> None:
-        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length)
+        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length.tolist())
         for own, part in zip(self._figures, parts, strict=True):
             if part is not None:
                 own.add(part)

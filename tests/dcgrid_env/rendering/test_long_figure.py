@@ -25,6 +25,7 @@ def test_intervals_hold_every_peak_and_mean(few):
     v, f = own.v_pu[1:, scenario.feeder.load_nodes], own.f_mhz
     cut = [slice(13 * i, min(13 * i + 13, 100)) for i in range(8)]
     spread, clocks = found.spread("v"), found.curves("f_mhz")
+    assert clocks is not None
     np.testing.assert_array_equal(spread.low, [v[c].min() for c in cut])
     np.testing.assert_array_equal(spread.high, [v[c].max() for c in cut])
     np.testing.assert_allclose(spread.quartiles, [np.percentile(v[c], (25, 50, 75)) for c in cut])
@@ -45,7 +46,10 @@ def test_parts_of_any_length_give_the_same_intervals(few):
     for begin in range(0, 100, 7):
         parts.add([type(series)(scenario, transitions[begin : begin + 8], 0)], begin)
     np.testing.assert_array_equal(parts.spread("v").low, whole.spread("v").low)
-    np.testing.assert_array_equal(parts.curves("backlog_kws").high, whole.curves("backlog_kws").high)
+    one, other = parts.curves("backlog_kws"), whole.curves("backlog_kws")
+    assert one is not None
+    assert other is not None
+    np.testing.assert_array_equal(one.high, other.high)
     np.testing.assert_array_equal(parts.t_s, whole.t_s)
 
 
