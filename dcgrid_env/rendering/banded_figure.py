@@ -146,7 +146,7 @@ def _mark_lowest(ax: Axes, scenario: Scenario, run: Envelope, per_unit_s: float,
     ax.annotate(
         f"lowest: {v_pu:.3f} at {node_words(scenario.feeder)[0]} {node}, {at:.2f} {unit}",
         (at, v_pu), xytext=(-8 if late else 8, -2), textcoords="offset points", fontsize=8, color="#A34700",
-        ha="right" if late else "left", va="center",
+        ha="right" if late else "left", va="center", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
     )  # fmt: skip
 
 
@@ -166,7 +166,8 @@ def _lines(
         if own is None:
             return
         n = own.mean.shape[1]
-        ax.fill_between(t, own.low.min(axis=1), own.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35)
+        if name != "tap":  # levels of their own each
+            ax.fill_between(t, own.low.min(axis=1), own.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35)
         begin = np.arange(0, len(t), run.intervals_a_mean)
         counts = np.diff(np.append(begin, len(t)))
         middle, mean = (np.add.reduceat(x, begin, axis=0) / counts[:, None] for x in (t[:, None], own.mean))
