@@ -146,7 +146,8 @@ def _mark_lowest(ax: Axes, scenario: Scenario, run: Envelope, per_unit_s: float,
     ax.annotate(
         f"lowest: {v_pu:.3f} at {node_words(scenario.feeder)[0]} {node}, {at:.2f} {unit}",
         (at, v_pu), xytext=(-8 if late else 8, -2), textcoords="offset points", fontsize=8, color="#A34700",
-        ha="right" if late else "left", va="center", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+        ha="right" if late else "left", va="center",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
     )  # fmt: skip
 
 
