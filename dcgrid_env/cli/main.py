@@ -35,7 +35,6 @@ VERSION = "--version"
 DEV = Group(
     "Make what ships with the package or stands in its documents, or the like for scenarios of your own.",
     {
-        "tune": Tune,
         "hindsight": HindsightValues,
         "best-known": BestKnownValues,
         "ship": Ship,
@@ -45,8 +44,9 @@ DEV = Group(
         "curves": Curves,
         "sags": Sags,
     },
+    moved={"tune": "dcgrid tune"},
 )
-"""What maintainers need, and who compares controllers on a scenario of their own."""
+"""What maintainers need, and who compares many controllers on a scenario of their own."""
 COMMANDS = Group(
     f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
     "shows the version.",
@@ -55,6 +55,7 @@ COMMANDS = Group(
         "benchmark": Benchmark,
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
+        "tune": Tune,
         "reproduce": Reproduce,
         "list": List,
         "traces": Group("Fetch, show and record power traces.", {"fetch": Fetch, "show": Show, "record": Record}),

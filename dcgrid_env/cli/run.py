@@ -57,7 +57,7 @@ class Run(Command):
     """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
     training follow it, decode hardly does)."""
     tuned: Path | None = None
-    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/run")
     """Folder for results.json, figure.png and, with --feeder, scenario.toml; made if it is not there."""
