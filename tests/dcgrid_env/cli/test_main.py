@@ -35,7 +35,7 @@ def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
     ("arguments", "message"),
     [
         (["show"], "there is no `dcgrid show`; it is `dcgrid traces show`"),
-        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, benchmark, train, "),
+        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, check, benchmark, train, "),
         (["dev", "nothing"], "`dcgrid dev` has no command 'nothing'; there are hindsight, "),
         (["dev", "tune", "--laws", "droop"], "there is no `dcgrid dev tune`; it is `dcgrid tune`"),
     ],
