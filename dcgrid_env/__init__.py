@@ -57,6 +57,7 @@ from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
 from dcgrid_env.scenario.scenario import Scenario
@@ -139,6 +140,7 @@ __all__ = [
     "register_device",
     "sag_times",
     "scenario_hash",
+    "scenario_on",
     "sensitivity",
     "sensitivity_between_agents",
     "sensitivity_to_agents",

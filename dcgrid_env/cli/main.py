@@ -12,6 +12,7 @@ from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
+from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
@@ -35,7 +36,6 @@ VERSION = "--version"
 DEV = Group(
     "Make what ships with the package or stands in its documents, or the like for scenarios of your own.",
     {
-        "tune": Tune,
         "hindsight": HindsightValues,
         "best-known": BestKnownValues,
         "ship": Ship,
@@ -45,16 +45,19 @@ DEV = Group(
         "curves": Curves,
         "sags": Sags,
     },
+    moved={"tune": "dcgrid tune"},
 )
-"""What maintainers need, and who compares controllers on a scenario of their own."""
+"""What maintainers need, and who compares many controllers on a scenario of their own."""
 COMMANDS = Group(
     f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
     "shows the version.",
     {
         "run": Run,
+        "check": Check,
         "benchmark": Benchmark,
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
+        "tune": Tune,
         "reproduce": Reproduce,
         "list": List,
         "traces": Group("Fetch, show and record power traces.", {"fetch": Fetch, "show": Show, "record": Record}),
