@@ -3,9 +3,10 @@
 Sizes are whole numbers of steps. A size carries if it breaks limits in no more seconds than are allowed, over all
 samples. It surely does not as soon as it breaks them in more seconds of some samples: between the largest size that is
 known to carry and the smallest that does not, sizes are therefore tried in the *critical* samples alone, those that
-came nearest to a limit before, and what is then the largest is tried in all. The next size is where the straight line
-between the margins at both ends passes zero (regula falsi), every third time the middle (bisection), so that a bent
-margin cannot hold it up. That a larger size breaks limits and a smaller one does not need not be so under a controller:
+came nearest to a limit before, and what is then the largest is tried in all. The next size is where the first
+straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end that
+stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a margin
+with a kink cannot hold it up. That a larger size breaks limits and a smaller one does not need not be so under a controller:
 at the end sizes of a coarse scan, below and above, are tried too.
 """
 
@@ -15,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.baselines.hosting_capacity.trial import Trial
+from dcgrid_env.baselines.hosting_capacity.trial import UNLIMITED, Trial
 
-CRITICAL = 8
-"""Samples at first among the critical ones."""
+CRITICAL = 6
+"""Samples that are critical as the nearest to each limit."""
 SCANNED = 2
 """Sizes of the scan below the result, and above it, that are tried."""
 
@@ -52,8 +53,10 @@ class BusSearch:
         self._every = np.arange(n_samples)
         self._top, self._allowed = top, allowed
         self._guess: int | None = min(max(guess, 1), top)
-        self._margins = {0: float(empty.margin.min())}
         self._low, self._high = 0, top + 1
+        self._at_low, self._at_high = empty.margins.min(axis=0), None
+        self._moved = 0
+        """Which end moved last, -1 the lower one, 1 the upper one."""
         self._tries = 0
         self.size = 0
         """The largest size that is known to carry in all samples."""
@@ -65,7 +68,8 @@ class BusSearch:
         """Sizes of the scan below the result that do not carry."""
         self.larger_carries: tuple[int, ...] = ()
         """Sizes of the scan above the result that carry."""
-        self._critical = np.argsort(empty.margin, kind="stable")[:CRITICAL]
+        self._empty = empty
+        self._critical = _worst(empty)
         self._scan, self._whole_scan = scan, False
         self._to_scan: list[int] | None = None
 
@@ -92,18 +96,21 @@ class BusSearch:
             self._take_scanned(request.size, fails, whole)
             return
         self._guess, self._tries = None, self._tries + 1
-        self._margins[request.size] = float(trial.margin.min())
         if fails:
-            self._high, self.beyond = request.size, trial
+            self.beyond = trial
             if self._low >= request.size:  # what carried in the critical samples does not in all
-                self._low = self.size
+                self._low, self._at_low = self.size, self.at_size.margins.min(axis=0)
+            elif self._moved == 1:
+                self._at_low = 0.5 * self._at_low
+            self._high, self._at_high, self._moved = request.size, trial.margins.min(axis=0), 1
         else:
-            self._low = request.size
             if whole:
                 self.size, self.at_size = request.size, trial
+            if self._moved == -1 and self._at_high is not None:
+                self._at_high = 0.5 * self._at_high
+            self._low, self._at_low, self._moved = request.size, trial.margins.min(axis=0), -1
         if whole:
-            worst = np.argsort(trial.margin, kind="stable")[:CRITICAL]
-            self._critical = np.union1d(self._critical, worst) if fails and request.size else worst
+            self._critical = np.union1d(self._critical, _worst(trial)) if fails else _worst(trial)
 
     def _take_scanned(self, size: int, fails: bool, whole: bool) -> None:
         assert self._to_scan is not None
@@ -119,13 +126,23 @@ class BusSearch:
     def _between(self) -> int:
         """The next size between the largest that may carry and the smallest that does not, or beyond the former."""
         low, high = self._low, self._high
-        at_low = self._margins[low]
-        if high > self._top:  # none has failed
-            first = self._margins[0]
-            slope = (first - at_low) / low if low else 0.0
-            reach = low + int(1.1 * at_low / slope) + 1 if slope > 0.0 else 2 * low
-            return min(max(reach, low + 1), 2 * low + 1, self._top)
-        at_high = self._margins[high]
-        if self._allowed or self._tries % 3 == 2 or at_high >= 0.0 or at_low <= 0.0:
+        if self._at_high is None:  # none has failed: as far as the margins' fall since size 0 lets expect, and a little
+            fall = (self._empty.margins.min(axis=0) - self._at_low) / max(low, 1)
+            reach = min(2.0 * low, float(_lengths(self._at_low, fall).min()))
+            return min(max(low + 1 + int(1.05 * reach), low + 1), self._top)
+        if self._allowed or self._tries % 4 == 3:
             return (low + high) // 2
-        return min(max(low + int((high - low) * at_low / (at_low - at_high)), low + 1), high - 1)
+        share = float(_lengths(self._at_low, self._at_low - self._at_high).min())
+        return min(max(low + int((high - low) * share), low + 1), high - 1) if share < 1.0 else (low + high) // 2
+
+
+def _worst(trial: Trial) -> np.ndarray:
+    """The samples that come nearest to each limit, of a trial of all of them."""
+    order = np.argsort(trial.margins, axis=0, kind="stable")[:CRITICAL]
+    return np.unique(order[:, (trial.margins < UNLIMITED).any(axis=0)])
+
+
+def _lengths(margins: np.ndarray, falls: np.ndarray) -> np.ndarray:
+    """Along which length each margin is used up if it falls so much in a unit; infinite where it does not fall."""
+    falling = falls > 1e-12
+    return np.where(falling, np.maximum(margins, 0.0) / np.where(falling, falls, 1.0), np.inf)

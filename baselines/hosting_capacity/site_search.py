@@ -11,7 +11,7 @@ from dcgrid_env import Feeder, Scenario, fcfs_delays
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
-from dcgrid_env.baselines.hosting_capacity.trial import LIMITS, OVERLOAD, Trial, run_trial
+from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, Trial, run_trial
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: T
         delay_p95_s=delays.p95_s if sited else 0.0,
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
-        margin=float(trial.margin.min()),
+        margin=trial.margin,
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
         larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
     )
@@ -132,12 +132,10 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: T
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
     """What a size breaks worst, and where."""
-    worst = int(np.argmin(beyond.margin))
-    kind, at, feeder = int(beyond.limit[worst]), int(beyond.at[worst]), scenario.feeder
-    if LIMITS[kind] == "no power flow solution":
-        return LIMITS[kind]
+    lane, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
+    at, feeder = int(beyond.at[lane, kind]), scenario.feeder
+    if beyond.margin <= COLLAPSED:
+        return "no power-flow solution"
     if kind == OVERLOAD:
-        ids = feeder.bus_ids
-        return f"{LIMITS[kind]} of {ids[feeder.parent[at]]}-{ids[at + 1]}"
-    word = "bus" if isinstance(feeder, Feeder) else "node"
-    return f"{LIMITS[kind]} at {word} {feeder.node_ids[at]}"
+        return f"overload of branch {feeder.bus_ids[feeder.parent[at]]}-{feeder.bus_ids[at + 1]}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"

@@ -31,7 +31,7 @@ MAX_BUSES = 64
 """Candidates at most unless buses are named."""
 LARGEST_SHARE = 3.0
 """The largest size that is tried, as a share of the feeder's base load, unless one is given."""
-_STEPS = 200
+_STEPS = 1000
 """About how many sizes there are up to the largest, unless the distance between them is given."""
 PEAK_HOUR = float(np.argmax(LOAD_PERCENT)) + 0.5
 """Hour of the day at which the other loads are at their peak."""
@@ -73,7 +73,7 @@ class Study:
     allowed_pct: float = 0.0
     """Share of the sampled seconds in which some bus or branch may be outside its limits, %."""
     tolerance_mw: float | None = None
-    """Distance between sizes: a capacity is a multiple of it. None: a round number near 1/200 of the largest size."""
+    """Distance between sizes: a capacity is a multiple of it. None: a round number near a thousandth of the largest size."""
     max_mw: float | None = None
     """The largest size that is tried; None: three times the feeder's base load, rounded."""
 

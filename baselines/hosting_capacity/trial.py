@@ -12,29 +12,35 @@ from dcgrid_env.baselines.rollout import as_driven, transitions
 
 COLLAPSED = -10.0
 """Margin where the power flow has no solution."""
+UNLIMITED = 1e6
+"""Margin where there is no limit, as of branches without a known rating."""
 _ROUNDING = 1e-9
 _VALUES = 4_000_000
 """Voltages of a batch that are kept at a time: larger ones run in parts."""
-LIMITS = ("undervoltage", "overvoltage", "overload", "no power flow solution")
-UNDERVOLTAGE, OVERVOLTAGE, OVERLOAD, NO_SOLUTION = range(4)
+LIMITS = ("undervoltage", "overvoltage", "overload")
+OVERLOAD = LIMITS.index("overload")
 
 
 class Trial(NamedTuple):
     """What a batch came to, by lane."""
 
-    margin: np.ndarray
-    """Least distance to a limit over the seconds that count, negative beyond it, (lane,): of a voltage as a share of
-    half the width between its limits, of a current as a share of its own."""
-    limit: np.ndarray
-    """Which of ``LIMITS`` that is, int, (lane,)."""
+    margins: np.ndarray
+    """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (lane, limit): of a voltage
+    as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
+    without a power-flow solution."""
     at: np.ndarray
-    """Where: position in ``node_ids``, or of the branch of an overload, int, (lane,)."""
+    """Where each of these was: position in ``node_ids``, or of the branch of an overload, int, (lane, limit)."""
     outside: np.ndarray
     """Steps that count in which some limit was broken, int, (lane,)."""
     arrived_kw: np.ndarray
     """Dynamic power that the added site's arriving work asked for in each step, kW, (lane, step)."""
     served_kw: np.ndarray
     """The same of work served."""
+
+    @property
+    def margin(self) -> float:
+        """Least distance of any lane to any limit."""
+        return float(self.margins.min())
 
     def of(self, lanes: Any) -> Trial:
         """Some of the lanes."""
@@ -66,36 +72,36 @@ def _run(
     seeds, options = site.lanes(buses, samples)
     steps = transitions(scenario, controller, seeds, name, options)
     next(steps)
-    margin, outside = np.full(lanes, np.inf), np.zeros(lanes, np.int64)
-    limit, at = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+    margins, at = np.full((lanes, len(LIMITS)), UNLIMITED), np.zeros((lanes, len(LIMITS)), np.int64)
+    outside, goes_on = np.zeros(lanes, np.int64), np.ones(lanes, bool)
     arrived, served = (np.zeros((lanes, study.horizon)) for _ in range(2))
-    goes_on = np.ones(lanes, bool)
     for k in range(study.horizon):
         now = next(steps)
-        solved = np.asarray(now.converged)
-        arrived[:, k] = np.where(goes_on, now.state.arrived_kw[:, site.slot], 0.0)
-        served[:, k] = np.where(goes_on & solved, now.state.served_kw[:, site.slot], 0.0)
+        arrived[:, k], served[:, k] = now.state.arrived_kw[:, site.slot], now.state.served_kw[:, site.slot]
         if k >= study.settled:
-            here, kind, where = _distances(site, now)
-            outside += goes_on & solved & (here < -_ROUNDING)
-            nearer = goes_on & solved & (here < margin)
-            margin, limit, at = (np.where(nearer, a, b) for a, b in ((here, margin), (kind, limit), (where, at)))
-        lost = goes_on & ~solved
-        if lost.any():  # what follows is another episode: the rest of this one is all outside
-            margin[lost], limit[lost] = COLLAPSED, NO_SOLUTION
-            outside[lost] += study.horizon - max(k, study.settled)
+            here, where = _distances(site, now)
+            outside += (here < -_ROUNDING).any(axis=1)
+            nearer = here < margins
+            margins, at = np.where(nearer, here, margins), np.where(nearer, where, at)
+        lost = goes_on & ~np.asarray(now.converged)
+        if lost.any():
             goes_on &= ~lost
+            if not goes_on.any():
+                break
     steps.close()
-    return Trial(margin, limit, at, outside, arrived, served)
+    # What follows a power flow without a solution is another episode, and does not count.
+    margins[~goes_on] = COLLAPSED
+    outside[~goes_on] = study.horizon - study.settled
+    return Trial(margins, at, outside, arrived, served)
 
 
-def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Each lane's least distance to a limit now, which limit that is, and where, (lane,) each."""
+def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Each lane's distance to each limit now, and where, (lane, limit) each."""
     study, nodes = site.study, site.study.scenario.feeder.load_slice
     v = now.state.v_pu[:, nodes]
     lane, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)
     lowest, highest = v.argmin(axis=1), v.argmax(axis=1)
     below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
-    under = below <= above
-    margin, kind = np.where(under, below, above), np.where(under, UNDERVOLTAGE, OVERVOLTAGE)
-    return margin, kind, np.where(under, lowest, highest) + (nodes.start or 0)
+    first = nodes.start or 0
+    loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)
