@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -63,28 +63,67 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
+    scenario = as_driven(scenario, controller)
+    steps = transitions(scenario, controller, seeds, name)
+    recorder = Recorder(scenario, next(steps))
+    while not recorder.over:
+        recorder.add(next(steps))
+        if on_step is not None:
+            on_step()
+    steps.close()
+    return recorder
+
+
+def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
+    """The scenario with the scope of observation that a controller needs.
+
+    Actions and metrics are those of the team, whoever is paid what.
+    """
+    return scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
+
+
+def transitions(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    name: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Iterator[Any]:
+    """Drive episodes; the transitions of all lanes (``DcgridVectorEnv.transition``) from the reset on, without an end.
+
+    Parameters
+    ----------
+    scenario
+        As :func:`as_driven` gives it.
+    controller, seeds, name
+        As :func:`rollout` takes them.
+    options
+        What the reset is given of the episodes, see ``DcgridVectorEnv.reset``.
+
+    Raises
+    ------
+    ControllerError
+        As :func:`rollout` does.
+    """
     called = name or type(controller).__name__
-    # Actions and metrics are those of the team, whoever is paid what.
-    scenario = scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
-    env = DcgridVectorEnv(len(seeds), scenario)
-    observations, info = env.reset(seed=list(seeds))
-    recorder = Recorder(scenario, env.transition)
+    env = DcgridVectorEnv(len(seeds), scenario, info="none")
+    observations, _ = env.reset(seed=list(seeds), options=dict(options or {}))
     _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, Placed):
         index = scenario.feeder.index
-        buses = np.array([[index(bus) for bus in info[f"bus_{agent}"]] for agent in scenario.agents]).T
+        buses = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         _asked(called, "place", controller.place, buses)
-    while not recorder.over:
-        action = _asked(called, "act", _action_of, controller, observations)
-        try:
-            observations, *_ = env.step(action)
-        except ActionError as error:
-            raise ControllerError(called, "act", error) from error
-        recorder.add(env.transition)
-        if on_step is not None:
-            on_step()
-    env.close()
-    return recorder
+    try:
+        yield env.transition
+        while True:
+            action = _asked(called, "act", _action_of, controller, observations)
+            try:
+                observations, *_ = env.step(action)
+            except ActionError as error:
+                raise ControllerError(called, "act", error) from error
+            yield env.transition
+    finally:
+        env.close()
 
 
 def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, refuses: str | None = None) -> Any:

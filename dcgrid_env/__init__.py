@@ -15,6 +15,7 @@ from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
@@ -88,6 +89,7 @@ __all__ = [
     "DcgridEnv",
     "DcgridParallelEnv",
     "DcgridVectorEnv",
+    "Delays",
     "Device",
     "Fault",
     "Feeder",
@@ -128,6 +130,7 @@ __all__ = [
     "end_costs",
     "env",
     "episode_hash",
+    "fcfs_delays",
     "field_names",
     "forecast",
     "lindistflow",
