@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from dcgrid_env import ActionError, DcgridVectorEnv, Recorder, Scenario
+from dcgrid_env import ActionError, DcgridVectorEnv, PartSink, Recorder, Scenario, StreamingRecorder
 from dcgrid_env.baselines.controller import Controller, Placed
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
+
+AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
 
 
 class ControllerError(OwnCodeError):
@@ -63,9 +65,50 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
+    return _driven(scenario, controller, seeds, Recorder, on_step, name)
+
+
+def streaming_rollout(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    sinks: Sequence[PartSink] = (),
+    on_step: Callable[[], None] | None = None,
+    name: str | None = None,
+) -> StreamingRecorder:
+    """Drive episodes of any length, in memory that does not grow with it; else as :func:`rollout`.
+
+    Parameters
+    ----------
+    scenario, controller, seeds, on_step, name
+        See :func:`rollout`.
+    sinks
+        What is given the course as it comes, part by part, :class:`ParquetCourse` for instance.
+
+    Raises
+    ------
+    ControllerError
+        As in :func:`rollout`.
+    """
+
+    def recorder(scenario: Scenario, begun: Any) -> StreamingRecorder:
+        return StreamingRecorder(scenario, begun, sinks)
+
+    return _driven(scenario, controller, seeds, recorder, on_step, name)
+
+
+def _driven(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    record: Callable[[Scenario, Any], AnyRecorder],
+    on_step: Callable[[], None] | None,
+    name: str | None,
+) -> AnyRecorder:
+    """Drive the episodes into a recorder that ``record`` makes of scenario and first transition."""
     scenario = as_driven(scenario, controller)
     steps = transitions(scenario, controller, seeds, name)
-    recorder = Recorder(scenario, next(steps))
+    recorder = record(scenario, next(steps))
     while not recorder.over:
         recorder.add(next(steps))
         if on_step is not None:

@@ -36,6 +36,8 @@ from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_tim
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
+from dcgrid_env.engine.parquet_course import ParquetCourse
+from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
@@ -74,6 +76,7 @@ __all__ = [
     "METRICS",
     "PRESETS",
     "SCENARIO_REGISTRY",
+    "WHOLE_COURSE_BYTES",
     "ActingRelays",
     "ActionError",
     "ActionLayout",
@@ -99,6 +102,8 @@ __all__ = [
     "Inverters",
     "LinearDvfs",
     "Metric",
+    "ParquetCourse",
+    "PartSink",
     "PowerFlowError",
     "PowerSmoothing",
     "PrefillDecodeDvfs",
@@ -116,6 +121,7 @@ __all__ = [
     "SiteStorage",
     "Solution",
     "Storages",
+    "StreamingRecorder",
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
@@ -126,6 +132,7 @@ __all__ = [
     "acting_relays",
     "action_layout",
     "believed_sensitivity",
+    "course_bytes",
     "distflow",
     "end_costs",
     "env",
