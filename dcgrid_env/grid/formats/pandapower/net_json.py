@@ -99,6 +99,8 @@ def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, A
         net[key] = float(value)
     net["name"] = str(members.get("name") or "")
     for name, plain in tables.items():
+        if not plain["index"]:
+            continue
         frame = pandas.DataFrame(plain["data"], index=plain["index"], columns=plain["columns"], dtype=object)
         like = net[name] if name in net else pandas.DataFrame()
         columns = {column: _column(file, name, column, frame[column], like) for column in frame.columns}
@@ -138,8 +140,10 @@ def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
         return series.astype("int64")
     if kind:
         return series.astype(float)
-    numeric = column in like.columns and like[column].dtype != object
-    if numeric and all(cell is None or isinstance(cell, int | float) for cell in plain):
+    like_type = like[column].dtype.kind if column in like.columns else "O"
+    if like_type == "b" and all(cell is None or isinstance(cell, bool) for cell in plain):
+        return series.map(bool).astype(bool)
+    if like_type in "iuf" and all(cell is None or type(cell) in (int, float) for cell in plain):
         return series.map(lambda cell: math.nan if cell is None else cell).astype(float)
     return series
 

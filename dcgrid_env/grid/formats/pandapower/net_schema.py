@@ -78,6 +78,14 @@ REFUSED = {
     "load_dc": "a DC load",
 }
 """Tables of what no balanced feeder has, and what their elements are."""
+_WORDS = {
+    ("switch", "et"): ("b", "l", "t", "t3"),
+    ("trafo", "tap_side"): ("hv", "lv"),
+    ("trafo3w", "tap_side"): ("hv", "mv", "lv"),
+    ("trafo", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
+    ("trafo3w", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
+}
+"""What columns of texts may hold; an empty cell is left to pandapower."""
 _OPTIONAL_COLUMNS = {
     "tap_neutral", "tap_min", "tap_max", "tap_pos", "tap_step_percent", "tap_step_degree", "vn_kv", "max_i_ka",
     "va_degree", "gf_pu", "bf_pu", "gt_pu", "bt_pu", "z_ohm", "df", "g_us_per_km", *_SHARE,
@@ -109,6 +117,12 @@ def check_net(source: str, net: Any) -> None:
     for name in REFUSED:
         if name in net and len(net[name]) and "in_service" in net[name].columns:
             check_cells(source, name, "in_service", "bool", net[name].index.tolist(), net[name].in_service.tolist(), buses)
+    for (name, column), words in _WORDS.items():
+        if column in net[name].columns:
+            for i, cell in zip(net[name].index, net[name][column], strict=True):
+                if cell is not None and cell == cell and cell not in words:
+                    text = f"{column} is {str(cell)[:60]!r}; it is {' or '.join(words)}"
+                    raise FeederError(f"{source}, table {name}, index {i}: {text}")
     _check_switches(source, net)
     _check_ends(source, net)
 
@@ -154,7 +168,7 @@ def _check_switches(source: str, net: Any) -> None:
     ends = {et: net[name][list(columns)].to_dict("index") for et, (name, columns) in of.items()}
     for i, bus, element, et in zip(table.index, table.bus, table.element, table.et, strict=True):
         if et not in of:
-            raise FeederError(f"{source}, table switch, index {i}: et is {et!r}; it is b, l, t or t3")
+            raise FeederError(f"{source}, table switch, index {i}: et is empty; it is b, l, t or t3")
         if element not in ends[et]:
             raise FeederError(f"{source}, table switch, index {i}: element is {element!r}, no index of {of[et][0]}")
         if et != "b" and bus not in ends[et][element].values():
