@@ -123,7 +123,8 @@ def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
     """A column with the type that pandapower gives it; objects and lists in it are not made."""
     kind = SCHEMA.get(table, {}).get(column, "")
     plain = [None if isinstance(cell, dict | list) else cell for cell in cells]
-    if kind:
+    right = {bool} if kind == "bool" else {float}
+    if kind and not set(map(type, plain)) <= right:
         wanted = bool if kind == "bool" else (int, float)
         for i, cell in zip(cells.index, cells, strict=True):
             empty = cell is None and kind.endswith("?")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -113,10 +112,10 @@ def check_net(source: str, net: Any) -> None:
                 if column in _OPTIONAL_COLUMNS and not (name == "bus" and column == "vn_kv"):
                     continue
                 raise FeederError(f"{source}, table {name}: the column {column} is missing")
-            check_cells(source, name, column, kind, table.index.tolist(), table[column].tolist(), buses)
+            _check_cells(source, name, table, column, kind, buses)
     for name in REFUSED:
         if name in net and len(net[name]) and "in_service" in net[name].columns:
-            check_cells(source, name, "in_service", "bool", net[name].index.tolist(), net[name].in_service.tolist(), buses)
+            _check_cells(source, name, net[name], "in_service", "bool", buses)
     for (name, column), words in _WORDS.items():
         if column in net[name].columns:
             for i, cell in zip(net[name].index, net[name][column], strict=True):
@@ -127,17 +126,34 @@ def check_net(source: str, net: Any) -> None:
     _check_ends(source, net)
 
 
-def check_cells(
-    source: str, table: str, column: str, kind: str, index: list[Any], cells: Iterable[Any], buses: set[int]
-) -> None:
+def _check_cells(source: str, name: str, table: Any, column: str, kind: str, buses: set[int]) -> None:
     """FeederError at the first cell of a column that its kind does not allow."""
-    kind, empty, _ = (*kind.partition("?"),)
-    for i, cell in zip(index, cells, strict=True):
+    kind, empty, _ = kind.partition("?")
+    cells = table[column]
+    if _all_good(kind, cells.to_numpy(), bool(empty), buses):
+        return
+    for i, cell in zip(table.index.tolist(), cells.tolist(), strict=True):
         if empty and (cell is None or cell != cell):
             continue
         if not _is_good(kind, cell, buses):
-            shown = repr(cell.item() if isinstance(cell, np.generic) else cell)[:60]
-            raise FeederError(f"{source}, table {table}, index {i}: {column} is {shown}; give {_WANTED[kind]}")
+            raise FeederError(f"{source}, table {name}, index {i}: {column} is {str(cell)[:60]!r}; give {_WANTED[kind]}")
+
+
+def _limits(kind: str) -> tuple[float, float]:
+    low = {"positive": 1e-12, "not negative": 0.0, "share": 0.0}.get(kind, -_LARGEST)
+    return low, 100.0 if kind == "share" else _LARGEST
+
+
+def _all_good(kind: str, cells: np.ndarray, empty: bool, buses: set[int]) -> bool:
+    """Whether a column of numbers is good as it stands, seen at once; others are looked at cell by cell."""
+    if cells.dtype.kind == "b" or kind == "bool":
+        return cells.dtype.kind == "b" and kind == "bool"
+    if cells.dtype.kind not in "iuf":
+        return False
+    if kind == "bus":
+        return bool(np.isin(cells, np.fromiter(buses, dtype=np.int64, count=len(buses))).all())
+    low, high = _limits(kind)
+    return bool((((cells >= low) & (cells <= high)) | (np.isnan(cells) if empty else False)).all())
 
 
 def _is_good(kind: str, cell: Any, buses: set[int]) -> bool:
@@ -147,8 +163,8 @@ def _is_good(kind: str, cell: Any, buses: set[int]) -> bool:
         return False
     if kind == "bus":
         return cell == cell and cell in buses
-    low = {"positive": 1e-12, "not negative": 0.0, "share": 0.0}.get(kind, -_LARGEST)
-    return low <= cell <= (100.0 if kind == "share" else _LARGEST)
+    low, high = _limits(kind)
+    return bool(low <= cell <= high)
 
 
 def _check_index(source: str, name: str, index: Any) -> None:

@@ -52,13 +52,11 @@ def pandapower_net(feeder: Feeder) -> Any:
     if loaded.any():
         pp.create_loads(net, at[loaded], p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
     shunted = (grid.shunt_kw != 0) | (grid.shunt_kvar != 0)
-    for i in np.flatnonzero(shunted).tolist():
-        p_mw, q_mvar = float(grid.shunt_kw[i]) / 1000.0, -float(grid.shunt_kvar[i]) / 1000.0
-        pp.create_shunt(net, index[i], q_mvar=q_mvar, p_mw=p_mw)
+    if shunted.any():
+        p_mw, q_mvar = grid.shunt_kw[shunted] / 1000.0, -grid.shunt_kvar[shunted] / 1000.0
+        pp.create_shunts(net, at[shunted], q_mvar=q_mvar, p_mw=p_mw)
     _add_lines(net, grid, index, [b for b in grid.branches if b.kind == "line"])
-    for b in grid.branches:
-        if b.kind != "line":
-            _add_transformer(net, feeder.name, grid, index, b)
+    _add_transformers(net, feeder.name, grid, index, [b for b in grid.branches if b.kind != "line"])
     return net
 
 
@@ -86,20 +84,25 @@ def _add_lines(net: Any, grid: BusBranchGrid, index: list[int], lines: list[Bran
     )
 
 
-def _add_transformer(net: Any, feeder: str, grid: BusBranchGrid, index: list[int], b: Branch) -> None:
+def _add_transformers(net: Any, feeder: str, grid: BusBranchGrid, index: list[int], branches: list[Branch]) -> None:
     import pandapower as pp
 
-    if b.z_pu == 0:
-        raise FeederError(f"feeder {feeder!r}: branch {b.name} is a transformer without impedance, which pandapower cannot hold")
-    from_kv, to_kv = float(grid.base_kv[b.from_bus]), float(grid.base_kv[b.to_bus])
-    sn_mva = grid.base_mva if math.isnan(b.rating_pu) else b.rating_pu * grid.base_mva
-    z_percent = b.z_pu * 100.0 * sn_mva / grid.base_mva
-    pp.create_transformer_from_parameters(
+    without = [b.name for b in branches if b.z_pu == 0]
+    if without:
+        text = f"branch {without[0]} is a transformer without impedance, which pandapower cannot hold"
+        raise FeederError(f"feeder {feeder!r}: {text}")
+    if not branches:
+        return
+    from_kv, to_kv = (np.array([grid.base_kv[getattr(b, end)] for b in branches]) for end in ("from_bus", "to_bus"))
+    rating_pu = np.array([b.rating_pu for b in branches])
+    sn_mva = grid.base_mva * np.where(np.isnan(rating_pu), 1.0, rating_pu)
+    z_percent = np.array([b.z_pu for b in branches]) * 100.0 * sn_mva / grid.base_mva
+    pp.create_transformers_from_parameters(
         net,
-        index[b.from_bus],
-        index[b.to_bus],
+        [index[b.from_bus] for b in branches],
+        [index[b.to_bus] for b in branches],
         sn_mva=sn_mva,
-        vn_hv_kv=b.tap * from_kv,
+        vn_hv_kv=np.array([b.tap for b in branches]) * from_kv,
         vn_lv_kv=to_kv,
         vkr_percent=z_percent.real,
         vk_percent=abs(z_percent),
