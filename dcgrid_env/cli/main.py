@@ -18,6 +18,8 @@ from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
+from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
+from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
@@ -49,6 +51,19 @@ DEV = Group(
     moved={"tune": "dcgrid tune"},
 )
 """What maintainers need, and who compares many controllers on a scenario of their own."""
+IMPORT = Group(
+    "Read feeders from the files of other programs.",
+    {
+        "opendss": ImportOpenDss,
+        "pandapower": ImportPandapower,
+        "matpower": ImportMatpower,
+        "power-grid-model": ImportPowerGridModel,
+    },
+)
+EXPORT = Group(
+    "Write feeders as files of other programs.",
+    {"pandapower": ExportPandapower, "matpower": ExportMatpower, "power-grid-model": ExportPowerGridModel},
+)
 COMMANDS = Group(
     f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
     "shows the version.",
@@ -63,7 +78,8 @@ COMMANDS = Group(
         "reproduce": Reproduce,
         "list": List,
         "traces": Group("Fetch, show and record power traces.", {"fetch": Fetch, "show": Show, "record": Record}),
-        "import": Group("Read feeders from the files of other programs.", {"opendss": ImportOpenDss}),
+        "import": IMPORT,
+        "export": EXPORT,
         "dev": DEV,
     },
 )
