@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import count
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env import ActionError, DcgridVectorEnv, Recorder, Scenario
+from dcgrid_env import ActionError, DcgridVectorEnv, JoinedRecorder, Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Placed
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
 
@@ -45,6 +46,8 @@ def rollout(
 ) -> Recorder:
     """Drive one episode for each seed to its end; lane i of the recorder is seed i.
 
+    On random feeders the controller is reset for each feeder in turn, and given the scenario on it.
+
     Parameters
     ----------
     scenario
@@ -65,7 +68,32 @@ def rollout(
     """
     called = name or type(controller).__name__
     # Actions and metrics are those of the team, whoever is paid what.
-    scenario = scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
+    wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
+    changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
+    scenario = scenario.replace(**changed) if changed else scenario
+    groups = scenario.members(seeds)
+    if len(groups) == 1:
+        return _driven(groups[0][0], controller, seeds, on_step, called)
+    steps, every = count(1), len(groups)
+
+    def on_any_step() -> None:
+        if on_step is not None and next(steps) % every == 0:
+            on_step()
+
+    parts = [
+        (lanes, _driven(member, controller, [seeds[i] for i in lanes], on_any_step, called)) for member, lanes in groups
+    ]
+    return JoinedRecorder(scenario, parts)
+
+
+def _driven(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    on_step: Callable[[], None] | None,
+    called: str,
+) -> Recorder:
+    """Drive episodes on one feeder."""
     env = DcgridVectorEnv(len(seeds), scenario)
     observations, info = env.reset(seed=list(seeds))
     recorder = Recorder(scenario, env.transition)
