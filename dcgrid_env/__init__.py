@@ -43,6 +43,7 @@ from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
 from dcgrid_env.powerflow import (
     Control,
     PowerFlowError,
@@ -139,6 +140,7 @@ __all__ = [
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
+    "random_feeder",
     "read_feeder",
     "register_device",
     "sag_times",

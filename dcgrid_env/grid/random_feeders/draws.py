@@ -10,8 +10,6 @@ import zlib
 
 import numpy as np
 
-from dcgrid_env.core import random
-
 SALT = np.uint64(zlib.crc32(b"random feeder"))
 
 
@@ -27,13 +25,16 @@ class Draws:
     """
 
     def __init__(self, seed: int, attempt: int):
+        from dcgrid_env.core import random  # brings the compiler with it, so not on import
+
+        self._hashes = random.bits
         self._key = random.keys(SALT, np.array([seed], np.uint64), np.array([attempt], np.uint64))
         self._stream = 100  # beyond those of episodes
 
     def bits(self, n: int) -> np.ndarray:
         """The next hashes, uint64, (n,); each call has a stream of its own."""
         self._stream += 1
-        return random.bits(self._key, self._stream, n)[0]
+        return self._hashes(self._key, self._stream, n)[0]
 
     def uniform(self, n: int) -> np.ndarray:
         """Even draws in [0, 1), (n,)."""

@@ -14,6 +14,8 @@ from dcgrid_env.core.checked import check_fields, choice, count, number, refuse,
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.network import BusId, bus_text
+from dcgrid_env.grid.random_feeders.drawn import LARGEST_REACH_PU
+from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
 from dcgrid_env.grid.random_feeders.styles import STYLES, own_buses
 from dcgrid_env.grid.topology import FeederError
 
@@ -98,8 +100,6 @@ class RandomFeeders(OneNodeABus):
     @property
     def largest_drop_pu_per_mw(self) -> float:
         """What no R_ii and no X_ii of any member exceeds, p.u. of voltage for each MW or Mvar."""
-        from dcgrid_env.grid.random_feeders.drawn import LARGEST_REACH_PU
-
         return LARGEST_REACH_PU * 1000.0 / self.load_kw
 
     def style_of(self, split: str) -> str:
@@ -137,6 +137,4 @@ class RandomFeeders(OneNodeABus):
 
 @lru_cache(maxsize=256)
 def _member(family: RandomFeeders, style: str, key: int) -> Feeder:
-    from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
-
     return random_feeder(key, n_bus=family.n_bus, style=style, load_kw=family.load_kw)
