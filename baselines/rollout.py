@@ -46,7 +46,8 @@ def rollout(
 ) -> Recorder:
     """Drive one episode for each seed to its end; lane i of the recorder is seed i.
 
-    On random feeders the controller is reset for each feeder in turn, and given the scenario on it.
+    On random feeders a controller that is :class:`Placed` is reset for each feeder in turn, and given the scenario on
+    it; any other is given the scenario on all of them, and drives them at once.
 
     Parameters
     ----------
@@ -71,6 +72,8 @@ def rollout(
     wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
     changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
     scenario = scenario.replace(**changed) if changed else scenario
+    if not isinstance(controller, Placed):
+        return _driven(scenario, controller, seeds, on_step, called)
     groups = scenario.members(seeds)
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, on_step, called)
@@ -94,9 +97,9 @@ def _driven(
     called: str,
 ) -> Recorder:
     """Drive episodes on one feeder."""
-    env = DcgridVectorEnv(len(seeds), scenario)
+    env = DcgridVectorEnv(len(seeds), scenario, info="full" if isinstance(controller, Placed) else "none")
     observations, info = env.reset(seed=list(seeds))
-    recorder = Recorder(scenario, env.transition)
+    recorder = Recorder(scenario, env.transition, seeds)
     _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, Placed):
         index = scenario.feeder.index

@@ -7,7 +7,7 @@ import numpy as np
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.snapshot import Snapshot, Transition, joined, taken
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-from dcgrid_env.scenario.members import grouped
+from dcgrid_env.scenario.members import grouped, on_batch
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -23,16 +23,20 @@ class FamilySimulation(Simulation):
     Which feeder an episode is on follows from its seed and number, so that a snapshot says all, as on one feeder.
     """
 
+    _batch: tuple[np.ndarray, np.ndarray, Simulation] | None = None
+    """Seeds and numbers of the episodes, and what steps them as long as these stay."""
+
     def step(self, action: np.ndarray) -> Transition:
-        """Advance every lane by one step, those of each feeder together."""
-        now, parts = self.now, []
-        for member, lanes in grouped(self.scenario, now.seeds, now.numbers):
-            part = Simulation(member, len(lanes))
-            alone = len(lanes) == self.lanes
-            part.go_on(now._replace(scenario=member) if alone else taken(now, lanes, member))
-            part.step(action if alone else action[lanes])
-            parts.append((lanes, part.now))
-        self._now = joined(self.scenario, parts)
+        """Advance every lane by one step: devices all at once, the power flow feeder by feeder."""
+        now = self.now
+        if self._batch is None or self._batch[0] is not now.seeds or self._batch[1] is not now.numbers:
+            groups = grouped(self.scenario, now.seeds, now.numbers)
+            on = groups[0][0] if len(groups) == 1 else on_batch(self.scenario, groups)
+            self._batch = (now.seeds, now.numbers, Simulation(on, self.lanes))
+        on_feeders = self._batch[2]
+        on_feeders.go_on(now._replace(scenario=on_feeders.scenario))
+        on_feeders.step(action)
+        self._now = on_feeders.now._replace(scenario=self.scenario)
         return self._now.transition
 
     def scenario_of(self, lane: int) -> Scenario:

@@ -140,7 +140,7 @@ def _own_distance(scenario: Scenario) -> np.ndarray:
 
 def _largest_distance(scenario: Scenario) -> tuple[float, float]:
     """Largest R_ii and X_ii of any agent at any bus, in bands; on random feeders what they are below on all of them."""
-    feeder, band = scenario.feeder, scenario.band_pu or 1.0
+    feeder, band = scenario.family.feeder, scenario.band_pu or 1.0
     if isinstance(feeder, RandomFeeders):
         largest = feeder.largest_drop_pu_per_mw / band
         return largest * scenario.r_model_share, largest * scenario.x_model_share

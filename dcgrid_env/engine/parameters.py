@@ -85,7 +85,7 @@ def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Paramet
         converter_kva=array(np.concatenate([group.converter_kva for group in groups])),
         one=array(1.0),
         minus_one=array(-1.0),
-        p_all_kw=float(drawing + _load_kw(scenario.feeder)) or 1.0,
+        p_all_kw=float(drawing + _load_kw(scenario.family.feeder)) or 1.0,
     )
 
 

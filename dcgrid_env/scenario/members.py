@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.grid.random_feeders.family import HELD_OUT, RandomFeeders
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.errors import ScenarioError
 
 KEPT = 2 * HELD_OUT
@@ -63,6 +65,15 @@ def grouped(scenario: Any, seeds: np.ndarray, numbers: np.ndarray) -> list[tuple
     """
     keys, of_lane = np.unique(scenario.feeder.keys(scenario.split, seeds, numbers), return_inverse=True)
     return [(member_of(scenario, int(key)), np.flatnonzero(of_lane == i)) for i, key in enumerate(keys)]
+
+
+def on_batch(scenario: Any, groups: Sequence[tuple[Any, np.ndarray]]) -> Any:
+    """The scenario for a batch of lanes on the feeders of ``grouped``, for the engine alone."""
+    batch = FeederBatch(scenario.feeder, tuple((member.feeder, lanes) for member, lanes in groups))
+    made = object.__new__(type(scenario))
+    made.__setstate__(fields_alone(scenario) | {"feeder": batch})
+    made.__dict__["_family"] = scenario
+    return made
 
 
 def check_random_feeders(scenario: Any) -> None:

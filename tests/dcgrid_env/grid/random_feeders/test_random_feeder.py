@@ -33,7 +33,7 @@ def test_every_draw_is_a_feeder_with_headroom(style, n_bus):
     for seed in range(DRAWS if n_bus < 500 else 2):
         feeder = random_feeder(seed, n_bus=n_bus, style=style)
         assert feeder.n_bus == n_bus
-        assert (feeder.parent < np.arange(1, n_bus)).all()  # numbered depth first, so every bus is fed by an earlier one
+        assert (feeder.parent < np.arange(1, n_bus)).all()  # numbered depth first
         assert len(np.unique(np.stack((feeder.x, feeder.y)), axis=1).T) > n_bus // 2
         load = np.stack((feeder.p_load_kw, feeder.q_load_kvar))
         for times, lowest in ((1.0, 1.0 - 1.2 * STYLES[style].drop_pu[1]), (HEADROOM, 0.65)):
@@ -53,7 +53,7 @@ def test_conductors_carry_their_current_and_grow_towards_the_substation(style):
         largest = {family[-1].ampacity_a for _, family in STYLES[style].conductors}
         grows = ampacity_a[tree.parent[inner] - 1] >= ampacity_a[inner]
         assert (grows | np.isin(ampacity_a[tree.parent[inner] - 1], list(largest))).all()
-        reach = max(tree.along(drawn.r_ohm).max(), tree.along(drawn.x_ohm).max()) / STYLES[style].base_kv**2 / 1e3
+        reach = max(tree.along(drawn.r_ohm).max(), tree.along(drawn.x_ohm).max()) / STYLES[style].base_kv ** 2 / 1e3
         assert reach * drawn.p_kw.sum() <= LARGEST_REACH_PU
 
 
