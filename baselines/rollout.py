@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import count
 from typing import Any, TypeVar
 
 import numpy as np
 
-from dcgrid_env import ActionError, DcgridVectorEnv, PartSink, Recorder, Scenario, StreamingRecorder
+from dcgrid_env import (
+    ActionError,
+    DcgridVectorEnv,
+    JoinedRecorder,
+    PartSink,
+    Recorder,
+    Scenario,
+    StreamingRecorder,
+)
 from dcgrid_env.baselines.controller import Controller, Placed
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
 
@@ -47,6 +57,8 @@ def rollout(
 ) -> Recorder:
     """Drive one episode for each seed to its end; lane i of the recorder is seed i.
 
+    On random feeders a controller that is given buses is reset for each feeder in turn, with the scenario on it.
+
     Parameters
     ----------
     scenario
@@ -65,7 +77,21 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
-    return _driven(scenario, controller, seeds, Recorder, on_step, name)
+    scenario = as_driven(scenario, controller)
+    groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    if len(groups) == 1:
+        return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
+    steps, every = count(1), len(groups)
+
+    def on_any_step() -> None:
+        if on_step is not None and next(steps) % every == 0:
+            on_step()
+
+    parts = []
+    for member, lanes in groups:
+        own = [seeds[i] for i in lanes]
+        parts.append((lanes, _driven(member, controller, own, partial(Recorder, seeds=own), on_any_step, name)))
+    return JoinedRecorder(scenario, parts)
 
 
 def streaming_rollout(
@@ -89,7 +115,10 @@ def streaming_rollout(
     ------
     ControllerError
         As in :func:`rollout`.
+    ScenarioError
+        Where the seeds are on different random feeders.
     """
+    scenario = as_driven(scenario.member(seeds), controller)
 
     def recorder(scenario: Scenario, begun: Any) -> StreamingRecorder:
         return StreamingRecorder(scenario, begun, sinks)
@@ -106,7 +135,6 @@ def _driven(
     name: str | None,
 ) -> AnyRecorder:
     """Drive the episodes into a recorder that ``record`` makes of scenario and first transition."""
-    scenario = as_driven(scenario, controller)
     steps = transitions(scenario, controller, seeds, name)
     recorder = record(scenario, next(steps))
     while not recorder.over:
@@ -122,7 +150,9 @@ def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
 
     Actions and metrics are those of the team, whoever is paid what.
     """
-    return scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
+    wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
+    changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
+    return scenario.replace(**changed) if changed else scenario
 
 
 def transitions(

@@ -33,6 +33,7 @@ from dcgrid_env.engine.connections import (
 from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
+from dcgrid_env.engine.joined_recorder import JoinedRecorder
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
@@ -44,6 +45,8 @@ from dcgrid_env.envs.single import DcgridEnv
 from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
 from dcgrid_env.powerflow import (
     Control,
     PowerFlowError,
@@ -100,6 +103,7 @@ __all__ = [
     "Forecast",
     "GridControl",
     "Inverters",
+    "JoinedRecorder",
     "LinearDvfs",
     "Metric",
     "ParquetCourse",
@@ -107,6 +111,7 @@ __all__ = [
     "PowerFlowError",
     "PowerSmoothing",
     "PrefillDecodeDvfs",
+    "RandomFeeders",
     "Recorder",
     "RideThrough",
     "RideThroughCurve",
@@ -146,6 +151,7 @@ __all__ = [
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
+    "random_feeder",
     "read_feeder",
     "register_device",
     "sag_times",

@@ -24,6 +24,7 @@ from dcgrid_env.cli.hindsight import HindsightValues
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
+from dcgrid_env.cli.random_feeder_table import RandomFeederTable
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
@@ -47,6 +48,7 @@ DEV = Group(
         "generalise": Generalise,
         "curves": Curves,
         "sags": Sags,
+        "random-feeders": RandomFeederTable,
     },
     moved={"tune": "dcgrid tune"},
 )

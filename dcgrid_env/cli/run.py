@@ -106,7 +106,7 @@ class Run(Command):
         for line in tuned_from(names, scenario, self.tuned):
             console.print(line)
         for name, controller in controllers.items():
-            if said := stability.warning(scenario, controller):
+            if said := stability.warning(scenario.member(self.seed), controller):
                 console.print(f"{name}: {said}")
         about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
         write_json(self.out / "results.json", {"meta": about, "episodes": records})
