@@ -23,6 +23,7 @@ from dcgrid_env.baselines.registry import (
     make_controller,
 )
 from dcgrid_env.baselines.rollout import rollout, streaming_rollout
+from dcgrid_env.baselines.source_voltage import centred_voltage
 
 __all__ = [
     "CONTROLLERS",
@@ -48,6 +49,7 @@ __all__ = [
     "StaggeredReturn",
     "SwitchingReference",
     "VoltVar",
+    "centred_voltage",
     "find_controller",
     "make_controller",
     "published",

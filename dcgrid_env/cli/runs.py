@@ -93,4 +93,4 @@ class Runs:
         from dcgrid_env.rendering import long_figure, run_figure
 
         draw = long_figure if self.in_parts else run_figure
-        write_figure(path, draw(self.scenario, self._drawn, self.seeds[0]), dpi=130)
+        write_figure(path, draw(self.scenario.member(self.seeds[0]), self._drawn, self.seeds[0]), dpi=130)

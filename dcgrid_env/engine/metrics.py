@@ -223,10 +223,18 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
 
 
 class Recorder:
-    """Collects the transitions of one episode in every lane of a batch, from the reset on."""
+    """Collects the transitions of one episode in every lane of a batch, from the reset on.
 
-    def __init__(self, scenario: Scenario, begun: Transition):
-        self.scenario = scenario
+    Parameters
+    ----------
+    scenario, begun
+        What is run, and what the reset led to.
+    seeds
+        The seed of each lane's episode, its first, where feeders are random: its course is then said to be on one.
+    """
+
+    def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
+        self.scenario, self._seeds = scenario, seeds
         self._transitions = [begun]
         lanes = len(begun.terminated)
         self._length = np.zeros(lanes, dtype=np.int64)
@@ -248,7 +256,8 @@ class Recorder:
         if self._length[lane] == 0:
             raise ValueError("no step has been recorded yet")
         taken = self._transitions[: int(self._length[lane]) + 1]
-        return Series(self.scenario, taken, lane)
+        on = self.scenario if self._seeds is None else self.scenario.member(self._seeds[lane])
+        return Series(on, taken, lane)
 
     def costs(self) -> np.ndarray:
         """J of each lane's episode, (lane,); ValueError before all have ended."""
