@@ -114,7 +114,7 @@ def streaming_rollout(
     Raises
     ------
     ControllerError
-        As in :func:`rollout`.
+        Where :func:`rollout` raises it.
     ScenarioError
         Where the seeds are on different random feeders.
     """

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dcgrid_env.engine.figures_by_parts import FiguresByParts
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import over_arrays
 from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
 
 WHOLE_COURSE_BYTES = 256 * 2**20
 """Largest course that a run keeps whole; beyond, it is recorded in parts."""
@@ -113,6 +115,8 @@ def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
 
     Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
     """
+    from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it
+
     values, arrays = _size(Simulation(scenario, 1).reset([seeds[0]]))
     return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
 
