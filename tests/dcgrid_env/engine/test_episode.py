@@ -28,7 +28,11 @@ def actions(scenario: Scenario, lanes: int, seed: int = 0) -> np.ndarray:
 # --- the same seed, the same episode -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", PRESETS)
+DAYS = [pytest.param(p, marks=pytest.mark.slow) if p == "ieee123-3ph-day" else p for p in PRESETS]
+"""Presets; the rows of trace of a day take long to make."""
+
+
+@pytest.mark.parametrize("name", DAYS)
 def test_same_seed_same_episode_in_any_lane(name):
     scenario = make_scenario(name)
     together = draw(scenario, range(50))
@@ -178,7 +182,7 @@ def run_digests(rows, length):
     return digest
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", DAYS)
 def test_splits_share_no_window_and_no_key(name):
     pools = {split: trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
     keys = {split: draw(make_scenario(name, split=split), range(500)).key for split in SPLITS}

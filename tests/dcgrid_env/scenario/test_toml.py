@@ -1,8 +1,6 @@
 """Scenario files: written, read again the same, and refused with file, field, value and remedy."""
 
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from dcgrid_env import (
     make_scenario,
     scenario_hash,
 )
+from dcgrid_env.cli.main import main
 from dcgrid_env.scenario import toml
 from dcgrid_env.traces import PowerTrace
 
@@ -167,14 +166,15 @@ def test_what_stands_in_no_file_is_refused():
         make_scenario("ieee33", trace=(trace,)).to_toml()
 
 
-def test_the_command_line_takes_a_file(tmp_path):
+def test_the_command_line_takes_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 5\n')
-    line = [sys.executable, "-m", "dcgrid_env.cli", "run", "--scenario", "mine.toml", "--episodes", "1"]
-    done = subprocess.run([*line, "--controllers", "none"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "mine, " in done.stdout
+    line = ["run", "--scenario", "mine.toml", "--episodes", "1"]
+    main([*line, "--controllers", "none"])
+    assert "mine, " in capsys.readouterr().out
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = -5\n')
-    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in done.stderr
+    with pytest.raises(SystemExit) as stopped:
+        main(line)
+    assert stopped.value.code == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in error

@@ -91,6 +91,7 @@ def test_tensors_step_through_the_same_window_of_many_copies(monkeypatch):
     assert stepped == [(k, 512) for k in range(20)] * 4
 
 
+@pytest.mark.slow
 def test_a_batch_that_does_not_fit_is_a_row_without_a_figure(monkeypatch):
     import torch
 
