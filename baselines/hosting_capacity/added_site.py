@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
-from dcgrid_env.baselines.hosting_capacity.study import Study
+from dcgrid_env.baselines.hosting_capacity.study import Study, has_ratings
+from dcgrid_env.core.units import S_BASE_KVA
 
 _NOTHING_KW = 1e-3
 """Rating that stands for no site: a device has a rating."""
@@ -31,6 +32,8 @@ class AddedSite:
         self.agent = first.agents.index(f"dc_{self.slot}")
         """Which of the agents it is."""
         self._buses = self._buses_of_samples(first)
+        self.rated, self.limit_sq_pu = _branch_limits(study)
+        """Positions of the branches whose rating is known, and the squares of their limits, p.u., (n_rated,) each."""
 
     def mw(self, size: int) -> float:
         """A size in MW."""
@@ -71,3 +74,12 @@ class AddedSite:
             first = self.agent - self.slot
             placed[:, first : self.agent] = [index(bus) for bus in fixed]
         return placed
+
+
+def _branch_limits(study: Study) -> tuple[np.ndarray, np.ndarray]:
+    feeder = study.scenario.feeder
+    if not has_ratings(feeder):
+        return np.zeros(0, np.int64), np.zeros(0)
+    rated = np.flatnonzero(~np.isnan(feeder.rating_a))
+    base_a = S_BASE_KVA / (np.sqrt(3.0) * feeder.base_kv)
+    return rated, (study.loading_max_pct / 100.0 * feeder.rating_a[rated] / base_a) ** 2

@@ -8,10 +8,11 @@ import io
 from collections.abc import Iterator
 from typing import Any
 
-from dcgrid_env import Feeder, scenario_hash
+from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
+from dcgrid_env.baselines.hosting_capacity.study import has_ratings
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
@@ -78,9 +79,7 @@ def capacity_table(found: Capacities) -> Table:
 def record(found: Capacities) -> dict[str, Any]:
     """The study and its answers as JSON takes them."""
     study = found.study
-    asked = {
-        field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"
-    }
+    asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
     return {
         "study": asked
         | {
@@ -119,9 +118,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     )
     everyone = list(_all(found))
     tops = [capacity for capacity in everyone if capacity.at_most]
-    feeder = study.scenario.feeder
-    known = isinstance(feeder, Feeder) and has_ratings(feeder)
-    if not known:
+    if not has_ratings(study.scenario.feeder):
         beside = ", which is what would limit those at >=" if tops else ""
         yield f"No rating of a branch is known: no size is too large for a line or transformer{beside}."
     for name in found.controllers:
@@ -136,9 +133,3 @@ def _notes(found: Capacities) -> Iterator[str]:
             sizes = ", ".join(f"{mw:g}" for mw in capacity.larger_carries_mw)
             yield f"* {capacity.controller}, bus {capacity.bus}: larger sites of {sizes} MW keep within them"
     yield from found.notes
-
-
-def has_ratings(feeder: Any) -> bool:
-    """Whether the rating of any branch of a feeder is known."""
-    ratings = getattr(feeder, "rating_a", None)
-    return ratings is not None and bool((ratings == ratings).any())

@@ -22,7 +22,7 @@ SNAPSHOT = "snapshot"
 """What the capacity of a moment is called where controllers stand."""
 _SLOW = ("mpc",)
 """Beginnings of the names of controllers whose tasks are handed out first."""
-_PARTS = 4
+_PARTS = 2
 """Tasks of each controller and process: a task of few buses wastes batches, few tasks leave processes idle."""
 
 

@@ -104,4 +104,8 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
     below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
     first = nodes.start or 0
     loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    if len(site.rated):  # what DistFlow starts the next step from are the squares of the currents
+        share_sq = now.state.restart[:, site.rated] / site.limit_sq_pu
+        worst = share_sq.argmax(axis=1)
+        loaded, branch = 1.0 - np.sqrt(np.maximum(share_sq[lane, worst], 0.0)), site.rated[worst]
     return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

@@ -142,9 +142,7 @@ class Simulation:
         )
         return transition
 
-    def _begin(
-        self, lanes: np.ndarray, seeds: Sequence[int | None], given: episode.Given | None = None
-    ) -> Snapshot:
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: episode.Given | None = None) -> Snapshot:
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
         for i, lane in enumerate(lanes):
