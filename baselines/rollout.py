@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,7 @@ def transitions(
     seeds: Sequence[int],
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Iterator[Any]:
+) -> Generator[Any, None, None]:
     """Drive episodes; the transitions of all lanes (``DcgridVectorEnv.transition``) from the reset on, without an end.
 
     Parameters

@@ -7,13 +7,16 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
 from dcgrid_env.baselines.hosting_capacity.study import Study
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
+from dcgrid_env.baselines.hosting_capacity.trial import trials
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.core.processes import Died, each
 from dcgrid_env.traces import PowerTrace
@@ -42,13 +45,20 @@ class Capacities:
     """What is to be said of the controllers."""
 
 
+class _Asked(NamedTuple):
+    """A bus, and the size and the samples to try first there."""
+
+    bus: int
+    guess: int
+    critical: tuple[int, ...]
+
+
 @dataclass(frozen=True)
 class _Task:
     study: Study
     controller: str
     tuned: Path | None
-    buses: tuple[int, ...]
-    guesses: tuple[int, ...]
+    asked: tuple[_Asked, ...]
 
 
 def hosting_capacity(
@@ -98,10 +108,12 @@ def hosting_capacity(
     buses = study.candidates()
     snapshot = snapshot_capacity(study, buses)
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
+    critical = critical_samples(study, buses, guesses)
+    parts = _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
     tasks = [
-        _Task(study, name, tuned, tuple(buses[part].tolist()), tuple(guesses[i] for i in part))
+        _Task(study, name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
-        for part in _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
+        for part in parts
     ]
     found: dict[tuple[str, str], BusCapacity] = {}
     for task, result in each(_work, tasks, jobs):
@@ -131,7 +143,23 @@ def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
         tolerance_mw=study.step_mw, max_mw=study.largest_mw,
     )  # fmt: skip
     guesses = np.full(len(buses), max(1, math.isqrt(study.top)))
-    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses)
+    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
+
+
+def critical_samples(study: Study, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
+    """The samples in which buses come nearest to a limit with a site of these sizes, in steps, that nobody controls.
+
+    They are found at the price of no control, and are what every controller is tried in first.
+    """
+    site, by_size = AddedSite(study), dict[int, list[int]]()
+    for i, size in enumerate(sizes):
+        by_size.setdefault(size, []).append(i)
+    found: list[tuple[int, ...]] = [()] * len(buses)
+    for size, at in by_size.items():
+        asked = [(int(buses[i]), np.arange(study.samples)) for i in at]
+        for i, trial in zip(at, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
+            found[i] = tuple(worst_samples(trial).tolist())
+    return found
 
 
 def _shared_out(n: int, parts: int) -> list[np.ndarray]:
@@ -140,6 +168,12 @@ def _shared_out(n: int, parts: int) -> list[np.ndarray]:
 
 def _work(task: _Task) -> list[BusCapacity]:
     controller, _ = study_controller(task.controller, task.study.scenario, task.tuned)
+    buses, guesses, critical = zip(*task.asked, strict=True)
     return search_buses(
-        AddedSite(task.study), controller, task.controller, np.array(task.buses), np.array(task.guesses)
+        AddedSite(task.study),
+        controller,
+        task.controller,
+        np.array(buses),
+        np.array(guesses),
+        [np.array(samples) for samples in critical],
     )

@@ -73,7 +73,7 @@ class Study:
     allowed_pct: float = 0.0
     """Share of the sampled seconds in which some bus or branch may be outside its limits, %."""
     tolerance_mw: float | None = None
-    """Distance between sizes: a capacity is a multiple of it. None: a round number near a thousandth of the largest size."""
+    """Distance between sizes: a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
     max_mw: float | None = None
     """The largest size that is tried; None: three times the feeder's base load, rounded."""
 
@@ -148,7 +148,7 @@ class Study:
             loaded = np.flatnonzero(feeder.p_load_kw > 0)
         else:
             with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
-            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= {1, 2, 3}], dtype=np.int64)
+            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= set("abc")], dtype=np.int64)
         loaded = loaded[loaded > 0]
         if not len(loaded):
             kind = "" if isinstance(feeder, Feeder) else " of three phases"

@@ -1,7 +1,9 @@
-"""Sites of one size at several buses, in several samples, as one batch: how near they bring the feeder to its limits."""
+"""Sites of one size at several buses, in several samples, as one batch: how near they bring a feeder to its limits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +64,16 @@ def run_trial(
     at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
     parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
     return Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+
+
+def trials(
+    site: AddedSite, controller: Controller, size: int, asked: Sequence[tuple[int, np.ndarray]], name: str
+) -> list[Trial]:
+    """What a size comes to at several buses, each in samples of its own, as one batch."""
+    buses = np.concatenate([np.full(len(samples), bus) for bus, samples in asked])
+    trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in asked]), name)
+    ends = np.cumsum([0, *(len(samples) for _, samples in asked)])
+    return [trial.of(slice(a, b)) for a, b in pairwise(ends)]
 
 
 def _run(
