@@ -55,12 +55,24 @@ class AddedSite:
             "horizon": study.horizon,
             "start_hour": "random" if study.load == "day" else None,
             "n_datacenters": self.slot + 1,
-            "datacenter_buses": None,
+            "datacenter_buses": self._datacenter_buses(),
             "p_rated_kw": (*(base.datacenter.p_rated_kw.tolist() if study.others else ()), kw),
         }
         if not study.others:
             changed |= {"inverter_buses": (), "inverter_s_kva": 0.0}
         return base.replace(**changed)
+
+    def _datacenter_buses(self) -> tuple[str, ...] | None:
+        """Where the scenario has its sites; the added one anywhere free, as each lane says where it really is."""
+        scenario, others = self.study.scenario, self.study.others
+        there = scenario.datacenter_buses if others else ()
+        if there is None:
+            return None
+        taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}
+        free = [bus for bus in scenario.feeder.bus_ids[1:] if bus not in taken]
+        if not free:
+            raise ValueError(f"scenario {scenario.name!r} has a device at every bus; leave one bus without")
+        return (*map(str, there), free[0])
 
     def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""
@@ -69,10 +81,6 @@ class AddedSite:
         index = scenario.feeder.index
         placed = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         env.close()
-        fixed = self.study.scenario.datacenter_buses if self.study.others else None
-        if fixed is not None:
-            first = self.agent - self.slot
-            placed[:, first : self.agent] = [index(bus) for bus in fixed]
         return placed
 
 

@@ -4,10 +4,10 @@ Sizes are whole numbers of steps. A size carries if it breaks limits in no more 
 samples. It surely does not as soon as it breaks them in more seconds of some samples: between the largest size that is
 known to carry and the smallest that does not, sizes are therefore tried in the *critical* samples alone, those that
 came nearest to a limit before, and what is then the largest is tried in the others too. The next size is where the
-first straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end that
-stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a margin
-with a kink cannot hold it up. Under a controller it need not be so that larger sizes break limits and smaller ones do
-not: at the end sizes of a coarse scan, below and above, are tried too.
+first straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end
+that stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a
+margin with a kink cannot hold it up. Under a controller it need not be so that larger sizes break limits and smaller
+ones do not: at the end a size of a coarse scan below and one above are tried too.
 """
 
 from __future__ import annotations
