@@ -112,8 +112,8 @@ def _mw(capacity: BusCapacity) -> str:
 def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
     yield (
-        f"snapshot: one power flow at peak load without control. Sizes are multiples of {study.step_mw:g} MW up to "
-        f"{study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
+        f"Source at {study.scenario.source_voltage_pu:.5g} p.u.; snapshot: one power flow at peak load, without "
+        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
         f"on, and may be broken in {study.allowed_pct:g} % of the seconds."
     )
     everyone = list(_all(found))

@@ -10,7 +10,7 @@ import tyro
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.own_feeder import scenario_on_feeder
+from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, check_folder, processes
 from dcgrid_env.cli.terminal import plain_console, say
@@ -37,7 +37,8 @@ class Capacity(Command):
 
     feeder: str | None = None
     """The feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. The added site
-    is alone on it, unless --scenario says what else is there. Without it the feeder is that of the scenario."""
+    is alone on it, at a source voltage that centres the band unless --set v0_pu says which, if --scenario does not say
+    what else is there. Without it the feeder is that of the scenario."""
     scenario: str | None = None
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function, whose devices stand beside the
     added site, and whose trace and kind of site it has."""
@@ -134,7 +135,7 @@ def _scenario(cfg: Capacity) -> Scenario:
 
     chosen: dict[str, Any] = {} if cfg.trace is None else {"trace": cfg.trace}
     if cfg.feeder is not None:
-        return scenario_on_feeder(cfg.feeder, cfg.scenario, cfg.set, cfg.split, chosen)
+        return scenario_on_feeder(Asked(cfg.feeder, cfg.scenario), cfg.set, cfg.split, chosen)
     if cfg.scenario is None:
         raise ValueError("feeder is missing; give --feeder, a feeder's name or folder, or --scenario")
     return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
