@@ -114,7 +114,7 @@ def streaming_rollout(
     Raises
     ------
     ControllerError
-        As in :func:`rollout`.
+        See :func:`rollout`.
     ScenarioError
         Where the seeds are on different random feeders.
     """
@@ -167,16 +167,16 @@ def transitions(
     Parameters
     ----------
     scenario
-        As :func:`as_driven` gives it.
+        What :func:`as_driven` gives.
     controller, seeds, name
-        As :func:`rollout` takes them.
+        See :func:`rollout`.
     options
         What the reset is given of the episodes, see ``DcgridVectorEnv.reset``.
 
     Raises
     ------
     ControllerError
-        As :func:`rollout` does.
+        See :func:`rollout`.
     """
     called = name or type(controller).__name__
     env = DcgridVectorEnv(len(seeds), scenario, info="none")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
-from dcgrid_env.baselines.hosting_capacity.study import Study, has_ratings
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study, has_ratings
 from dcgrid_env.core.units import S_BASE_KVA
 
 _NOTHING_KW = 1e-3

@@ -10,9 +10,9 @@ from typing import Any
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.hosting_capacity.capacity_study import has_ratings
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
-from dcgrid_env.baselines.hosting_capacity.study import has_ratings
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
@@ -113,8 +113,9 @@ def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
     yield (
         f"Source at {study.scenario.source_voltage_pu:.5g} p.u.; snapshot: one power flow at peak load, without "
-        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
-        f"on, and may be broken in {study.allowed_pct:g} % of the seconds."
+        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where "
+        f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
+        f"broken in {study.allowed_pct:g} % of the seconds."
     )
     everyone = list(_all(found))
     tops = [capacity for capacity in everyone if capacity.at_most]

@@ -13,8 +13,8 @@ import numpy as np
 
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
-from dcgrid_env.baselines.hosting_capacity.study import Study
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
 from dcgrid_env.baselines.hosting_capacity.trial import trials
 from dcgrid_env.baselines.laws.no_control import NoControl
@@ -40,7 +40,7 @@ class Capacities:
     by_controller: dict[str, tuple[BusCapacity, ...]]
     """In the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
-    """The same of one power flow: peak load, the site at its rating, nobody controls anything."""
+    """What they carry in one power flow: peak load, the site at its rating, nobody controls anything."""
     notes: tuple[str, ...]
     """What is to be said of the controllers."""
 
@@ -79,8 +79,8 @@ def hosting_capacity(
     study
         Buses, limits and sampled load.
     controllers
-        As the command line names them: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class of one's
-        own.
+        What names them on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class
+        of one's own.
     jobs
         Processes, over which controllers and buses are shared out. The answers do not depend on them.
     tuned

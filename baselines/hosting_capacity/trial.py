@@ -37,7 +37,7 @@ class Trial(NamedTuple):
     arrived_kw: np.ndarray
     """Dynamic power that the added site's arriving work asked for in each step, kW, (lane, step)."""
     served_kw: np.ndarray
-    """The same of work served."""
+    """What the work that was served drew of it, kW, (lane, step)."""
 
     @property
     def margin(self) -> float:

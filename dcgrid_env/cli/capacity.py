@@ -20,7 +20,7 @@ from dcgrid_env.core.versions import meta
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
-    from dcgrid_env.baselines.hosting_capacity.study import Study
+    from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
 Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
@@ -105,7 +105,7 @@ class Capacity(Command):
 
 
 def _study(cfg: Capacity) -> Study:
-    from dcgrid_env.baselines.hosting_capacity.study import Study
+    from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
     scenario = _scenario(cfg)
     buses = None

@@ -11,9 +11,9 @@ from dcgrid_env.baselines.hosting_capacity.capacity_output import (
     read_capacity_csv,
     record,
 )
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
-from dcgrid_env.baselines.hosting_capacity.study import Study
 
 
 def capacity(controller, bus, mw, **fields):

@@ -7,8 +7,8 @@ import pytest
 
 from dcgrid_env import Feeder, Scenario, load_feeder, make_scenario
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
-from dcgrid_env.baselines.hosting_capacity.study import Study
 from dcgrid_env.baselines.hosting_capacity.trial import run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import ControllerError
