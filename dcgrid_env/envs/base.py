@@ -16,7 +16,7 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.episode import Given
+    from dcgrid_env.engine.given import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 RENDER_MODES = ("human", "rgb_array")

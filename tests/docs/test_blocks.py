@@ -48,6 +48,7 @@ SHORTER = {
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--jobs": "1"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
