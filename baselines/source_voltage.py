@@ -1,9 +1,9 @@
 """A substation voltage for a scenario on a feeder that names none of use: the one that centres the band.
 
 Published feeders mostly say 1 p.u., at which everything on them lies below, and a learner would be paid for holding
-up what any utility lifts by a tap. The rule here is what a tap changer's setting does: the voltages of the buses, each its
-mean over episodes without control, are to reach as far above 1 p.u. as below it. Where a feeder's own regulators act,
-they hold its voltages, and the source stays as it is. docs/own-feeder.md has what the rule does to what is reached.
+up what any utility lifts by a tap. The rule here is what a tap changer's setting does: the voltages of the buses, each
+its mean over episodes without control, are to reach as far above 1 p.u. as below it. Where a feeder's own regulators
+act, they hold its voltages, and the source stays as it is. What the rule does to costs stands in docs/own-feeder.md.
 """
 
 from __future__ import annotations
