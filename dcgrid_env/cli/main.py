@@ -47,7 +47,7 @@ DEV = Group(
     },
     moved={"tune": "dcgrid tune"},
 )
-"""What maintainers need, and who compares many controllers on a scenario of their own."""
+"""What maintainers need, and who compares controllers on a scenario of their own."""
 COMMANDS = Group(
     f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
     "shows the version.",
