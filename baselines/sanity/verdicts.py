@@ -100,12 +100,10 @@ def verdicts(scenario: Scenario, figures: Figures) -> tuple[Verdict, ...]:
     found = [*_band(scenario, figures, best), *found, *_clock(reached)]
     gain = _to_gain(scenario, reached, best)
     barred = any(verdict.is_bar for verdict in (*found, gain))
-    if best.n < reached[NONE].n:
-        found.append(
-            Verdict(f"hindsight is of the first {best.n} of {reached[NONE].n} episodes", "give --seconds for more")
-        )
-    said = "not worth learning on as it stands" if barred else "worth learning on"
-    return (*found, gain, Verdict(f"{scenario.name} is {said}"))
+    said = f"{scenario.name} is {'not worth learning on as it stands' if barred else 'worth learning on'}"
+    few = best.n < reached[NONE].n
+    as_far = f", as far as the first {best.n} of {reached[NONE].n} episodes tell" if few else ""
+    return (*found, gain, Verdict(f"{said}{as_far}", "give it more --seconds to be sure" if few else ""))
 
 
 def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:

@@ -16,6 +16,7 @@ from dcgrid_env.baselines.tuning.search import tune
 SHORT = {"split": "validation", "horizon": 20}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["droop", "constant-q"])
 def test_the_search_in_lanes_comes_close_to_the_finer_one(law):
     scenario = make_scenario("toy6", **SHORT)
@@ -40,7 +41,7 @@ def test_who_reaches_what_is_in_order_and_hindsight_is_the_least():
     assert j[DROOP] <= j[PAPER] + 1e-6
     assert j[PINNED] >= j[HINDSIGHT] - 1e-6
     assert j[BARE] < j[NONE]
-    assert reached[HINDSIGHT].metrics["J"][1] == hindsight(scenario, 1).recorder.metrics()[0]["J"]
+    assert reached[HINDSIGHT].metrics["J"][1] == pytest.approx(hindsight(scenario, 1).J, rel=2e-3)
     assert stages == [NONE, DROOP, CONSTANT, HINDSIGHT, PINNED]
     assert check.figures.lowest_bus in ("18", "33")
     table = check.table

@@ -34,10 +34,10 @@ def test_much_to_gain_is_worth_learning_and_names_the_figures():
 @pytest.mark.parametrize(
     ("others", "start", "remedy"),
     [
-        ({HINDSIGHT: reached(4.95)}, "nothing to gain: hindsight is within 1.0 % of no control", "raise the data centres'"),
-        ({HINDSIGHT: reached(3.45)}, "little is left to learn beyond the best droop: hindsight is 1.4 %", "now 3000 kW"),
-        ({HINDSIGHT: reached(2.0, outside=12.0, low=0.9)}, "hopeless: even hindsight leaves the band in 12.0 %", "raise source"),
-        ({HINDSIGHT: reached(2.0, converged=0.0)}, "hopeless: even hindsight ends 4 of 4 episodes in voltage", "lower the data"),
+        ({HINDSIGHT: reached(4.95)}, "nothing to gain: hindsight is within 1.0 % of", "raise the data centres'"),
+        ({HINDSIGHT: reached(3.45)}, "little is left to learn beyond the best droop: hindsight", "now 3000 kW"),
+        ({HINDSIGHT: reached(2.0, 12.0, low=0.9)}, "hopeless: even hindsight leaves the band in 12.0 %", "raise"),
+        ({HINDSIGHT: reached(2.0, converged=0.0)}, "hopeless: even hindsight ends 4 of 4 episodes", "lower the data"),
     ],
 )  # fmt: skip
 def test_what_bars_learning_says_so_with_a_remedy(others, start, remedy):
@@ -58,7 +58,7 @@ def test_what_bars_learning_says_so_with_a_remedy(others, start, remedy):
             0.93,
             1.048,
             4.0,
-            "the feeder's own load leaves it in 4.0 % without any data centre: give inverters more than",
+            "the feeder's own load leaves it in 4.0 % without any data centre: give inverters",
         ),
     ],
 )
@@ -74,9 +74,8 @@ def test_a_band_that_is_hard_to_keep_gets_another_voltage_or_less_load(low, high
 def test_a_clock_that_is_worth_nothing_a_low_bound_and_collapses_are_told():
     pinned = {HINDSIGHT: reached(2.8), PINNED: reached(2.8), NONE: reached(5.0, converged=0.0)}
     lines, _ = said(k_q=0.3, **pinned)
-    assert any(
-        line.startswith("the clock hardly matters: it is worth 0.0 % of J") and "--act q" in line for line in lines
-    )
+    (clock,) = [line for line in lines if line.startswith("the clock hardly matters: it is worth 0.0 % of J")]
+    assert "--act q" in clock
     assert any("k_q = 0.3 Mvar/p.u. s, below the paper's 0.5; compare with droop-tuned" in line for line in lines)
     assert any(line.startswith("without control the power flow has no solution in 4 of 4 episodes;") for line in lines)
 
@@ -87,7 +86,8 @@ def test_without_hindsight_rules_are_judged_and_fewer_episodes_are_told():
     assert "hindsight is not known here: hindsight plans no trips; judge by what a trained policy reaches" in lines
     assert lines[-1] == "simple rules are 30.0 % below no control"
     few, _ = said(**{HINDSIGHT: reached(2.8, n=2)})
-    assert "hindsight is of the first 2 of 4 episodes; give --seconds for more" in few
+    sure = "as far as the first 2 of 4 episodes tell; give it more --seconds to be sure"
+    assert few[-1] == f"ieee33-weak is worth learning on, {sure}"
 
 
 def test_means_are_over_the_episodes_that_hindsight_has():

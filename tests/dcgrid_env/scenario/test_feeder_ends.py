@@ -48,7 +48,8 @@ def test_a_long_chain_has_one_end_and_needs_no_recursion():
     n = 5000
     chain = Feeder.from_tables(
         name="chain", base_kv=11.0, substation=0, v0_pu=1.0, bus_ids=range(n), p_load_kw=[0.0] * n,
-        q_load_kvar=[0.0] * n, from_bus=range(n - 1), to_bus=range(1, n), r_ohm=[1e-4] * (n - 1), x_ohm=[1e-4] * (n - 1),
+        q_load_kvar=[0.0] * n, from_bus=range(n - 1), to_bus=range(1, n), r_ohm=[1e-4] * (n - 1),
+        x_ohm=[1e-4] * (n - 1),
     )  # fmt: skip
     assert feeder_ends(chain, everywhere(chain)) == [n - 1]
 

@@ -95,9 +95,9 @@ def test_data_centres_at_the_ends_of_a_three_phase_feeder_have_three_phases():
         (("1 MW at 18", "1 kvar at 18"), "inverters: bus '18' is named twice; give each device a bus of its own"),
         (
             ("9 x 1 MW at ends", None),
-            "9 are to stand at ends, but feeder 'ieee33' has 4 ends without a device; ask for",
+            "9 are to stand at ends, but feeder 'ieee33' has 4 ends without a device; ask",
         ),
-        ((None, "30 x 1 kvar"), "30 are to stand spread, but feeder 'ieee33' has 27 load buses left for them; ask for"),
+        ((None, "30 x 1 kvar"), "30 are to stand spread, but feeder 'ieee33' has 27 load buses left for them; ask"),
         (("40 x 1 MW", None), "n_datacenters is 40, but only 32 load buses have no device"),
         (("none", "none"), "no data centre and no inverter, hence no agent"),
     ],
