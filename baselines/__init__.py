@@ -22,7 +22,7 @@ from dcgrid_env.baselines.registry import (
     find_controller,
     make_controller,
 )
-from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.rollout import rollout, streaming_rollout
 from dcgrid_env.baselines.source_voltage import centred_voltage
 
 __all__ = [
@@ -54,4 +54,5 @@ __all__ = [
     "make_controller",
     "published",
     "rollout",
+    "streaming_rollout",
 ]

@@ -20,7 +20,7 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
 )
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, merged, oriented, read_units, transformer_joint
-from dcgrid_env.grid.formats.opendss.import_report import Finding, Report
+from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.joints import Joint, Supply, supply_of
 from dcgrid_env.grid.network import (
     CapacitorTable,
