@@ -20,6 +20,8 @@ TAP_PU = 0.00625
 """One of the 32 taps of 10 % up and down that regulators and tap changers mostly have, p.u."""
 EPISODES = 8
 """Episodes of the training split that the mean is over."""
+LONGEST = 600
+"""Steps of an episode that are looked at."""
 _ROUNDS = 4
 
 
@@ -61,7 +63,8 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
 
 def _reach(scenario: Scenario, v_pu: float, episodes: int) -> tuple[float, float]:
     """Lowest and highest of the nodes' mean voltages over episodes without control, p.u."""
-    recorder = rollout(scenario.replace(source_voltage_pu=v_pu, split="train"), NoControl(), range(episodes))
+    short = scenario.replace(source_voltage_pu=v_pu, split="train", horizon=min(scenario.horizon, LONGEST))
+    recorder = rollout(short, NoControl(), range(episodes))
     each = [recorder.lane(i).v_pu[1:, scenario.feeder.load_slice].mean(axis=0) for i in range(episodes)]
     mean = np.mean(each, axis=0)
     return float(mean.min()), float(mean.max())
