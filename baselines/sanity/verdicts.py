@@ -31,7 +31,7 @@ class Reached:
     metrics: dict[str, np.ndarray]
     """By name, (n,) each."""
     parameters: Mapping[str, Any]
-    """Of a rule that was fitted."""
+    """The parameters of a rule that was fitted."""
 
     @classmethod
     def of(cls, metrics: Sequence[Mapping[str, float]], parameters: Mapping[str, Any] | None = None) -> Reached:
