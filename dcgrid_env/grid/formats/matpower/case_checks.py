@@ -40,13 +40,7 @@ def check_case(file: str, case: CaseTables) -> None:
     check.each("branch", "rateA", lambda v: v >= 0, "it is 0 where there is no limit, positive else")
     check.each("branch", "status", lambda v: np.isin(v, (0, 1)), "it is 0 or 1")
     buses = case.tables["bus"][:, 0]
-    for table, column in (
-        ("gen", "bus"),
-        ("branch", "fbus"),
-        ("branch", "tbus"),
-        ("dcline", "fbus"),
-        ("dcline", "tbus"),
-    ):
+    for table, column in (("gen", "bus"), ("branch", "fbus"), ("branch", "tbus"), ("dcline", "fbus"), ("dcline", "tbus")):
         if table in case.tables:
             check.each(table, column, lambda v: np.isin(v, buses), "it is no bus of mpc.bus")
     branch = case.tables["branch"]
