@@ -16,14 +16,14 @@ def reached(j, outside=0.0, low=0.96, high=1.04, delay=0.0, converged=1.0, n=4):
     return Reached.of([figures] * n)
 
 
-def said(scenario="ieee33-weak", k_q=20.0, refused="", **others):
+def said(others, k_q=20.0, refused=""):
     every = {NONE: reached(5.0), PAPER: reached(4.0), DROOP: reached(3.5), CONSTANT: reached(3.6), **others}
-    found = said_of(make_scenario(scenario), Figures(every, "18", refused, k_q))
+    found = said_of(make_scenario("ieee33-weak"), Figures(every, "18", refused, k_q))
     return [str(verdict) for verdict in found], any(verdict.is_bar for verdict in found)
 
 
 def test_much_to_gain_is_worth_learning_and_names_the_figures():
-    lines, barred = said(**{HINDSIGHT: reached(2.8, delay=2.0), PINNED: reached(3.5, n=2)})
+    lines, barred = said({HINDSIGHT: reached(2.8, delay=2.0), PINNED: reached(3.5, n=2)})
     assert not barred
     assert lines[-1] == "ieee33-weak is worth learning on"
     assert "there is much to gain: hindsight is 20.0 % below the best droop (J 2.800 against 3.500), 44 %" in lines[-2]
@@ -41,7 +41,7 @@ def test_much_to_gain_is_worth_learning_and_names_the_figures():
     ],
 )  # fmt: skip
 def test_what_bars_learning_says_so_with_a_remedy(others, start, remedy):
-    lines, barred = said(**others)
+    lines, barred = said(others)
     assert barred
     assert lines[-1] == "ieee33-weak is not worth learning on as it stands"
     (line,) = [line for line in lines if line.startswith(start)]
@@ -64,7 +64,7 @@ def test_what_bars_learning_says_so_with_a_remedy(others, start, remedy):
 )
 def test_a_band_that_is_hard_to_keep_gets_another_voltage_or_less_load(low, high, bare, remedy):
     hard = {HINDSIGHT: reached(2.0, outside=5.0, low=low, high=high), BARE: reached(1.0, outside=bare)}
-    lines, barred = said(**hard)
+    lines, barred = said(hard)
     assert not barred
     assert lines[0].startswith("hard: even hindsight leaves the band in 5.0 % of bus-seconds")
     assert remedy in lines[0]
@@ -73,7 +73,7 @@ def test_a_band_that_is_hard_to_keep_gets_another_voltage_or_less_load(low, high
 
 def test_a_clock_that_is_worth_nothing_a_low_bound_and_collapses_are_told():
     pinned = {HINDSIGHT: reached(2.8), PINNED: reached(2.8), NONE: reached(5.0, converged=0.0)}
-    lines, _ = said(k_q=0.3, **pinned)
+    lines, _ = said(pinned, k_q=0.3)
     (clock,) = [line for line in lines if line.startswith("the clock hardly matters: it is worth 0.0 % of J")]
     assert "--act q" in clock
     assert any("k_q = 0.3 Mvar/p.u. s, below the paper's 0.5; compare with droop-tuned" in line for line in lines)
@@ -81,11 +81,11 @@ def test_a_clock_that_is_worth_nothing_a_low_bound_and_collapses_are_told():
 
 
 def test_without_hindsight_rules_are_judged_and_fewer_episodes_are_told():
-    lines, barred = said(refused="hindsight plans no trips")
+    lines, barred = said({}, refused="hindsight plans no trips")
     assert not barred
     assert "hindsight is not known here: hindsight plans no trips; judge by what a trained policy reaches" in lines
     assert lines[-1] == "simple rules are 30.0 % below no control"
-    few, _ = said(**{HINDSIGHT: reached(2.8, n=2)})
+    few, _ = said({HINDSIGHT: reached(2.8, n=2)})
     sure = "as far as the first 2 of 4 episodes tell; give it more --seconds to be sure"
     assert few[-1] == f"ieee33-weak is worth learning on, {sure}"
 

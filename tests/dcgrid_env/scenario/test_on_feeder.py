@@ -73,7 +73,7 @@ def test_named_buses_ends_and_spread_ones_are_each_device_s_own():
     assert made.datacenter_buses == ("18", "33", "25")
     assert made.p_rated_kw == (500.0, 500.0, 1000.0)
     assert made.inverter_s_kva == (300.0, 300.0, 100.0, 100.0, 100.0)
-    assert len({*made.datacenter_buses, *made.inverter_buses}) == 8
+    assert len({*(made.datacenter_buses or ()), *made.inverter_buses}) == 8
     assert made.inverter_buses[:2] == ("17", "32")  # before which the data centres stand
     assert scenario_on(feeder, "none", "1 Mvar at 18").n_agents == 1
     assert scenario_on(feeder, "3 x 1 MW", "none").agents == ("dc_0", "dc_1", "dc_2")
