@@ -71,10 +71,9 @@ def rollout(
     # Actions and metrics are those of the team, whoever is paid what.
     wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
     changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
-    scenario = scenario.replace(**changed) if changed else scenario
-    if not isinstance(controller, Placed):
-        return _driven(scenario, controller, seeds, on_step, called)
-    groups = scenario.members(seeds)
+    groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    if changed:
+        groups = [(on.replace(**changed), lanes) for on, lanes in groups]
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, on_step, called)
     steps, every = count(1), len(groups)
