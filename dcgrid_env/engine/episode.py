@@ -82,6 +82,15 @@ def _load_of(feeder: Any, scenario: Scenario) -> _Load:
     return _Load(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
 
 
+class Given(NamedTuple):
+    """What of an episode is set from outside rather than drawn; None is drawn."""
+
+    buses: np.ndarray | None = None
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    begin_h: np.ndarray | None = None
+    """Time of day at t = 0, h in [0, 24), (lane,), of a scenario that follows the day."""
+
+
 def prepare(scenario: Scenario, episode: Episode) -> None:
     """Have the rows of trace that an episode's windows lie in, where they are made on demand.
 
@@ -92,15 +101,17 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
         pool.make(episode.start // pool.p_share.shape[1])
 
 
-def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Given | None = None) -> Episode:
     """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
 
-    The split enters the key, so that no two splits share an episode whatever their seeds.
+    The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
+    nothing else that is drawn, but for windows of requests that follow the hour.
     """
+    given = given or Given()
     salt = np.uint64(zlib.crc32(scenario.split.encode()))
     key = random.keys(salt, seeds, numbers)
-    buses = _buses(scenario, key)
-    begin_h = _begin_h(scenario, key)
+    buses = _buses(scenario, key) if given.buses is None else given.buses
+    begin_h = _begin_h(scenario, key) if given.begin_h is None else given.begin_h
     sun_row, sun_start = random.bits(key, random.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
     sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)

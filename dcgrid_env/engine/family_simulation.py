@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from dcgrid_env.engine.episode import Given
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.snapshot import Snapshot, Transition, joined, taken
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.members import grouped, on_batch
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -43,7 +45,12 @@ class FamilySimulation(Simulation):
         """The scenario on the feeder that a lane's episode is on; RuntimeError before the first reset."""
         return grouped(self.scenario, self.now.seeds[lane : lane + 1], self.now.numbers[lane : lane + 1])[0][0]
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: Given | None = None) -> Snapshot:
+        if given is not None:
+            raise ScenarioError(
+                f"scenario {self.scenario.name!r} is on random feeders, where no buses can be given; make it on one of "
+                "them, scenario.member(seed)"
+            )
         groups = grouped(self.scenario, seed, number)
         parts = [(at, Simulation(member, len(at))._drawn(seed[at], number[at])) for member, at in groups]
         return joined(self.scenario, parts)

@@ -65,13 +65,16 @@ class Simulation:
         """``restore`` of what is known to fit."""
         self._now = snapshot
 
-    def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
+    def reset(
+        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: episode.Given | None = None
+    ) -> Transition:
         """Begin a new episode in every lane, or where ``mask`` is True.
 
-        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded.
+        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded. What
+        else is ``given`` has a row for each lane that begins.
         """
         lanes = np.arange(self.lanes) if mask is None else np.flatnonzero(mask)
-        drawn = self._begin(lanes, seeds)
+        drawn = self._begin(lanes, seeds, given)
         self._now = drawn if len(lanes) == self.lanes else self._merged(self.now, drawn, lanes)
         return self._now.transition
 
@@ -103,21 +106,21 @@ class Simulation:
         )
         return transition
 
-    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: episode.Given | None = None) -> Snapshot:
         """New episodes of these lanes, see ``reset``."""
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
         for i, lane in enumerate(lanes):
-            given = seeds[lane]
-            if given is not None:
-                seed[i] = int(given) % 2**64
+            of_lane = seeds[lane]
+            if of_lane is not None:
+                seed[i] = int(of_lane) % 2**64
             else:
                 seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
-        return self._drawn(seed, number)
+        return self._drawn(seed, number, given)
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: episode.Given | None = None) -> Snapshot:
         """Episodes at their beginning, of seeds and numbers of episodes since these, (lane,) uint64 each."""
-        drawn = episode.draw(self.scenario, seed, number)
+        drawn = episode.draw(self.scenario, seed, number, given)
         step = np.zeros(len(seed), np.int64)
         quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))

@@ -16,6 +16,7 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from dcgrid_env.engine.episode import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 RENDER_MODES = ("human", "rgb_array")
@@ -106,11 +107,17 @@ class BaseEnvironment:
             self._viewer.close()
             self._viewer = None
 
-    def _reset(self, seeds: list[int | None], rng: np.random.Generator, mask: np.ndarray | None = None) -> Transition:
+    def _reset(
+        self,
+        seeds: list[int | None],
+        rng: np.random.Generator,
+        mask: np.ndarray | None = None,
+        given: Given | None = None,
+    ) -> Transition:
         """Begin episodes; where there was never a seed one is drawn."""
         if not self._simulation.begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
-        transition = self._simulation.reset(seeds, mask)
+        transition = self._simulation.reset(seeds, mask, given)
         self._arrived()
         return transition
 

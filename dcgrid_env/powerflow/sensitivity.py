@@ -5,7 +5,8 @@ taps and capacitors, since the base taps and the laws of the loads are part of h
 
 For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of r and x over the path that two nodes
 share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
-Trans. Power Delivery 4(1), 1989).
+Trans. Power Delivery 4(1), 1989). Transformers off their nominal ratio raise what a voltage moves as they raise
+the voltage. Shunts are left out, as losses are: what they do to these figures is of second order.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ def sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
         return Sensitivity(*map(_read_only, slopes[:2]))
     path = feeder.path
     r, x = ((path * z_pu) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
+    if feeder.voltage_ratio is not None:
+        r, x = (feeder.voltage_ratio[:, None] * rise for rise in (r, x))
     return Sensitivity(_read_only(r), _read_only(x))
 
 
@@ -66,6 +69,8 @@ def own_sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
     own = np.zeros((2, feeder.n_node))
     for j in feeder.depth_first.order[1:]:
         own[:, j] = own[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
+    if feeder.voltage_ratio is not None:
+        own *= feeder.voltage_ratio
     return Sensitivity(*map(_read_only, own * _PU_PER_MVA))
 
 

@@ -141,15 +141,15 @@ class Scenario(PickledByFields, FlatNames):
         """The scenario on RandomFeeders that this is a member of, else itself."""
         return self.__dict__.get("_family", self)
 
-    def to_toml(self, path: str | Path | None = None, base: Scenario | None = None) -> str:
+    def to_toml(self, path: str | Path | None = None, base: Scenario | None = None, *, brief: bool = False) -> str:
         """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
 
         With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
-        name. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
+        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
         """
         from dcgrid_env.scenario.toml import to_toml  # for who writes alone
 
-        return to_toml(self, path, base)
+        return to_toml(self, path, base, brief)
 
     @property
     def preset(self) -> str | None:
