@@ -78,7 +78,9 @@ def capacity_table(found: Capacities) -> Table:
 def record(found: Capacities) -> dict[str, Any]:
     """The study and its answers as JSON takes them."""
     study = found.study
-    asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
+    asked = {
+        field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"
+    }
     return {
         "study": asked
         | {

@@ -101,7 +101,9 @@ def search_buses(
     ]
 
 
-def _tried(site: AddedSite, controller: Controller, size: int, asked: list[tuple[int, Request]], name: str) -> Trial:
+def _tried(
+    site: AddedSite, controller: Controller, size: int, asked: list[tuple[int, Request]], name: str
+) -> Trial:
     at = np.concatenate([np.full(len(request.samples), bus) for bus, request in asked])
     return run_trial(site, controller, size, at, np.concatenate([r.samples for _, r in asked]), name)
 

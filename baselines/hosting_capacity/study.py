@@ -85,7 +85,7 @@ class Study:
         self._require("window_s", self.window_s <= 3600.0, "give at most 3600 s")
         settles = _finite(self.settle_s) and 0.0 <= self.settle_s <= self.window_s - self.scenario.dt_s
         self._require("settle_s", settles, f"give 0 to less than the window's {self.window_s:g} s")
-        self._require("v_min_pu", _finite(self.v_min_pu) and self.v_min_pu > 0.0, "give a voltage > 0 p.u.")
+        self._require("v_min_pu", _finite(self.v_min_pu) and 0.0 < self.v_min_pu, "give a voltage > 0 p.u.")
         above = _finite(self.v_max_pu) and self.v_max_pu > self.v_min_pu
         self._require("v_max_pu", above, f"give a voltage above the lowest, {self.v_min_pu:g} p.u.")
         self._require("loading_max_pct", _finite(self.loading_max_pct) and self.loading_max_pct > 0.0, "give > 0 %")

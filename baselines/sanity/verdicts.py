@@ -119,9 +119,7 @@ def _band(scenario: Scenario, none: Reached, best: Reached) -> list[Verdict]:
         return [Verdict(f"hard: even hindsight leaves the band {said}", _centre(scenario, low, high))]
     before = none.mean("outside_bus_seconds_pct")
     if before > HARD_PCT:
-        return [
-            Verdict(f"the band can be kept: outside {before:.1f} % of bus-seconds without control, hindsight {said}")
-        ]
+        return [Verdict(f"the band can be kept: outside {before:.1f} % of bus-seconds without control, hindsight {said}")]
     return []
 
 

@@ -92,7 +92,9 @@ class Capacity(Command):
         with progress_bar(console) as progress:
             total = len(study.candidates())
             tasks = {name: progress.add_task(name, total=total) for name in names}
-            found = hosting_capacity(study, names, jobs, self.tuned, lambda name, n: progress.advance(tasks[name], n))
+            found = hosting_capacity(
+                study, names, jobs, self.tuned, lambda name, n: progress.advance(tasks[name], n)
+            )
         table = capacity_table(found)
         console.print(table.rich(console.width))
         for note in table.notes:
@@ -161,6 +163,4 @@ def draw(path: Path, found: Capacities) -> None:
         mw[[feeder.index(bus) for bus in found.buses]] = [c.capacity_mw for c in found.by_controller[name]]
         maps[name] = mw
     limits = f"{found.study.v_min_pu:g} to {found.study.v_max_pu:g} p.u."
-    write_figure(
-        path, capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}"), 130
-    )
+    write_figure(path, capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}"), 130)

@@ -84,9 +84,7 @@ def _drawn_kva(model: CaseModel, case: CaseTables) -> np.ndarray:
     """Power drawn at each bus in MATPOWER's solution, kVA; FeederError where it finds none."""
     v, converged = solved(model)
     if not converged:
-        raise FeederError(
-            f"case {case.name!r}: MATPOWER's power flow finds no solution, at which generators could be fixed"
-        )
+        raise FeederError(f"case {case.name!r}: MATPOWER's power flow finds no solution, at which generators could be fixed")
     return -1000.0 * case.base_mva * v * np.conj(admittance(model) @ v)
 
 
@@ -188,9 +186,7 @@ def _sources_and_generators(
         if kind == _REFERENCE:
             kept = {float(unit[5]) for unit in units}
             if len(kept) > 1:
-                raise FeederError(
-                    f"case {case.name!r}: generators at bus {name} keep different voltages, {sorted(kept)}"
-                )
+                raise FeederError(f"case {case.name!r}: generators at bus {name} keep different voltages, {sorted(kept)}")
             grid.sources.append(Source("gen", name, i, kept.pop()))
         elif kind == _PQ:
             grid.p_kw[i] -= 1000.0 * sum(float(unit[1]) for unit in units)
@@ -198,19 +194,13 @@ def _sources_and_generators(
             report.add("taken", "gen", f"at bus {name}", "a negative load, of constant power")
         elif kind == _PV and fixed is not None:
             grid.p_kw[i], grid.q_kvar[i] = float(fixed[i].real), float(fixed[i].imag)
-            report.add(
-                "taken", "gen", f"at bus {name}", "a negative load, of the power that MATPOWER's power flow gives it"
-            )
+            report.add("taken", "gen", f"at bus {name}", "a negative load, of the power that MATPOWER's power flow gives it")
         elif kind == _PV:
             text = "it keeps a voltage, which no load does: --fix-generators makes it a constant power"
             report.add("refused", "gen", f"at bus {name}", text)
     for i in np.flatnonzero(bus[:, 1] == _REFERENCE).tolist():
         if i not in running:
-            raise FeederError(
-                f"case {case.name!r}: reference bus {bus[i, 0]:g} has no generator in service; put one there"
-            )
+            raise FeederError(f"case {case.name!r}: reference bus {bus[i, 0]:g} has no generator in service; put one there")
     for row in case.tables.get("dcline", []):
         fate = "refused" if row[2] > 0 else "nothing lost"
-        report.add(
-            fate, "dcline", f"{row[0]:g}-{row[1]:g}", "a DC line" if row[2] > 0 else "out of service: it is left out"
-        )
+        report.add(fate, "dcline", f"{row[0]:g}-{row[1]:g}", "a DC line" if row[2] > 0 else "out of service: it is left out")

@@ -99,12 +99,7 @@ def _solve(called: str, net: Any) -> bool:
         try:
             with quiet():
                 pandapower.runpp(
-                    net,
-                    init=start,
-                    calculate_voltage_angles=True,
-                    tolerance_mva=tolerance,
-                    max_iteration=40,
-                    numba=False,
+                    net, init=start, calculate_voltage_angles=True, tolerance_mva=tolerance, max_iteration=40, numba=False
                 )
             return True
         except pandapower.LoadflowNotConverged:
@@ -168,7 +163,9 @@ def _report_what_is_refused(net: Any, report: Report) -> None:
 
 def _add_switches(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     table = net.switch
-    for i, bus, element, et, closed in zip(table.index, table.bus, table.element, table.et, table.closed, strict=True):
+    for i, bus, element, et, closed in zip(
+        table.index, table.bus, table.element, table.et, table.closed, strict=True
+    ):
         if not closed:
             report.add("nothing lost", "switch", str(i), "open")
         elif et != "b":
