@@ -113,7 +113,7 @@ def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
 
     Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
     """
-    values, arrays = _size(Simulation(scenario, 1).reset([seeds[0]]))
+    values, arrays = _size(Simulation(scenario.member(seeds[0]), 1).reset([seeds[0]]))
     return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
 
 
