@@ -46,6 +46,7 @@ SHORTER = {
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid dev random-feeders": {"--draws": "2", "--n-bus": "20"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
