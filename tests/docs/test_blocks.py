@@ -52,6 +52,7 @@ SHORTER = {
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
     "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--jobs": "1"},
+    "dcgrid dev random-feeders": {"--draws": "2", "--n-bus": "20"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
