@@ -114,5 +114,7 @@ def _balanced(name: str) -> Feeder:
         raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
     feeder = feeder_from_plain(name)
     if not isinstance(feeder, Feeder):
-        raise ValueError(f"feeder: {name} has three phases, and the formats hold balanced feeders; choose a balanced one")
+        raise ValueError(
+            f"feeder: {name} has three phases, and the formats hold balanced feeders; choose a balanced one"
+        )
     return feeder

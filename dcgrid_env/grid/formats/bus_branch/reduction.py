@@ -21,7 +21,6 @@ from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network
 from dcgrid_env.grid.topology import FeederError
 
-
 _LARGEST_PU, _LARGEST_RATIO = 1e15, 1e3
 """Beyond these a branch's figures are mistakes, and their squares might overflow."""
 
@@ -91,7 +90,9 @@ def _check_branches(grid: BusBranchGrid, report: Report) -> None:
             if not abs(value) < _LARGEST_PU:
                 report.add("refused", b.kind, b.name, f"its {what} is {value:.3g} p.u.: give a finite figure")
         if not 1.0 / _LARGEST_RATIO < b.tap < _LARGEST_RATIO:
-            report.add("refused", b.kind, b.name, f"its ratio is {b.tap:.3g} p.u.: give one near 1, or right base voltages")
+            report.add(
+                "refused", b.kind, b.name, f"its ratio is {b.tap:.3g} p.u.: give one near 1, or right base voltages"
+            )
     refused = [row for row in report.findings if row.fate == "refused"]
     if refused:
         report.refuse_unless(grid.name, ())
@@ -126,7 +127,9 @@ def _shunts(grid: BusBranchGrid, first: np.ndarray, report: Report) -> np.ndarra
             total[b.to_bus] += b.y_to_pu
             if first[b.from_bus] == first[b.to_bus]:
                 if abs(b.tap - 1.0) > 1e-12:
-                    report.add("refused", b.kind, b.name, "both its ends are at one bus, with a ratio: a current circulates")
+                    report.add(
+                        "refused", b.kind, b.name, "both its ends are at one bus, with a ratio: a current circulates"
+                    )
                 else:
                     report.add("nothing lost", b.kind, b.name, "both its ends are at one bus: it carries no current")
         elif b.from_closed:
@@ -168,7 +171,9 @@ def _report_sources(
         if first[other.bus] == first[root.bus] and other.v_pu == root.v_pu:
             report.add("taken", other.kind, other.name, f"at the bus of {root.kind} {root.name}: one source")
         elif first[other.bus] in found.fed:
-            text = f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
+            text = (
+                f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
+            )
             report.add("refused", other.kind, other.name, text)
         elif named:
             report.add("nothing lost", other.kind, other.name, "it feeds an island of its own, which is left out")
@@ -201,7 +206,9 @@ def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, found: Supplied, 
     for i, bus in enumerate(grid.buses):
         if int(first[i]) not in found.fed:
             loaded = grid.p_kw[i] or grid.q_kvar[i] or grid.shunt_kw[i] or grid.shunt_kvar[i]
-            text = "without supply: it is left out with what stands there" if loaded else "without supply: it is left out"
+            text = (
+                "without supply: it is left out with what stands there" if loaded else "without supply: it is left out"
+            )
             report.add("nothing lost", "bus", bus, text)
 
 

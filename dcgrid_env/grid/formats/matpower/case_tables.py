@@ -94,7 +94,9 @@ class _Reading:
         if not 0 < base_mva < 1e12:
             raise FeederError(f"{self.file}: mpc.baseMVA is {base_mva:g}; give a positive number of MVA")
         if self.changed:
-            self.report.add("taken", "code", self.name, "its own arithmetic on its tables, such as ohms to p.u., is done")
+            self.report.add(
+                "taken", "code", self.name, "its own arithmetic on its tables, such as ohms to p.u., is done"
+            )
         tables = {name: self.code.tables[name] for name in WIDTHS if name in self.code.tables}
         return CaseTables(self.name, base_mva, tables, self.lines, self.bus_names)
 
@@ -142,9 +144,13 @@ class _Reading:
                     lines.append(number)
         for number, row in zip(lines, rows, strict=True):
             if len(row) != len(rows[0]):
-                raise FeederError(f"{self.file}, line {number}: mpc.{name} has {len(row)} cells here and {len(rows[0])} before")
+                raise FeederError(
+                    f"{self.file}, line {number}: mpc.{name} has {len(row)} cells here and {len(rows[0])} before"
+                )
             if len(row) < least:
-                raise FeederError(f"{self.file}, line {number}: mpc.{name} has {len(row)} columns; it has {least} or more")
+                raise FeederError(
+                    f"{self.file}, line {number}: mpc.{name} has {len(row)} columns; it has {least} or more"
+                )
         if rows and len(rows[0]) > most:
             self.report.add("nothing lost", "column", f"mpc.{name}", f"what stands beyond column {most} is left out")
         self.code.tables[name] = parsed(name, [row[:most] for row in rows])

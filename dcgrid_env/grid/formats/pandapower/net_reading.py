@@ -17,7 +17,7 @@ import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import BusBranchGrid, ClosedSwitch, ImportedFeeder, Source, imported
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import named_buses
+from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, check_net
@@ -68,26 +68,29 @@ def read_pandapower(
     """
     report = Report("net")
     called, net = loaded_net(source, arguments or {}, trust, report)
-    for name in ("bus", "line", "trafo", "load", "ext_grid", "switch"):
-        if name not in net:
-            raise FeederError(f"{called}: the table {name} is missing; give a net of this pandapower's format")
-    check_net(called, net)
-    if len(net.controller) and trust | (not isinstance(source, str)):
-        report.add_all("lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are")
-    _report_what_is_refused(net, report)
-    converged = _solve(called, net)
-    rows = ModelRows(net)
-    grid = _grid(called, net, rows, bus_names)
-    grid.branches = read_branches(net, rows, report)
-    _add_switches(net, grid, rows, report)
-    _add_loads(net, grid, rows, report)
-    _add_sources(net, grid, rows, report, fix_generators and converged)
-    volts = net.res_bus.vm_pu.to_dict() if converged else {}
-    voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
-    facts = f"pandapower net {grid.name}"
-    return imported(
-        grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
-    )
+    with errors_naming(called):
+        for name in ("bus", "line", "trafo", "load", "ext_grid", "switch"):
+            if name not in net:
+                raise FeederError(f"{called}: the table {name} is missing; give a net of this pandapower's format")
+        check_net(called, net)
+        if len(net.controller) and trust | (not isinstance(source, str)):
+            report.add_all(
+                "lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are"
+            )
+        _report_what_is_refused(net, report)
+        converged = _solve(called, net)
+        rows = ModelRows(net)
+        grid = _grid(called, net, rows, bus_names)
+        grid.branches = read_branches(net, rows, report)
+        _add_switches(net, grid, rows, report)
+        _add_loads(net, grid, rows, report)
+        _add_sources(net, grid, rows, report, fix_generators and converged)
+        volts = net.res_bus.vm_pu.to_dict() if converged else {}
+        voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
+        facts = f"pandapower net {grid.name}"
+        return imported(
+            grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
+        )
 
 
 def _solve(called: str, net: Any) -> bool:
@@ -99,7 +102,12 @@ def _solve(called: str, net: Any) -> bool:
         try:
             with quiet():
                 pandapower.runpp(
-                    net, init=start, calculate_voltage_angles=True, tolerance_mva=tolerance, max_iteration=40, numba=False
+                    net,
+                    init=start,
+                    calculate_voltage_angles=True,
+                    tolerance_mva=tolerance,
+                    max_iteration=40,
+                    numba=False,
                 )
             return True
         except pandapower.LoadflowNotConverged:
@@ -163,9 +171,7 @@ def _report_what_is_refused(net: Any, report: Report) -> None:
 
 def _add_switches(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     table = net.switch
-    for i, bus, element, et, closed in zip(
-        table.index, table.bus, table.element, table.et, table.closed, strict=True
-    ):
+    for i, bus, element, et, closed in zip(table.index, table.bus, table.element, table.et, table.closed, strict=True):
         if not closed:
             report.add("nothing lost", "switch", str(i), "open")
         elif et != "b":

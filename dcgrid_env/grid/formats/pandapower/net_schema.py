@@ -136,7 +136,9 @@ def _check_cells(source: str, name: str, table: Any, column: str, kind: str, bus
         if empty and (cell is None or cell != cell):
             continue
         if not _is_good(kind, cell, buses):
-            raise FeederError(f"{source}, table {name}, index {i}: {column} is {str(cell)[:60]!r}; give {_WANTED[kind]}")
+            raise FeederError(
+                f"{source}, table {name}, index {i}: {column} is {str(cell)[:60]!r}; give {_WANTED[kind]}"
+            )
 
 
 def _limits(kind: str) -> tuple[float, float]:
@@ -197,7 +199,9 @@ def _check_ends(source: str, net: Any) -> None:
         table = net[name]
         for i, a, b in zip(table.index, table[columns[0]], table[columns[1]], strict=True):
             if a == b:
-                raise FeederError(f"{source}, table {name}, index {i}: {columns[1]} is {b}, as {columns[0]}; give two buses")
+                raise FeederError(
+                    f"{source}, table {name}, index {i}: {columns[1]} is {b}, as {columns[0]}; give two buses"
+                )
     for i, whole, real in zip(net.trafo.index, net.trafo.vk_percent, net.trafo.vkr_percent, strict=True):
         if real > whole:
             raise FeederError(

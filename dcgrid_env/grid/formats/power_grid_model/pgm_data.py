@@ -132,7 +132,9 @@ class _Look:
         elif np.issubdtype(dtype, np.integer):
             limits = np.iinfo(dtype)
             if not isinstance(value, int) or not limits.min < value <= limits.max:
-                raise FeederError(f"{where} is {str(value)[:60]}; give a whole number of {limits.min + 1} to {limits.max}")
+                raise FeederError(
+                    f"{where} is {str(value)[:60]}; give a whole number of {limits.min + 1} to {limits.max}"
+                )
         elif not abs(value) < _LARGEST and not (infinite and abs(value) == np.inf):
             raise FeederError(f"{where} is {str(value)[:60]}; give a finite number")
 
