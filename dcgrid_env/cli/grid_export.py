@@ -36,7 +36,8 @@ class _Export(Command):
         """Read the file again."""
 
     def run(self) -> None:
-        """Write the file, read it again and say how far the other program's voltages are; nothing is written on an error."""
+        """Write the file, read it again and say how far the other program's voltages are; nothing is written on an
+        error."""
         from dcgrid_env.cli.grid_import import compared
         from dcgrid_env.core.files import write_bytes
 

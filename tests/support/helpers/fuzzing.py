@@ -17,8 +17,8 @@ from dcgrid_env import FeederError
 Files = dict[str, bytes]
 SECONDS = 20
 """Longest that a file may take to read or refuse."""
-ODD = ["nan", "inf", "-inf", "1e400", "-1", "0", "1e-320", "", "abc", "null", "true", "[]", "{}", '"7"', "99999999999999999999",
-       "1.5", "-0.0", "1e17", "0x10", "1,5", "1;2", "3 4"]  # fmt: skip
+ODD = ["nan", "inf", "-inf", "1e400", "-1", "0", "1e-320", "", "abc", "null", "true", "[]", "{}", '"7"',
+       "99999999999999999999",        "1.5", "-0.0", "1e17", "0x10", "1,5", "1;2", "3 4"]  # fmt: skip
 """What a figure may become: words that programs write for none, and figures of the wrong kind or size."""
 
 
@@ -68,7 +68,8 @@ def mutated_value(files: Files, cell: Cell, rng: random.Random) -> tuple[Files, 
 
 
 def outcome(read: Callable[[Path], object], files: Files, folder: Path) -> object:
-    """What is read from files, or the FeederError; any other exception comes through, and so does one that takes long."""
+    """What is read from files, or the FeederError; any other exception comes through, and so does one that takes
+    long."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
@@ -78,10 +79,12 @@ def outcome(read: Callable[[Path], object], files: Files, folder: Path) -> objec
         with in_time():
             return read(folder)
     except FeederError as error:
-        assert str(error).strip(), "an error says something"
-        assert len(str(error).splitlines()) == 1, str(error)
-        assert folder.name in str(error), f"the error names no file: {error}"
-        return error
+        refused = error
+    said = str(refused)
+    assert said.strip(), "an error says something"
+    assert len(said.splitlines()) == 1, said
+    assert folder.name in said, f"the error names no file: {said}"
+    return refused
 
 
 @contextlib.contextmanager

@@ -23,7 +23,8 @@ def named_buses(source: str, names: Sequence[str]) -> tuple[str, ...]:
 
 @contextmanager
 def errors_naming(source: object) -> Iterator[None]:
-    """Put the source, such as a file's path, before each FeederError that does not name it; arithmetic that fails is one."""
+    """Put the source, such as a file's path, before each FeederError that does not name it; arithmetic that fails is
+    one."""
     try:
         yield
     except FeederError as error:

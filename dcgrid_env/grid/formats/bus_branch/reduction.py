@@ -1,7 +1,8 @@
 """From buses and branches to the tables of a radial feeder, referred to the substation's base voltage.
 
 Switches that are closed make their buses one, branches beside each other become one, admittances to ground go to the
-buses, and what no source feeds is left out. An ideal transformer is then exact: with t the voltage of a bus referred to the
+buses, and what no source feeds is left out. An ideal transformer is then exact: with t the voltage of a bus referred
+to the
 source over its own, both per unit, t grows by ``tap`` across a transformer, an impedance of the bus is t^2 times as
 large for the source, a current 1 / t times, and the admittance of a bus 1 / t^2 times.
 """
@@ -60,8 +61,8 @@ def radial_network(
     Raises
     ------
     FeederError
-        For loops, several sources, branches of negative impedance and unlike transformers in parallel, naming them; for what
-        is lost and not allowed.
+        For loops, several sources, branches of negative impedance and unlike transformers in parallel, naming them;
+        for what is lost and not allowed.
     """
     _check_branches(grid, report)
     first = _one_bus_for_each_closed_switch(grid, report)

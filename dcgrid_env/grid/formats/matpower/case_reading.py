@@ -50,8 +50,8 @@ def read_matpower(
     Raises
     ------
     FeederError
-        For code that is not known, figures that cannot be used, naming file, line, table, row and column, and for what cannot
-        be represented, naming it.
+        For code that is not known, figures that cannot be used, naming file, line, table, row and column, and for
+        what cannot be represented, naming it.
     """
     path = Path(path)
     with errors_naming(path):
@@ -118,8 +118,8 @@ def _model(file: str, case: CaseTables, rows: dict[int, int]) -> CaseModel:
     for number, b in enumerate(branch, 1):
         if b[2] == 0 and b[3] == 0:
             raise FeederError(
-                f"{file}: mpc.branch {b[0]:g}-{b[1]:g} (live branch {number}): r and x are 0, with which MATPOWER has no power "
-                "flow; give a small x or make its buses one"
+                f"{file}: mpc.branch {b[0]:g}-{b[1]:g} (live branch {number}): r and x are 0, with which it has "
+                "no power flow; give a small x or make its buses one"
             )
     tap = np.where(branch[:, 8] == 0, 1.0, branch[:, 8]) * np.exp(1j * np.deg2rad(branch[:, 9]))
     injection = -(bus[:, 2] + 1j * bus[:, 3])
@@ -174,7 +174,8 @@ def _grid(case: CaseTables, rows: dict[int, int], buses: tuple[str, ...]) -> Bus
 def _sources_and_generators(
     grid: BusBranchGrid, case: CaseTables, rows: dict[int, int], report: Report, fixed: np.ndarray | None
 ) -> None:
-    """Put sources and generators into the grid; ``fixed`` is the power drawn at each bus, kVA, if those are to keep it."""
+    """Put sources and generators into the grid; ``fixed`` is the power drawn at each bus, kVA, if those are to keep
+    it."""
     bus = case.tables["bus"]
     running: dict[int, list[np.ndarray]] = {}
     for row in case.tables["gen"]:

@@ -65,8 +65,8 @@ def case_tables(file: str, text: str, report: Report) -> CaseTables:
     Raises
     ------
     FeederError
-        For code that is not known, a table that is missing or has a cell that is no number, naming file, line, table and
-        column; where matpowercaseframes is missing.
+        For code that is not known, a table that is missing or has a cell that is no number, naming file, line, table
+        and column; where matpowercaseframes is missing.
     """
     return _Reading(file, report).read(text)
 
@@ -178,7 +178,8 @@ def parsed(name: str, rows: list[list[str]]) -> np.ndarray:
         from matpowercaseframes import CaseFrames
     except ImportError:
         raise FeederError(
-            "matpowercaseframes is missing, which parses MATPOWER's tables; install it by `pip install 'dcgrid-env[matpower]'`"
+            "matpowercaseframes is missing, which parses MATPOWER's tables; install it by "
+            "`pip install 'dcgrid-env[matpower]'`"
         ) from None
     body = ";\n".join("\t".join(row) for row in rows)
     with tempfile.TemporaryDirectory() as folder:

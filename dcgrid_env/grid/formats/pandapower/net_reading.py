@@ -1,7 +1,7 @@
 """A radial feeder out of a pandapower net.
 
-Branches, loads and shunts are those of the per-unit model that pandapower itself builds for its power flow, so that every
-way in which it lets a line, a transformer or its taps be described is understood as pandapower understands it.
+Branches, loads and shunts are those of the per-unit model that pandapower itself builds for its power flow, so that
+every way in which it lets a line, a transformer or its taps be described is understood as pandapower understands it.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def read_pandapower(
     Parameters
     ----------
     source
-        A net, the name of a function of ``pandapower.networks`` such as ``"case33bw"``, a SimBench code where simbench is
-        installed, or the path of a JSON file that ``pandapower.to_json`` wrote.
+        A net, the name of a function of ``pandapower.networks`` such as ``"case33bw"``, a SimBench code where
+        simbench is installed, or the path of a JSON file that ``pandapower.to_json`` wrote.
     arguments
         What the function of ``pandapower.networks`` is called with.
     at
@@ -63,8 +63,8 @@ def read_pandapower(
     Raises
     ------
     FeederError
-        For a cell that cannot be used, naming file, table, index and column, for what cannot be represented, naming it, and
-        where pandapower is missing.
+        For a cell that cannot be used, naming file, table, index and column, for what cannot be represented, naming
+        it, and where pandapower is missing.
     """
     report = Report("net")
     called, net = loaded_net(source, arguments or {}, trust, report)
@@ -162,7 +162,7 @@ def _place(net: Any, bus: int, row: int) -> tuple[float, float]:
 
 def _report_what_is_refused(net: Any, report: Report) -> None:
     for name, what in REFUSED.items():
-        table = net[name] if name in net else ()
+        table = net.get(name, ())
         if len(table):
             live = table.in_service.to_numpy(dtype=bool) if "in_service" in table.columns else np.ones(len(table), bool)
             report.add_all("refused", name, map(str, table.index[live]), f"{what}, which a balanced feeder has none of")

@@ -1,4 +1,5 @@
-"""Where a pandapower net comes from: a name of its example networks, SimBench, a JSON file, or an object of Python's."""
+"""Where a pandapower net comes from: a name of its example networks, SimBench, a JSON file, or an object of
+Python's."""
 
 from __future__ import annotations
 

@@ -64,8 +64,8 @@ def read_power_grid_model(
     Raises
     ------
     FeederError
-        For a cell that cannot be used, naming component, row, id and field, for what cannot be represented, naming it, and
-        where power-grid-model is missing.
+        For a cell that cannot be used, naming component, row, id and field, for what cannot be represented, naming
+        it, and where power-grid-model is missing.
     """
     path = Path(path)
     if not (math.isfinite(frequency_hz) and frequency_hz > 0):

@@ -1,4 +1,5 @@
-"""Files that are damaged: each is refused in one line that names it, or read; never a traceback, a hang, a value unheeded."""
+"""Files that are damaged: each is refused in one line that names it, or read; never a traceback, a hang, a value
+unheeded."""
 
 import json
 import random
@@ -88,7 +89,8 @@ class Format:
     def cells_of_pandapower(self):
         return self.cells_by_key({
             "load": {"p_mw", "q_mvar", "scaling"}, "line": {"r_ohm_per_km", "x_ohm_per_km", "max_i_ka"},
-            "trafo": {"vn_hv_kv", "vn_lv_kv", "vk_percent", "sn_mva"}, "shunt": {"p_mw", "q_mvar"}, "ext_grid": {"vm_pu"},
+            "trafo": {"vn_hv_kv", "vn_lv_kv", "vk_percent", "sn_mva"}, "shunt": {"p_mw", "q_mvar"},
+            "ext_grid": {"vm_pu"},
         })  # fmt: skip
 
     def cells_by_key(self, wanted):
