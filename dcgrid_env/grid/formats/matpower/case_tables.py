@@ -160,9 +160,11 @@ class _Reading:
         """A cell as a number that every reader takes; FeederError for what is none."""
         if _NUMBER.match(cell):
             return cell.replace("d", "e").replace("D", "e")
-        if not re.match(r"[\d.(+-]", cell):
-            raise FeederError(f"{self.file}, line {line}: mpc.{table}, column {column} is {cell!r}; give a number")
-        return repr(self.code.scalar(line, cell))
+        try:
+            return repr(self.code.scalar(line, cell))
+        except FeederError:
+            where = f"{self.file}, line {line}: mpc.{table}, column {column}"
+            raise FeederError(f"{where} is {cell[:60]!r}; give a number") from None
 
     def _texts(self, line: int, text: str, value: str) -> tuple[str, ...]:
         if not (value.startswith("{") and value.endswith("}")):

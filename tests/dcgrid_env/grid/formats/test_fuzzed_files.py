@@ -151,13 +151,13 @@ def check_value(form, seed, folder):
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_file_with_other_bytes_is_refused_by_name_or_read(formats, name, tmp_path):
-    for seed in range(12 if name == "pandapower" else 30):
+    for seed in range(6 if name == "pandapower" else 30):
         check_bytes(formats[name], seed, tmp_path / "grid")
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_figure_that_is_changed_is_refused_or_in_the_feeder(formats, name, tmp_path):
-    for seed in range(8 if name == "pandapower" else 20):
+    for seed in range(4 if name == "pandapower" else 20):
         check_value(formats[name], seed, tmp_path / "grid")
 
 

@@ -51,7 +51,8 @@ def mesh_volts(made):
 
 
 def rich():
-    """Parallel lines one of which is drawn backwards, a transformer each way round, off its ratio, charging and shunts."""
+    """Parallel lines one of which is drawn backwards, a transformer each way round, off its ratio, charging and
+    shunts."""
     made = grid(6)
     made.base_kv[3:] = 0.4
     made.p_kw[:] = [0, 900, -300, 500, 200, 100]
@@ -71,7 +72,7 @@ def rich():
 def test_voltages_are_those_of_a_solver_that_merges_and_refers_nothing():
     made = rich()
     wanted, found = mesh_volts(made), volts(Feeder.from_network(reduced(made).network))
-    assert min(wanted.values()) < 0.97
+    assert max(wanted.values()) - min(wanted.values()) > 0.05
     assert max(abs(wanted[bus] - v) for bus, v in found.items()) < 1e-8
 
 
