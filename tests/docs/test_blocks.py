@@ -67,6 +67,12 @@ ELSEWHERE = {
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
+    "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid import matpower": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
+    "python docs/import_differences.py": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
+    "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
