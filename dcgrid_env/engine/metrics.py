@@ -17,6 +17,8 @@
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+| loading_max_pct | highest current of a branch as a share of its rating; where the feeder knows ratings |
+| overloaded_branch_seconds_pct | share of rated branches (of a line's phases) and steps above it, the same |
 | pst_max, swing_*, ramp_*, voltage_step_max_pu, voltage_step_excess_pct | see ``fluctuation``; where they can be had |
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
@@ -73,6 +75,7 @@ import numpy as np
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.fluctuation import WorstFlicker, fluctuation, worst_flicker
 from dcgrid_env.engine.leaving import after_loss
+from dcgrid_env.engine.overload import overload_figures
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -100,6 +103,8 @@ class Series:
             None if states[0].three_phase is None else _history([s.three_phase for s in states], lane)
         )
         """``State.three_phase`` over time, from the reset on; None on a balanced feeder."""
+        self.loading: Any = None if states[0].loading is None else np.array([s.loading[lane] for s in states])
+        """``State.loading`` over time, from the reset on; None where the feeder knows no rating."""
         self.trace_start = transitions[0].trace_start[lane]
         self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
         self.cost_j = np.array([t.cost_j[lane] for t in steps])
@@ -137,7 +142,7 @@ class Series:
             "steps": len(v),
             "power_flow_converged": self.converged,
         }
-        figures |= fluctuation(s, self.v_pu, self._p_kw)
+        figures |= fluctuation(s, self.v_pu, self._p_kw) | overload_figures(s, self.loading)
         if isinstance(s.feeder, ThreePhaseFeeder):
             figures |= self._unbalance(s.feeder) | self._moves()
         for device, history in zip(s.devices, self.devices, strict=True):

@@ -3,6 +3,7 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.loading import branch_loading, rated_nodes
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
@@ -22,11 +23,13 @@ __all__ = [
     "Solver",
     "ThreePhaseSolution",
     "branch_flows",
+    "branch_loading",
     "distflow",
     "lindistflow",
     "linearise",
     "nema_unbalance",
     "own_sensitivity",
+    "rated_nodes",
     "sensitivity",
     "solve_unbalanced",
     "solver_for",
