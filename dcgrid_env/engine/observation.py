@@ -29,7 +29,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
-from dcgrid_env.engine.connections import agent_nodes, between_buses, own_distance
+from dcgrid_env.engine.connections import agent_nodes, between_agents, own_distance
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.measurement import of_agents
 from dcgrid_env.engine.overload import loading_of_agents
@@ -199,7 +199,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
-        apart = between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
+        apart = between_agents(scenario, buses)
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent

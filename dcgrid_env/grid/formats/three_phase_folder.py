@@ -109,13 +109,15 @@ def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _read_buses(path: Path) -> NodeTable:
     rows: list[tuple] = []
+    before: set[str] = set()
     for line, row in _rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"], ()):
         figures = [_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
         base_kv = _number(path, line, "base_kv_ln", row["base_kv_ln"], None)
         if row["phases"] not in PHASES:
             raise FeederError(f"{path}, line {line}: phases is {row['phases']!r}; choose {', '.join(PHASES)}")
-        if not row["bus"] or any(row["bus"] == bus for bus, *_ in rows):
+        if not row["bus"] or row["bus"] in before:
             raise FeederError(f"{path}, line {line}: bus is {row['bus']!r}; give each bus one row and its own text")
+        before.add(row["bus"])
         rows += [(row["bus"], NUMBER[phase], *figures, base_kv) for phase in row["phases"]]
     return NodeTable(*zip(*rows, strict=True)) if rows else NodeTable()
 

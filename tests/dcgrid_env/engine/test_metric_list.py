@@ -58,7 +58,17 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
         (riding(horizon=3), {"leaving"}),
         (make_scenario("toy6", horizon=3, **SITES), OF_SITES),
     ],
-    ids=["balanced", "limits", "ratings", "tenths of a second", "requests", "three phases", "storage", "leaving", "sites"],
+    ids=[
+        "balanced",
+        "limits",
+        "ratings",
+        "tenths of a second",
+        "requests",
+        "three phases",
+        "storage",
+        "leaving",
+        "sites",
+    ],
 )
 def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, has):
     own = rollout(scenario, NoControl(), [0]).metrics()[0]
