@@ -35,6 +35,7 @@ from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_tim
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
+from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
@@ -46,10 +47,12 @@ from dcgrid_env.powerflow import (
     PowerFlowError,
     Sensitivity,
     Solution,
+    branch_loading,
     distflow,
     lindistflow,
     own_sensitivity,
     sensitivity,
+    sensitivity_by,
     solver_for,
 )
 from dcgrid_env.scenario.background import Background
@@ -93,6 +96,7 @@ __all__ = [
     "FeederError",
     "Forecast",
     "GridControl",
+    "HugeObservationWarning",
     "Inverters",
     "LinearDvfs",
     "Metric",
@@ -123,6 +127,7 @@ __all__ = [
     "acting_relays",
     "action_layout",
     "believed_sensitivity",
+    "branch_loading",
     "distflow",
     "end_costs",
     "env",
@@ -141,6 +146,7 @@ __all__ = [
     "scenario_hash",
     "sensitivity",
     "sensitivity_between_agents",
+    "sensitivity_by",
     "sensitivity_to_agents",
     "short_term_flicker",
     "solver_for",

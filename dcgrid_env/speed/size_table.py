@@ -3,7 +3,8 @@
 Synthetic feeders (``synthetic_feeders``): from 100 to 100,000 buses, and three-phase ones of up to 8,500 nodes. Each is
 measured in a process of its own: seconds to compile the tables into a feeder, to write it as CSV files and to read
 them; power flows a second from a cold start, one at a time and 64 in a batch; an environment of a few agents on it, by
-its seconds to be made and reset, its steps a second, and the memory that each lane of a batch of 16 adds.
+its seconds to be made and reset, its steps a second, and the memory that each lane of a batch of 16 adds. The
+table is printed in Markdown.
 """
 
 from __future__ import annotations
@@ -67,23 +68,18 @@ COLUMNS = {
 def main(args: list[str]) -> None:
     """Entry point of ``python -m dcgrid_env.speed sizes``."""
     import tyro
-    from rich.console import Console
-    from rich.table import Table
 
     cfg = tyro.cli(Sizes, args=args, prog="python -m dcgrid_env.speed sizes", description=__doc__)
     if min((*cfg.buses, *cfg.three_phase_nodes), default=2) < 20 or not cfg.seconds > 0.0:
         print(f"dcgrid: {cfg}: give sizes of at least 20 and more than 0 s", file=sys.stderr)
         raise SystemExit(2)
-    console, records = Console(), []
+    print("| feeder | " + " | ".join(heading for heading, _ in COLUMNS.values()) + " |")
+    print("|---" + "|---:" * len(COLUMNS) + "|")
+    records = []
     for record in measured(cfg):
         records.append(record)
-        console.print(f"{record['feeder']}: done", highlight=False)
-    shown = Table(title="time and memory by size", title_justify="left")
-    for name, (heading, _) in {"feeder": ("feeder", ""), **COLUMNS}.items():
-        shown.add_column(heading, justify="left" if name == "feeder" else "right")
-    for record in records:
-        shown.add_row(record["feeder"], *(style.format(record[name]) for name, (_, style) in COLUMNS.items()))
-    console.print(shown)
+        cells = [style.format(record[name]) for name, (_, style) in COLUMNS.items()]
+        print(f"| {' | '.join([record['feeder'], *cells])} |", flush=True)
     if cfg.json is not None:
         write_json(cfg.json, {"rows": records})
 

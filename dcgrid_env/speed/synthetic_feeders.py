@@ -16,6 +16,8 @@ LOAD_KW, LOAD_KVAR = 5000.0, 1500.0
 REACH = 20
 """A bus hangs on one of so many before it: the way to the last has a tenth as many branches as there are buses."""
 DROP_PU = 0.05
+WAY_OHM = 3.0
+"""Reactance of the longest way in a three-phase feeder, if all its lines are of three phases."""
 
 
 def balanced_feeder(n_bus: int, seed: int = 0, chain: bool = False) -> Feeder:
@@ -49,7 +51,10 @@ def three_phase_feeder(n_node: int, seed: int = 0) -> ThreePhaseFeeder:
     rng = np.random.default_rng(seed)
     phases, feeds = _three_phase_tree(n_node, rng)
     n_bus = len(phases)
-    ohm = 160.0 / n_bus
+    depth = [0] * n_bus
+    for k in range(1, n_bus):
+        depth[k] = depth[feeds[k]] + 1
+    ohm = WAY_OHM / max(depth)
     full = np.full((3, 3), math.nan)
 
     def matrix(of: str, own: float, mutual: float) -> Any:
