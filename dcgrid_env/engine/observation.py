@@ -35,7 +35,8 @@ from dcgrid_env.engine.measurement import of_agents
 from dcgrid_env.engine.overload import loading_of_agents
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
@@ -78,7 +79,7 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 
 def common_fields(scenario: Scenario) -> tuple[str, ...]:
     """Names of the fields that every agent observes, whatever its device, in order."""
-    by_phase = () if isinstance(scenario.feeder, Feeder) else BY_PHASE
+    by_phase = BY_PHASE if isinstance(scenario.feeder, ThreePhaseFeeder) else ()
     return (*COMMON, *by_phase, *((LOADING,) if scenario.observe_loading else ()))
 
 
@@ -99,7 +100,7 @@ def _in_bands(field: Field, band_pu: float) -> Field:
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
-    own = _own_distance(scenario)
+    r, x = _largest_distance(scenario)
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
@@ -108,8 +109,8 @@ def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         "p": (-1.0, max(device.largest_draw_share for device in scenario.devices)),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
-        "r": (0.0, max(float(own[..., 0].max()), 1e-6)),
-        "x": (0.0, max(float(own[..., 1].max()), 1e-6)),
+        "r": (0.0, max(r, 1e-6)),
+        "x": (0.0, max(x, 1e-6)),
     }
 
     def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
@@ -142,6 +143,16 @@ def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 def _own_distance(scenario: Scenario) -> np.ndarray:
     """(R_ii, X_ii) of each agent at each bus, in bands, (n_agent, n_bus, 2)."""
     return own_distance(scenario) / (scenario.band_pu or 1.0)
+
+
+def _largest_distance(scenario: Scenario) -> tuple[float, float]:
+    """Largest R_ii and X_ii of any agent at any bus, in bands; on random feeders what they are below on all of them."""
+    feeder, band = scenario.family.feeder, scenario.band_pu or 1.0
+    if isinstance(feeder, RandomFeeders):
+        largest = feeder.largest_drop_pu_per_mw / band
+        return largest * scenario.r_model_share, largest * scenario.x_model_share
+    own = _own_distance(scenario)
+    return float(own[..., 0].max()), float(own[..., 1].max())
 
 
 class _Layout(NamedTuple):

@@ -39,7 +39,7 @@ from dcgrid_env.engine.utility_limits import (
     sites,
     voltage_step_excess,
 )
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.cost import LIMIT_OF
 from dcgrid_env.scenario.scenario import Scenario
@@ -223,7 +223,7 @@ def terms(scenario: Scenario) -> Terms:
         for i, device in enumerate(scenario.devices)
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
-    of_grid = () if isinstance(scenario.feeder, Feeder) else OF_THREE_PHASES
+    of_grid = OF_THREE_PHASES if isinstance(scenario.feeder, ThreePhaseFeeder) else ()
     of_limits = tuple(name for name in OF_LIMITS if weights[name])
     names = (*of_grid, *of_limits, *(term.name for _, term, _ in own_terms))
     more = tuple(dict.fromkeys(name for name in names if name not in Costs._fields))

@@ -11,11 +11,13 @@ from gymnasium import spaces
 from dcgrid_env.engine import actions, observation
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from dcgrid_env.engine.episode import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 HUGE = 1000
@@ -68,13 +70,16 @@ class BaseEnvironment:
         *,
         joint: bool,
     ) -> None:
-        from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it, so not on import
+        from dcgrid_env.engine.family_simulation import simulation  # brings the compiler with it, so not on import
 
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
         if info not in INFO_LEVELS:
             raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
         self.scenario = make_scenario(scenario, **overrides)
+        self._drawn_on: Scenario | None = None  # what the viewer shows
+        if render_mode is not None and lanes > 1 and isinstance(self.scenario.feeder, RandomFeeders):
+            raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         if self.scenario.observe == "feeder":
@@ -83,7 +88,7 @@ class BaseEnvironment:
         self.render_mode, self.info_level = render_mode, info
         ids = self.scenario.feeder.bus_ids
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
-        self._simulation: Simulation = Simulation(self.scenario, lanes)
+        self._simulation: Simulation = simulation(self.scenario, lanes)
         self._last: Transition | None = None
 
     @property
@@ -121,11 +126,17 @@ class BaseEnvironment:
             self._viewer.close()
             self._viewer = None
 
-    def _reset(self, seeds: list[int | None], rng: np.random.Generator, mask: np.ndarray | None = None) -> Transition:
+    def _reset(
+        self,
+        seeds: list[int | None],
+        rng: np.random.Generator,
+        mask: np.ndarray | None = None,
+        given: Given | None = None,
+    ) -> Transition:
         """Begin episodes; where there was never a seed one is drawn."""
         if not self._simulation.begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
-        transition = self._simulation.reset(seeds, mask)
+        transition = self._simulation.reset(seeds, mask, given)
         self._arrived()
         return transition
 
@@ -140,11 +151,15 @@ class BaseEnvironment:
         self._last = None
         self._bus_names = self.buses()
         if self.render_mode is not None:
+            on = self._simulation.scenario_of(0)
+            if self._drawn_on is not on:
+                self.close()
+                self._drawn_on = on
             if self._viewer is None:
                 from dcgrid_env.rendering.viewer import Viewer
 
                 lanes = 1 if self.render_mode == "human" else self._simulation.lanes
-                self._viewer = Viewer(self.scenario, self.render_mode, lanes)
+                self._viewer = Viewer(on, self.render_mode, lanes)
             self._show()
 
     def _show(self) -> None:

@@ -44,7 +44,7 @@ SHORTER = {
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
-    "dcgrid dev tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
+    "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
     "dcgrid list": {},
     "python docs/picture.py": {},
@@ -174,7 +174,7 @@ def read(arguments):
 def check_read(command):
     """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
     if command[0] == "dcgrid":
-        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid dev tune`: what it is about
+        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid tune`: what it is about
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(command[2]) is not None, command

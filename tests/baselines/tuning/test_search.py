@@ -85,10 +85,10 @@ def test_every_preset_ships_every_law():
         assert set(of_scenario) == {name for name in PRESETS if TUNABLE[law].fits(make_scenario(name))}, law
         for name, record in of_scenario.items():
             if name in SHORTENED:
-                assert record["command"].startswith(f"dcgrid dev tune --laws {law} --scenarios {name} --set horizon=")
+                assert record["command"].startswith(f"dcgrid tune --laws {law} --scenarios {name} --set horizon=")
                 continue
             options = f"--laws {law} --scenarios {name} --episodes {EPISODES}"
-            assert record["command"] in (f"dcgrid tune {options}", f"dcgrid dev tune {options}")
+            assert record["command"] in (f"dcgrid tune {options}", f"dcgrid tune {options}")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_tuning_did_no_harm(preset):
 def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
     own = make_scenario("toy6", name="mine")
     with pytest.raises(
-        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid dev tune --laws droop"
+        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
     ):
         make_controller("droop-tuned", own)
     with pytest.raises(ValueError, match="'droop-tuned' depends on the scenario; say which"):

@@ -61,7 +61,7 @@ def test_the_same_command_gives_the_same_records(tmp_path):
         ),
         (
             ["--controllers", "droop-tuned", "--set", "v0_pu=1.0"],
-            "differs in v0_pu; find its own with `dcgrid dev tune",
+            "differs in v0_pu; find its own with `dcgrid tune",
         ),
         (["--controllers", "droop-tuned", "--tuned", "none.json"], "tuned is 'none.json', which is no file"),
         (["--controllers", "own.py:Law(", "--scenario", "toy6"], "opens a bracket and does not close it"),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
-from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import Matrix
 

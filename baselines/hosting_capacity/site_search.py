@@ -1,0 +1,141 @@
+"""The capacities of buses under one controller: all searches side by side, and a batch for all that try one size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcgrid_env import Feeder, Scenario, fcfs_delays
+from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
+from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, Trial, run_trial
+
+
+@dataclass(frozen=True)
+class BusCapacity:
+    """What one bus carries under one controller, and at which price."""
+
+    controller: str
+    bus: str
+    capacity_mw: float
+    """The largest size that keeps within the limits; the next one tried, a step larger, does not."""
+    at_most: bool
+    """Whether it is the largest size that was tried, so that more might be carried."""
+    limit: str
+    """What the next size breaks: one of ``LIMITS``, with where; empty where ``at_most``."""
+    delay_mean_s: float
+    delay_p95_s: float
+    """Waiting time of the site's work at that size, weighted by work, over all samples."""
+    unserved_pct: float
+    """Share of the work that arrived at the site that was still queued at the end of the windows."""
+    outside_pct: float
+    """Share of the sampled seconds in which some limit was broken at that size."""
+    margin: float
+    """Least distance to a limit at that size, ``Trial.margin``."""
+    smaller_fails_mw: tuple[float, ...]
+    """Smaller sizes of the coarse scan that break limits: capacity is then no bound below which all is well."""
+    larger_carries_mw: tuple[float, ...]
+    """Larger sizes of the coarse scan that keep within the limits."""
+
+
+def search_buses(
+    site: AddedSite,
+    controller: Controller,
+    name: str,
+    buses: np.ndarray,
+    guesses: np.ndarray,
+    on_bus: Callable[[], None] | None = None,
+) -> list[BusCapacity]:
+    """Find what buses carry.
+
+    Parameters
+    ----------
+    site
+        The study's added site.
+    controller, name
+        What drives the agents, and what errors call it.
+    buses
+        Positions in ``bus_ids`` of the candidates, (n,).
+    guesses
+        The size to try first at each, in steps, (n,).
+    on_bus
+        Called as each bus is done (for progress).
+
+    Raises
+    ------
+    ControllerError
+        Where the controller fails or cannot drive such a scenario.
+    """
+    study = site.study
+    samples = np.arange(study.samples)
+    empty = run_trial(site, controller, 0, np.full(study.samples, buses[0]), samples, name)
+    # Without a site of any size there is nothing to search where limits are broken already.
+    fails = int(empty.outside.sum()) > study.allowed_seconds
+    scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
+    searches = [
+        BusSearch(study.samples, empty, int(guess), 0 if fails else study.top, study.allowed_seconds, scan)
+        for guess in guesses
+    ]
+    left = dict(enumerate(searches))
+    while left:
+        by_size: dict[int, list[tuple[int, Request]]] = {}
+        for i, search in list(left.items()):
+            request = None if fails else search.next()
+            if request is None:
+                del left[i]
+                if on_bus is not None:
+                    on_bus()
+            else:
+                by_size.setdefault(request.size, []).append((i, request))
+        for size, asked in by_size.items():
+            trial = _tried(site, controller, size, [(buses[i], request) for i, request in asked], name)
+            ends = np.cumsum([0, *(len(request.samples) for _, request in asked)])
+            for (i, request), a, b in zip(asked, ends[:-1], ends[1:], strict=True):
+                searches[i].take(request, trial.of(slice(a, b)))
+    return [
+        _capacity(site, name, bus, search, empty if fails else search.beyond)
+        for bus, search in zip(buses, searches, strict=True)
+    ]
+
+
+def _tried(
+    site: AddedSite, controller: Controller, size: int, asked: list[tuple[int, Request]], name: str
+) -> Trial:
+    at = np.concatenate([np.full(len(request.samples), bus) for bus, request in asked])
+    return run_trial(site, controller, size, at, np.concatenate([r.samples for _, r in asked]), name)
+
+
+def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: Trial | None) -> BusCapacity:
+    study, trial = site.study, search.at_size
+    feeder = study.scenario.feeder
+    delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
+    counted = study.samples * (study.horizon - study.settled)
+    sited = search.size > 0
+    return BusCapacity(
+        controller=name,
+        bus=feeder.bus_ids[bus],
+        capacity_mw=site.mw(search.size),
+        at_most=search.size == study.top,
+        limit="" if beyond is None else _limit(study.scenario, beyond),
+        delay_mean_s=delays.mean_s if sited else 0.0,
+        delay_p95_s=delays.p95_s if sited else 0.0,
+        unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
+        outside_pct=100.0 * float(trial.outside.sum()) / counted,
+        margin=trial.margin,
+        smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
+        larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
+    )
+
+
+def _limit(scenario: Scenario, beyond: Trial) -> str:
+    """What a size breaks worst, and where."""
+    lane, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
+    at, feeder = int(beyond.at[lane, kind]), scenario.feeder
+    if beyond.margin <= COLLAPSED:
+        return "no power-flow solution"
+    if kind == OVERLOAD:
+        return f"overload of branch {feeder.bus_ids[feeder.parent[at]]}-{feeder.bus_ids[at + 1]}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"

@@ -1,0 +1,155 @@
+"""The rounds of ``lookahead``'s solver, compiled: one lane after the other, its iterate in the cache throughout."""
+
+# pyright: basic
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+def rounds(
+    first, last, count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work,
+    price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
+):  # fmt: skip
+    """Do ``count`` rounds of the lanes from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
+
+    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (lane, step, n_dc) and
+    ``effort`` (lane, n_agent) are divided by the penalties, as ``by`` and ``by_more``, the weights of a deviation and of
+    its excess, are.
+    """
+    for lane in range(first, last):
+        _lane(
+            count, relaxation, band_pu, by, by_more, offset[lane], slopes[lane], base[lane], low[lane], high[lane],
+            s_rated[lane], q_high[lane], work[lane], price[lane], effort[lane], w_e, w_y[lane], w_b[lane], over_time,
+            inverse[lane], sites[lane], share[lane], e[lane], y[lane], b[lane], u_e[lane], u_y[lane], u_b[lane],
+        )  # fmt: skip
+    return 0
+
+
+@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+def _lane(
+    count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work, price, effort,
+    w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
+):  # fmt: skip
+    """The rounds of one lane; arrays as above without the lane."""
+    steps, n_bus = offset.shape
+    n, n_dc = slopes.shape[0], base.shape[1]
+    kept = 1.0 - relaxation
+    right, modes, x = np.empty((steps, n)), np.empty((steps, n)), np.empty((steps, n))
+    line, of_sites, waits = np.empty(n_bus), np.empty(n_dc), np.empty(n_dc)
+    for k in range(steps):
+        _bus_terms(k, w_e, offset, slopes, e, u_e, line, right)
+    for _ in range(count):
+        waits[:] = 0.0
+        for k in range(steps - 1, -1, -1):
+            for i in range(n):
+                right[k, i] += w_y[i] * (y[k, i] - u_y[k, i])
+            for i in range(n_dc):
+                waits[i] += w_b[i] * (work[k, i] - b[k, i] + u_b[k, i])
+                right[k, i] += waits[i]
+        _over_modes(over_time, inverse, sites, share, right, modes, of_sites, x)
+        waits[:] = 0.0
+        for k in range(steps):
+            _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line)
+            _bus_terms(k, w_e, offset, slopes, e, u_e, line, right)
+            for i in range(n):
+                u_y[k, i] += relaxation * x[k, i] + kept * y[k, i]
+            _within(k, base, low, high, s_rated, q_high, effort, u_y, y)
+            for i in range(n_dc):
+                waits[i] += x[k, i]
+                to = relaxation * (work[k, i] - waits[i]) + kept * b[k, i] + u_b[k, i]
+                new = max(to - price[k, i], 0.0)
+                b[k, i] = new
+                u_b[k, i] = to - new
+
+
+@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line):
+    """The deviations of a step and their multipliers after a round."""
+    n, n_bus = slopes.shape
+    for m in range(n_bus):
+        line[m] = offset[k, m]
+    for i in range(n):
+        power = x[k, i]
+        for m in range(n_bus):
+            line[m] += power * slopes[i, m]
+    for m in range(n_bus):
+        to = relaxation * line[m] + kept * e[k, m] + u_e[k, m]
+        size = max(abs(to) - by, 0.0)
+        new = np.copysign(min(size, max(size - by_more, band_pu)), to)
+        e[k, m] = new
+        u_e[k, m] = to - new
+
+
+@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+def _bus_terms(k, w_e, offset, slopes, e, u_e, line, right):
+    """The buses' part of the right-hand side of a step, into ``right``."""
+    n, n_bus = slopes.shape
+    for m in range(n_bus):
+        line[m] = e[k, m] - u_e[k, m] - offset[k, m]
+    for i in range(n):
+        total = 0.0
+        for m in range(n_bus):
+            total += line[m] * slopes[i, m]
+        right[k, i] = w_e * total
+
+
+@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+def _over_modes(over_time, inverse, sites, share, right, modes, of_sites, x):
+    """Solve the least-squares problem for ``right`` (step, n), into ``x``; ``_System`` says how."""
+    steps, n = right.shape
+    n_dc = sites.shape[1]
+    for k in range(steps):
+        for i in range(n):
+            modes[k, i] = 0.0
+        for j in range(steps):
+            for i in range(n):
+                modes[k, i] += over_time[j, k] * right[j, i]
+    for k in range(steps):
+        for j in range(n_dc):
+            total = 0.0
+            for i in range(n):
+                total += modes[k, i] * sites[i, j]
+            of_sites[j] = total * share[k, j]
+        for i in range(n):
+            total = 0.0
+            for j in range(n):
+                total += modes[k, j] * inverse[j, i]
+            for j in range(n_dc):
+                total -= of_sites[j] * sites[i, j]
+            right[k, i] = total
+    for k in range(steps):
+        for i in range(n):
+            x[k, i] = 0.0
+        for j in range(steps):
+            for i in range(n):
+                x[k, i] += over_time[k, j] * right[j, i]
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _within(k, base, low, high, s_rated, q_high, effort, u_y, y):
+    """Proximal point of effort |q| within box and circle of what stands in ``u_y``, into ``y``; ``u_y`` is the rest."""
+    n_dc, n_agent = base.shape[1], q_high.shape[0]
+    for a in range(n_agent):
+        q_to = u_y[k, n_dc + a]
+        pulled = max(abs(q_to) - effort[a], 0.0)
+        size = min(pulled, q_high[a])
+        if a < n_dc:
+            to, own = u_y[k, a], base[k, a]
+            d = min(max(to, low[k, a]), high[k, a])
+            s, p_own = s_rated[k, a], own + d
+            if p_own * p_own + size * size > s * s:
+                # A corner of the box is outside the circle: the nearest point is on the arc, or at an end of it in
+                # the box.
+                p_to, q_top = own + to, q_high[a]
+                p_arc = p_to * s / max(np.sqrt(p_to * p_to + pulled * pulled), 1e-12)
+                p_arc = max(p_arc, np.sqrt(max(s * s - q_top * q_top, 0.0)))
+                p_arc = min(max(p_arc, own + low[k, a]), own + high[k, a])
+                d = p_arc - own
+                size = min(np.sqrt(max(s * s - p_arc * p_arc, 0.0)), q_top)
+            y[k, a] = d
+            u_y[k, a] = to - d
+        new = np.copysign(size, q_to)
+        y[k, n_dc + a] = new
+        u_y[k, n_dc + a] = q_to - new
