@@ -117,7 +117,7 @@ def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
     """
     from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it
 
-    values, arrays = _size(Simulation(scenario, 1).reset([seeds[0]]))
+    values, arrays = _size(Simulation(scenario.member(seeds[0]), 1).reset([seeds[0]]))
     return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
 
 

@@ -34,9 +34,9 @@ DAYS = [pytest.param(p, marks=pytest.mark.slow) if p == "ieee123-3ph-day" else p
 
 @pytest.mark.parametrize("name", DAYS)
 def test_same_seed_same_episode_in_any_lane(name):
-    scenario = make_scenario(name)
+    scenario = make_scenario(name).member(0)
     together = draw(scenario, range(50))
-    again = draw(make_scenario(name), range(50))
+    again = draw(make_scenario(name).member(0), range(50))
     for field in ("key", "buses", "start", "sun", "fault"):
         np.testing.assert_array_equal(getattr(together, field), getattr(again, field))
     for seed in (0, 17, 49):
@@ -185,7 +185,7 @@ def run_digests(rows, length):
 @pytest.mark.parametrize("name", DAYS)
 def test_splits_share_no_window_and_no_key(name):
     pools = {split: trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
-    keys = {split: draw(make_scenario(name, split=split), range(500)).key for split in SPLITS}
+    keys = {split: draw(make_scenario(name, split=split).member(0), range(500)).key for split in SPLITS}
     assert len(np.unique(np.concatenate(list(keys.values())))) == 1500
     rows = [row for pool in pools.values() for row in pool]
     window = window_steps(make_scenario(name))
