@@ -73,6 +73,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.speed sizes": "tests/dcgrid_env/speed/test_size_table.py",
     "python -m dcgrid_env.speed": "tests/dcgrid_env/speed/test_rates.py",
     "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",
