@@ -131,6 +131,7 @@ def _limit(scenario: Scenario, beyond: Trial) -> str:
     at, feeder = int(beyond.at[lane, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
+    node = feeder.node_ids[at]
     if kind == OVERLOAD:
-        return f"overload of branch {feeder.bus_ids[feeder.parent[at]]}-{feeder.bus_ids[at + 1]}"
-    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"
+        return f"overload of the branch from {feeder.bus_ids[feeder.parent[feeder.node_bus[at] - 1]]} to {node}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {node}"
