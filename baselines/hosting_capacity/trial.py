@@ -31,7 +31,7 @@ class Trial(NamedTuple):
     as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
     without a power-flow solution."""
     at: np.ndarray
-    """Where each of these was: position in ``node_ids``, of an overload that of what the branch feeds, (lane, limit)."""
+    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (lane, limit)."""
     outside: np.ndarray
     """Steps that count in which some limit was broken, int, (lane,)."""
     arrived_kw: np.ndarray
