@@ -120,7 +120,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     everyone = list(_all(found))
     asked = max((c.asked_max_pct for name in found.controllers for c in found.by_controller[name]), default=0.0)
     if asked:
-        yield f"In these windows the site's work asks for at most {asked:.0f} % of its rating; more samples may find more."
+        yield f"In these windows a site's work asks for at most {asked:.0f} % of its rating; more samples may ask more."
     tops = [capacity for capacity in everyone if capacity.at_most]
     if not has_ratings(study.scenario.feeder):
         beside = ", which is what would limit those at >=" if tops else ""
