@@ -77,8 +77,8 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
-    scenario = as_driven(scenario, controller)
     groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    groups = [(as_driven(on, controller), lanes) for on, lanes in groups]
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
     steps, every = count(1), len(groups)
@@ -114,7 +114,7 @@ def streaming_rollout(
     Raises
     ------
     ControllerError
-        See :func:`rollout`.
+        Where :func:`rollout` raises it.
     ScenarioError
         Where the seeds are on different random feeders.
     """

@@ -84,7 +84,7 @@ def hosting_capacity(
     jobs
         Processes, over which controllers and buses are shared out. The answers do not depend on them.
     tuned
-        A file of ``dcgrid dev tune`` that the gains of tuned laws must come from.
+        A file of ``dcgrid tune`` that the gains of tuned laws must come from.
     on_buses
         Called with a controller and the number of buses that were done under it (for progress).
 

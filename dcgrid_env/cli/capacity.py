@@ -75,7 +75,7 @@ class Capacity(Command):
     split: str = "test"
     """Which windows the seeds mean: train, validation, test, or ood."""
     tuned: Path | None = None
-    """File of dcgrid dev tune that the gains of tuned controllers must come from."""
+    """File of dcgrid tune that the gains of tuned controllers must come from."""
     jobs: int | None = None
     """Number of processes; by default one for each core."""
     out: Path = Path("results/capacity")

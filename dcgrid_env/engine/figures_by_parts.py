@@ -52,7 +52,8 @@ class FiguresByParts:
         figures = part.grid_figures() | part.phase_figures() | part.after_loss()
         if self._grid is None:
             costs: dict[str, Rule] = dict.fromkeys((f"cost_{name}" for name in part.costs), "sum")
-            self._grid = Combined(OF_GRID | costs | {_SQUARE: "mean"})
+            squares: dict[str, Rule] = {_SQUARE: "mean"}
+            self._grid = Combined(OF_GRID | costs | squares)
             self._devices = [_of_device(device, part, i) for i, device in enumerate(s.devices)]
         std, mean = figures.pop("voltage_deviation_std_pu"), figures["voltage_deviation_mean_pu"]
         del figures["outside_buses_pct"]

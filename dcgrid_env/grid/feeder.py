@@ -222,7 +222,10 @@ class Feeder(PerUnit, OneNodeABus):
         """
         if is_three_phase(Path(folder)):
             raise FeederError(f"{folder} holds a three-phase feeder; read it by ThreePhaseFeeder.from_csv")
-        feeder = cls.from_network(read_csv(Path(folder)))
+        try:
+            feeder = cls.from_network(read_csv(Path(folder)))
+        except FeederError as error:
+            raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 

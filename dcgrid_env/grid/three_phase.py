@@ -17,6 +17,7 @@ from dcgrid_env.grid.three_phase_checks import check_three_phase
 from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
+from dcgrid_env.grid.topology import FeederError
 
 __all__ = ["ThreePhaseFeeder"]
 
@@ -67,7 +68,10 @@ class ThreePhaseFeeder(PhaseNodes):
         FeederError
             Naming the file, the row and the field, or the component, the field and the value.
         """
-        feeder = cls.from_network(read_folder(Path(folder)))
+        try:
+            feeder = cls.from_network(read_folder(Path(folder)))
+        except FeederError as error:
+            raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 

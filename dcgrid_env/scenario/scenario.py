@@ -147,7 +147,8 @@ class Scenario(PickledByFields, FlatNames):
         """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
 
         With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
-        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
+        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a
+        clock law that exists in memory alone.
         """
         from dcgrid_env.scenario.toml import to_toml  # for who writes alone
 
