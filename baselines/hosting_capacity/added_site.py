@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
-from dcgrid_env.baselines.hosting_capacity.capacity_study import Study, has_ratings
-from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
 _NOTHING_KW = 1e-3
 """Rating that stands for no site: a device has a rating."""
@@ -32,8 +31,6 @@ class AddedSite:
         self.agent = first.agents.index(f"dc_{self.slot}")
         """Which of the agents it is."""
         self._buses = self._buses_of_samples(first)
-        self.rated, self.limit_sq_pu = _branch_limits(study)
-        """Positions of the branches whose rating is known, and the squares of their limits, p.u., (n_rated,) each."""
 
     def mw(self, size: int) -> float:
         """A size in MW."""
@@ -82,12 +79,3 @@ class AddedSite:
         placed = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         env.close()
         return placed
-
-
-def _branch_limits(study: Study) -> tuple[np.ndarray, np.ndarray]:
-    feeder = study.scenario.feeder
-    if not has_ratings(feeder):
-        return np.zeros(0, np.int64), np.zeros(0)
-    rated = np.flatnonzero(~np.isnan(feeder.rating_a))
-    base_a = S_BASE_KVA / (np.sqrt(3.0) * feeder.base_kv)
-    return rated, (study.loading_max_pct / 100.0 * feeder.rating_a[rated] / base_a) ** 2

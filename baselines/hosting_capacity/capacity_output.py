@@ -16,7 +16,7 @@ from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
-_NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "margin")
+_NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "asked_max_pct", "margin")
 _LISTS = ("smaller_fails_mw", "larger_carries_mw")
 
 
@@ -118,6 +118,9 @@ def _notes(found: Capacities) -> Iterator[str]:
         f"broken in {study.allowed_pct:g} % of the seconds."
     )
     everyone = list(_all(found))
+    asked = max((c.asked_max_pct for name in found.controllers for c in found.by_controller[name]), default=0.0)
+    if asked:
+        yield f"In these windows a site's work asks for at most {asked:.0f} % of its rating; more samples may ask more."
     tops = [capacity for capacity in everyone if capacity.at_most]
     if not has_ratings(study.scenario.feeder):
         beside = ", which is what would limit those at >=" if tops else ""

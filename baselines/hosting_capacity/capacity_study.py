@@ -167,9 +167,8 @@ class Study:
 
 
 def has_ratings(feeder: Any) -> bool:
-    """Whether the rating of some branch of a balanced feeder is known."""
-    ratings = feeder.rating_a if isinstance(feeder, Feeder) else None
-    return ratings is not None and not bool(np.isnan(ratings).all())
+    """Whether the rating of some branch of a feeder is known."""
+    return feeder.rating_a is not None and not bool(np.isnan(feeder.rating_a).all())
 
 
 def _finite(value: object) -> bool:

@@ -33,6 +33,8 @@ class BusCapacity:
     """Share of the work that arrived at the site that was still queued at the end of the windows."""
     outside_pct: float
     """Share of the sampled seconds in which some limit was broken at that size."""
+    asked_max_pct: float
+    """The most that the site's work asks for in the samples, % of its rating: a size is found for that draw."""
     margin: float
     """Least distance to a limit at that size, ``Trial.margin``."""
     smaller_fails_mw: tuple[float, ...]
@@ -119,10 +121,16 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: T
         delay_p95_s=delays.p95_s if sited else 0.0,
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
+        asked_max_pct=_asked_max_pct(site, search.size, trial) if sited else 0.0,
         margin=trial.margin,
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
         larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
     )
+
+
+def _asked_max_pct(site: AddedSite, size: int, trial: Trial) -> float:
+    own = site.scenario(size).datacenter
+    return 100.0 * float((trial.arrived_kw.max() + own.p_idle_kw[site.slot]) / own.p_rated_kw[site.slot])
 
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
@@ -131,6 +139,7 @@ def _limit(scenario: Scenario, beyond: Trial) -> str:
     at, feeder = int(beyond.at[lane, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
+    node = feeder.node_ids[at]
     if kind == OVERLOAD:
-        return f"overload of branch {feeder.bus_ids[feeder.parent[at]]}-{feeder.bus_ids[at + 1]}"
-    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"
+        return f"overload of the branch from {feeder.bus_ids[feeder.parent[feeder.node_bus[at] - 1]]} to {node}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {node}"

@@ -31,7 +31,7 @@ class Trial(NamedTuple):
     as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
     without a power-flow solution."""
     at: np.ndarray
-    """Where each of these was: position in ``node_ids``, or of the branch of an overload, int, (lane, limit)."""
+    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (lane, limit)."""
     outside: np.ndarray
     """Steps that count in which some limit was broken, int, (lane,)."""
     arrived_kw: np.ndarray
@@ -116,8 +116,7 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
     below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
     first = nodes.start or 0
     loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
-    if len(site.rated):  # what DistFlow starts the next step from are the squares of the currents
-        share_sq = now.state.restart[:, site.rated] / site.limit_sq_pu
-        worst = share_sq.argmax(axis=1)
-        loaded, branch = 1.0 - np.sqrt(np.maximum(share_sq[lane, worst], 0.0)), site.rated[worst]
+    if now.state.loading is not None:  # 0 where no rating is known
+        branch = now.state.loading.argmax(axis=1)
+        loaded = 1.0 - now.state.loading[lane, branch] / (study.loading_max_pct / 100.0)
     return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

@@ -18,9 +18,11 @@ from dcgrid_env.core.files import write_figure, write_json, write_text
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from dcgrid_env import Scenario
-    from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
     from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+    from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 
 Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
@@ -98,9 +100,10 @@ class Capacity(Command):
         console.print(table.rich(console.width))
         for note in table.notes:
             console.print(note)
+        figure = draw(found)  # before anything is written
         write_text(self.out / "capacity.csv", capacity_csv(found))
         write_json(self.out / "results.json", {"meta": meta(), **record(found)})
-        draw(self.out / "capacity.png", found)
+        write_figure(self.out / "capacity.png", figure, dpi=130)
         say(console, f"wrote {self.out / 'capacity.csv'}, {self.out / 'results.json'} and {self.out / 'capacity.png'}")
 
 
@@ -149,7 +152,7 @@ def _limits(text: str) -> tuple[float, float]:
     return low, high
 
 
-def draw(path: Path, found: Capacities) -> None:
+def draw(found: Capacities) -> Figure:
     """A map for each controller, all on one scale."""
     import numpy as np
 
@@ -162,6 +165,4 @@ def draw(path: Path, found: Capacities) -> None:
         mw[[feeder.index(bus) for bus in found.buses]] = [c.capacity_mw for c in found.by_controller[name]]
         maps[name] = mw
     limits = f"{found.study.v_min_pu:g} to {found.study.v_max_pu:g} p.u."
-    write_figure(
-        path, capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}"), 130
-    )
+    return capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}")

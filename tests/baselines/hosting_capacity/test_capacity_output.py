@@ -19,7 +19,8 @@ from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 def capacity(controller, bus, mw, **fields):
     values = {
         "at_most": False, "limit": "undervoltage at bus 18", "delay_mean_s": 0.1234567890123, "delay_p95_s": 2.0,
-        "unserved_pct": 0.5, "outside_pct": 0.0, "margin": 0.01, "smaller_fails_mw": (), "larger_carries_mw": (),
+        "unserved_pct": 0.5, "outside_pct": 0.0, "asked_max_pct": 90.0,
+        "margin": 0.01, "smaller_fails_mw": (), "larger_carries_mw": (),
     }  # fmt: skip
     return BusCapacity(controller=controller, bus=bus, capacity_mw=mw, **(values | fields))
 
@@ -64,3 +65,4 @@ def test_the_table_says_what_is_at_its_end_and_what_is_not_monotone(found):
     assert "* a, b, bus 18: larger sites of 1.5 MW keep within them" in notes
     assert "No rating of a branch is known" in notes
     assert "a, b: has its defaults" in notes
+    assert "at most 90 % of its rating" in notes
