@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dcgrid_env.engine.figures_by_parts import FiguresByParts
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import over_arrays
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -19,6 +18,9 @@ _PART_BYTES = 48 * 2**20
 _PART_STEPS = 16, 1024
 _ARRAY_BYTES = 112
 """What an array takes beside its values."""
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
 
 
 class PartSink(Protocol):
@@ -113,6 +115,8 @@ def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
 
     Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
     """
+    from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it, so not on import
+
     values, arrays = _size(Simulation(scenario.member(seeds[0]), 1).reset([seeds[0]]))
     return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
 
