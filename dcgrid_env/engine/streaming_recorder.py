@@ -22,6 +22,9 @@ _PART_STEPS = 16, 1024
 _ARRAY_BYTES = 112
 """What an array takes beside its values."""
 
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+
 
 class PartSink(Protocol):
     """Takes the course of episodes part by part, to write it or to draw it."""
