@@ -36,7 +36,8 @@ class _Export(Command):
         """Read the file again."""
 
     def run(self) -> None:
-        """Write the file, read it again and say how far the other program's voltages are; nothing is written on an error."""
+        """Write the file, read it again and say how far the other program's voltages are; nothing is written on an
+        error."""
         from dcgrid_env.cli.grid_import import compared
         from dcgrid_env.core.files import write_bytes
 
@@ -114,5 +115,7 @@ def _balanced(name: str) -> Feeder:
         raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
     feeder = feeder_from_plain(name)
     if not isinstance(feeder, Feeder):
-        raise ValueError(f"feeder: {name} has three phases, and the formats hold balanced feeders; choose a balanced one")
+        raise ValueError(
+            f"feeder: {name} has three phases, and the formats hold balanced feeders; choose a balanced one"
+        )
     return feeder

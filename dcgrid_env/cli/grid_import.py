@@ -66,8 +66,8 @@ class _Import(Command):
 class ImportPandapower(_Import):
     """Read a balanced feeder from a pandapower net, write it as a folder of tables and compare voltages.
 
-    A JSON file is read without importing or calling what it names (docs/import.md). What cannot be represented is refused by
-    name: loops, several sources, generators that keep a voltage, DC lines."""
+    A JSON file is read without importing or calling what it names (docs/import.md). What cannot be represented is
+    refused by name: loops, several sources, generators that keep a voltage, DC lines."""
 
     net: tyro.conf.Positional[str]
     """A network of pandapower.networks such as case33bw, a SimBench code, a JSON file, or a MATPOWER case (.m)."""

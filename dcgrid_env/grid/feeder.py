@@ -28,7 +28,7 @@ from dcgrid_env.grid.network import (
 from dcgrid_env.grid.network_checks import check_balanced, check_lengths
 from dcgrid_env.grid.optional_fields import as_column, optional_fields
 from dcgrid_env.grid.per_unit import PerUnit
-from dcgrid_env.grid.topology import FeederError, orient
+from dcgrid_env.grid.topology import FeederError, listed, orient
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -222,7 +222,10 @@ class Feeder(PerUnit, OneNodeABus):
         """
         if is_three_phase(Path(folder)):
             raise FeederError(f"{folder} holds a three-phase feeder; read it by ThreePhaseFeeder.from_csv")
-        feeder = cls.from_network(read_csv(Path(folder)))
+        try:
+            feeder = cls.from_network(read_csv(Path(folder)))
+        except FeederError as error:
+            raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 
@@ -264,7 +267,9 @@ class Feeder(PerUnit, OneNodeABus):
         try:
             return self._index[bus_text(bus)]
         except KeyError:
-            raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
+            raise FeederError(
+                f"feeder {self.name!r} has no bus {bus!r}; its buses are {listed(self.bus_ids)}"
+            ) from None
 
     @cached_property
     def _index(self) -> dict[str, int]:

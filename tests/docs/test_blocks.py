@@ -36,6 +36,8 @@ TRAINING = {"--updates": "1", "--num-envs": "2", "--validation-episodes": "2"}
 STEPS = {"--steps": "240", "--num-envs": "2", "--validation-episodes": "2"}
 SHORTER = {
     "dcgrid run": {"--episodes": "2"},
+    "dcgrid run --scenario ieee33-weak --horizon 86400": {"--horizon": "40"},
+    "dcgrid run --scenario ieee33-weak --horizon 1440": {"--horizon": "4"},
     "dcgrid benchmark": {"--episodes": "2", "--jobs": "1"},
     "dcgrid benchmark --controllers all": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
     "dcgrid benchmark --scenarios ieee33-weak,mixed": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
@@ -49,6 +51,8 @@ SHORTER = {
     "dcgrid import matpower": {},
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--jobs": "1"},
+    "dcgrid dev random-feeders": {"--draws": "2", "--n-bus": "20"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
@@ -63,9 +67,16 @@ ELSEWHERE = {
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
+    "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid import matpower": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
+    "python docs/import_differences.py": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
+    "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
+    "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
@@ -75,6 +86,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.speed sizes": "tests/dcgrid_env/speed/test_size_table.py",
     "python -m dcgrid_env.speed": "tests/dcgrid_env/speed/test_rates.py",
     "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",

@@ -1,4 +1,5 @@
-"""What the formats of balanced grids have in common: buses and branches in per unit, and how a radial feeder comes of them."""
+"""What the formats of balanced grids have in common: buses and branches in per unit, and how a radial feeder comes
+of them."""
 
 from dcgrid_env.grid.formats.bus_branch.described import described
 from dcgrid_env.grid.formats.bus_branch.description import Branch, BusBranchGrid, ClosedSwitch, Source

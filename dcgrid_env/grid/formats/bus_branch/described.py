@@ -45,7 +45,7 @@ def described(feeder: Feeder, base_mva: float = 1.0) -> BusBranchGrid:
                 fed,
                 complex(z_pu[k]) * float(ratio[fed]) ** 2,
                 tap=float(ratio[parent] / ratio[fed]),
-                rating_pu=float(rating_pu[k] * ratio[fed]),
+                rating_pu=float(rating_pu[k] / ratio[fed]),
             )
         )
     return grid

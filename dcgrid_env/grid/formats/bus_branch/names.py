@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from dcgrid_env.grid.topology import FeederError
 
@@ -18,3 +19,17 @@ def named_buses(source: str, names: Sequence[str]) -> tuple[str, ...]:
     if twice:
         raise FeederError(f"{source}: {twice[0]!r} is the name of several buses; leave the bus names out")
     return stripped
+
+
+@contextmanager
+def errors_naming(source: object) -> Iterator[None]:
+    """Put the source, such as a file's path, before each FeederError that does not name it; arithmetic that fails is
+    one."""
+    try:
+        yield
+    except FeederError as error:
+        if str(source) in str(error):
+            raise
+        raise FeederError(f"{source}: {error}") from None
+    except ArithmeticError as error:
+        raise FeederError(f"{source}: a figure is too large or too small to reckon with ({error})") from None

@@ -46,7 +46,9 @@ def _as_one(members: list[Branch], report: Report) -> Branch:
             text = f"it stands beside {first.kind} {first.name} with another ratio or phase shift, so that a current "
             report.add("refused", own.kind, own.name, text + "circulates: give both the same tap position")
             return first
-        report.add("taken", own.kind, own.name, f"parallel to {first.kind} {first.name}: one branch, of their impedance")
+        report.add(
+            "taken", own.kind, own.name, f"parallel to {first.kind} {first.name}: one branch, of their impedance"
+        )
     shorted = [one for one in alike if one.z_pu == 0]
     if shorted:
         return replace(shorted[0], rating_pu=math.nan if len(shorted) > 1 else shorted[0].rating_pu)

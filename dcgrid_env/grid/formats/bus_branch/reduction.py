@@ -1,7 +1,8 @@
 """From buses and branches to the tables of a radial feeder, referred to the substation's base voltage.
 
 Switches that are closed make their buses one, branches beside each other become one, admittances to ground go to the
-buses, and what no source feeds is left out. An ideal transformer is then exact: with t the voltage of a bus referred to the
+buses, and what no source feeds is left out. An ideal transformer is then exact: with t the voltage of a bus referred
+to the
 source over its own, both per unit, t grows by ``tap`` across a transformer, an impedance of the bus is t^2 times as
 large for the source, a current 1 / t times, and the admittance of a bus 1 / t^2 times.
 """
@@ -20,7 +21,6 @@ from dcgrid_env.grid.formats.bus_branch.supplied import Supplied, supplied_by
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network
 from dcgrid_env.grid.topology import FeederError
-
 
 _LARGEST_PU, _LARGEST_RATIO = 1e15, 1e3
 """Beyond these a branch's figures are mistakes, and their squares might overflow."""
@@ -61,8 +61,8 @@ def radial_network(
     Raises
     ------
     FeederError
-        For loops, several sources, branches of negative impedance and unlike transformers in parallel, naming them; for what
-        is lost and not allowed.
+        For loops, several sources, branches of negative impedance and unlike transformers in parallel, naming them;
+        for what is lost and not allowed.
     """
     _check_branches(grid, report)
     first = _one_bus_for_each_closed_switch(grid, report)
@@ -91,7 +91,9 @@ def _check_branches(grid: BusBranchGrid, report: Report) -> None:
             if not abs(value) < _LARGEST_PU:
                 report.add("refused", b.kind, b.name, f"its {what} is {value:.3g} p.u.: give a finite figure")
         if not 1.0 / _LARGEST_RATIO < b.tap < _LARGEST_RATIO:
-            report.add("refused", b.kind, b.name, f"its ratio is {b.tap:.3g} p.u.: give one near 1, or right base voltages")
+            report.add(
+                "refused", b.kind, b.name, f"its ratio is {b.tap:.3g} p.u.: give one near 1, or right base voltages"
+            )
     refused = [row for row in report.findings if row.fate == "refused"]
     if refused:
         report.refuse_unless(grid.name, ())
@@ -126,7 +128,9 @@ def _shunts(grid: BusBranchGrid, first: np.ndarray, report: Report) -> np.ndarra
             total[b.to_bus] += b.y_to_pu
             if first[b.from_bus] == first[b.to_bus]:
                 if abs(b.tap - 1.0) > 1e-12:
-                    report.add("refused", b.kind, b.name, "both its ends are at one bus, with a ratio: a current circulates")
+                    report.add(
+                        "refused", b.kind, b.name, "both its ends are at one bus, with a ratio: a current circulates"
+                    )
                 else:
                     report.add("nothing lost", b.kind, b.name, "both its ends are at one bus: it carries no current")
         elif b.from_closed:
@@ -168,7 +172,9 @@ def _report_sources(
         if first[other.bus] == first[root.bus] and other.v_pu == root.v_pu:
             report.add("taken", other.kind, other.name, f"at the bus of {root.kind} {root.name}: one source")
         elif first[other.bus] in found.fed:
-            text = f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
+            text = (
+                f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
+            )
             report.add("refused", other.kind, other.name, text)
         elif named:
             report.add("nothing lost", other.kind, other.name, "it feeds an island of its own, which is left out")
@@ -201,7 +207,9 @@ def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, found: Supplied, 
     for i, bus in enumerate(grid.buses):
         if int(first[i]) not in found.fed:
             loaded = grid.p_kw[i] or grid.q_kvar[i] or grid.shunt_kw[i] or grid.shunt_kvar[i]
-            text = "without supply: it is left out with what stands there" if loaded else "without supply: it is left out"
+            text = (
+                "without supply: it is left out with what stands there" if loaded else "without supply: it is left out"
+            )
             report.add("nothing lost", "bus", bus, text)
 
 

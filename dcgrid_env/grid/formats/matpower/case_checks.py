@@ -11,10 +11,10 @@ from dcgrid_env.grid.topology import FeederError
 
 _LARGEST = 1e12
 _COLUMNS = {
-    "bus": "bus_i type Pd Qd Gs Bs area Vm Va baseKV zone Vmax Vmin".split(),
-    "gen": "bus Pg Qg Qmax Qmin Vg mBase status".split(),
-    "branch": "fbus tbus r x b rateA rateB rateC ratio angle status".split(),
-    "dcline": "fbus tbus status".split(),
+    "bus": ["bus_i", "type", "Pd", "Qd", "Gs", "Bs", "area", "Vm", "Va", "baseKV", "zone", "Vmax", "Vmin"],
+    "gen": ["bus", "Pg", "Qg", "Qmax", "Qmin", "Vg", "mBase", "status"],
+    "branch": ["fbus", "tbus", "r", "x", "b", "rateA", "rateB", "rateC", "ratio", "angle", "status"],
+    "dcline": ["fbus", "tbus", "status"],
 }
 _USED = {
     "bus": ("bus_i", "type", "Pd", "Qd", "Gs", "Bs", "baseKV"),
@@ -40,7 +40,13 @@ def check_case(file: str, case: CaseTables) -> None:
     check.each("branch", "rateA", lambda v: v >= 0, "it is 0 where there is no limit, positive else")
     check.each("branch", "status", lambda v: np.isin(v, (0, 1)), "it is 0 or 1")
     buses = case.tables["bus"][:, 0]
-    for table, column in (("gen", "bus"), ("branch", "fbus"), ("branch", "tbus"), ("dcline", "fbus"), ("dcline", "tbus")):
+    for table, column in (
+        ("gen", "bus"),
+        ("branch", "fbus"),
+        ("branch", "tbus"),
+        ("dcline", "fbus"),
+        ("dcline", "tbus"),
+    ):
         if table in case.tables:
             check.each(table, column, lambda v: np.isin(v, buses), "it is no bus of mpc.bus")
     branch = case.tables["branch"]

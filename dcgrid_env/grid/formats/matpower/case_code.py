@@ -1,7 +1,7 @@
 """The arithmetic that some MATPOWER cases do on their own tables, such as ohms to per unit, without executing MATLAB.
 
-Numbers, names of columns, ``mpc.TABLE(:, COLUMNS)``, + - * / ^ and a few functions are evaluated here. Everything else is
-refused with its line.
+Numbers, names of columns, ``mpc.TABLE(:, COLUMNS)``, + - * / ^ and a few functions are evaluated here. Everything
+else is refused with its line.
 """
 
 from __future__ import annotations
@@ -15,9 +15,14 @@ import numpy as np
 
 from dcgrid_env.grid.topology import FeederError
 
-_BUS = "BUS_I BUS_TYPE PD QD GS BS BUS_AREA VM VA BASE_KV ZONE VMAX VMIN LAM_P LAM_Q MU_VMAX MU_VMIN".split()
-_BRANCH = "F_BUS T_BUS BR_R BR_X BR_B RATE_A RATE_B RATE_C TAP SHIFT BR_STATUS PF QF PT QT MU_SF MU_ST ANGMIN ANGMAX".split()
-_GEN = "GEN_BUS PG QG QMAX QMIN VG MBASE GEN_STATUS PMAX PMIN".split()
+_BUS = tuple(
+    "BUS_I BUS_TYPE PD QD GS BS BUS_AREA VM VA BASE_KV ZONE VMAX VMIN LAM_P LAM_Q MU_VMAX MU_VMIN".split()  # noqa: SIM905
+)
+_BRANCH = tuple(
+    "F_BUS T_BUS BR_R BR_X BR_B RATE_A RATE_B RATE_C TAP SHIFT BR_STATUS PF QF PT QT MU_SF MU_ST ANGMIN "  # noqa: SIM905
+    "ANGMAX".split()
+)
+_GEN = ["GEN_BUS", "PG", "QG", "QMAX", "QMIN", "VG", "MBASE", "GEN_STATUS", "PMAX", "PMIN"]
 _BUS_NUMBERS = [1, 2, 3, 4, *range(1, 18)]
 _BRANCH_NUMBERS = [*range(1, 12), *range(14, 20), 12, 13, 20, 21]
 _GEN_NUMBERS = [*range(1, 11), 22, 23, 24, 25, *range(11, 22)]
@@ -55,8 +60,8 @@ class CaseCode:
         shown = shown if len(shown) <= 80 else shown[:77] + "..."
         more = f" ({why})" if why else ""
         return FeederError(
-            f"{self.file}, line {line}: the MATLAB code {shown!r} is not read{more}; case files are not executed: run it in "
-            "MATPOWER and save the case by savecase"
+            f"{self.file}, line {line}: the MATLAB code {shown!r} is not read{more}; case files are not executed: "
+            "run it in MATPOWER and save the case by savecase"
         )
 
     def run(self, line: int, text: str) -> None:
@@ -224,7 +229,11 @@ class _Expression:
             columns = self._index(cells.shape[1], "column")
         self._expect(")")
         self.place = (table, rows, columns)
-        return cells[rows, columns].copy() if isinstance(rows, slice) or isinstance(columns, list) else cells[rows, columns]
+        return (
+            cells[rows, columns].copy()
+            if isinstance(rows, slice) or isinstance(columns, list)
+            else cells[rows, columns]
+        )
 
     def _index(self, n: int, what: str) -> int:
         value = self._atom()

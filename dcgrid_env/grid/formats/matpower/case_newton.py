@@ -64,7 +64,7 @@ def solved(case: CaseModel) -> tuple[ComplexArray, bool]:
     pv, pq = np.flatnonzero(case.pv & live), np.flatnonzero(~case.pv & ~case.reference & live)
     free = np.concatenate([pv, pq])
     y = admittance(case)
-    angle, size = np.zeros(n), np.where(case.pv | case.reference, case.v_pu, 1.0)
+    angle, size = _start_angle(case, live), np.where(case.pv | case.reference, case.v_pu, 1.0)
     moved = np.inf
     for _ in range(_STEPS):
         v = size * np.exp(1j * angle)
@@ -83,6 +83,20 @@ def solved(case: CaseModel) -> tuple[ComplexArray, bool]:
         angle[free] += step[: len(free)]
         size[pq] += step[len(free) :]
     return np.full(n, np.nan + 0j), False
+
+
+def _start_angle(case: CaseModel, live: NDArray[np.bool_]) -> FloatArray:
+    """Angles that phase shifts alone would give: from 0 everywhere, a shift of 150 degrees leads nowhere."""
+    n, shift = len(case.shunt_pu), np.angle(case.tap)
+    start, each = np.zeros(n), np.arange(len(shift))
+    free = np.flatnonzero(live & ~case.reference)
+    if not shift.any() or not len(free):
+        return start
+    ones = np.ones(len(shift))
+    ends = (np.concatenate([ones, -ones]), (np.tile(each, 2), np.concatenate([case.from_row, case.to_row])))
+    across = sparse.csc_matrix(ends, shape=(len(shift), n))[:, free]
+    start[free] = splu((across.T @ across).tocsc()).solve(across.T @ shift)
+    return start
 
 
 def _slopes(

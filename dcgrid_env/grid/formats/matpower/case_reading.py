@@ -10,7 +10,7 @@ import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, ImportedFeeder, Source, imported
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import named_buses
+from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.matpower.case_checks import check_case
 from dcgrid_env.grid.formats.matpower.case_newton import CaseModel, admittance, solved
@@ -50,41 +50,44 @@ def read_matpower(
     Raises
     ------
     FeederError
-        For code that is not known, figures that cannot be used, naming file, line, table, row and column, and for what cannot
-        be represented, naming it.
+        For code that is not known, figures that cannot be used, naming file, line, table, row and column, and for
+        what cannot be represented, naming it.
     """
     path = Path(path)
-    text, report = case_text(path), Report("case")
-    case = case_tables(str(path), text, report)
-    check_case(str(path), case)
-    if per_phase:
-        case.base_mva *= 3.0
-        for table, columns in (("bus", [2, 3, 4, 5]), ("gen", [1, 2]), ("branch", [5, 6, 7])):
-            case.tables[table][:, columns] *= 3.0
-        report.add("taken", "case", case.name, "its powers are of one phase: taken three times")
-    rows = {int(number): i for i, number in enumerate(case.tables["bus"][:, 0])}
-    model = _model(str(path), case, rows)
-    grid = _grid(case, rows, named_buses(str(path), _names(case, bus_names)))
-    _sources_and_generators(grid, case, rows, report, _drawn_kva(model, case) if fix_generators else None)
-    notes = ()
-    if not per_phase and says_single_phase(text):
-        notes = ("the file speaks of single-phase MW: --per-phase takes its powers and base power three times",)
+    with errors_naming(path):
+        text, report = case_text(path), Report("case")
+        case = case_tables(str(path), text, report)
+        check_case(str(path), case)
+        if per_phase:
+            case.base_mva *= 3.0
+            for table, columns in (("bus", [2, 3, 4, 5]), ("gen", [1, 2]), ("branch", [5, 6, 7])):
+                case.tables[table][:, columns] *= 3.0
+            report.add("taken", "case", case.name, "its powers are of one phase: taken three times")
+        rows = {int(number): i for i, number in enumerate(case.tables["bus"][:, 0])}
+        model = _model(str(path), case, rows)
+        grid = _grid(case, rows, named_buses(str(path), _names(case, bus_names)))
+        _sources_and_generators(grid, case, rows, report, _drawn_kva(model, case) if fix_generators else None)
+        notes = ()
+        if not per_phase and says_single_phase(text):
+            notes = ("the file speaks of single-phase MW: --per-phase takes its powers and base power three times",)
 
-    def voltages() -> dict[str, float]:
-        v, converged = solved(model)
-        return dict(zip(grid.buses, np.abs(v).tolist(), strict=True)) if converged else {}
+        def voltages() -> dict[str, float]:
+            v, converged = solved(model)
+            return dict(zip(grid.buses, np.abs(v).tolist(), strict=True)) if converged else {}
 
-    facts = f"MATPOWER case {case.name}"
-    return imported(
-        grid, report, voltages, solver=SOLVER, source=source, allow=allow, source_of_facts=facts, notes=notes
-    )
+        facts = f"MATPOWER case {case.name}"
+        return imported(
+            grid, report, voltages, solver=SOLVER, source=source, allow=allow, source_of_facts=facts, notes=notes
+        )
 
 
 def _drawn_kva(model: CaseModel, case: CaseTables) -> np.ndarray:
     """Power drawn at each bus in MATPOWER's solution, kVA; FeederError where it finds none."""
     v, converged = solved(model)
     if not converged:
-        raise FeederError(f"case {case.name!r}: MATPOWER's power flow finds no solution, at which generators could be fixed")
+        raise FeederError(
+            f"case {case.name!r}: MATPOWER's power flow finds no solution, at which generators could be fixed"
+        )
     return -1000.0 * case.base_mva * v * np.conj(admittance(model) @ v)
 
 
@@ -115,8 +118,8 @@ def _model(file: str, case: CaseTables, rows: dict[int, int]) -> CaseModel:
     for number, b in enumerate(branch, 1):
         if b[2] == 0 and b[3] == 0:
             raise FeederError(
-                f"{file}: mpc.branch {b[0]:g}-{b[1]:g} (live branch {number}): r and x are 0, with which MATPOWER has no power "
-                "flow; give a small x or make its buses one"
+                f"{file}: mpc.branch {b[0]:g}-{b[1]:g} (live branch {number}): r and x are 0, with which it has "
+                "no power flow; give a small x or make its buses one"
             )
     tap = np.where(branch[:, 8] == 0, 1.0, branch[:, 8]) * np.exp(1j * np.deg2rad(branch[:, 9]))
     injection = -(bus[:, 2] + 1j * bus[:, 3])
@@ -171,7 +174,8 @@ def _grid(case: CaseTables, rows: dict[int, int], buses: tuple[str, ...]) -> Bus
 def _sources_and_generators(
     grid: BusBranchGrid, case: CaseTables, rows: dict[int, int], report: Report, fixed: np.ndarray | None
 ) -> None:
-    """Put sources and generators into the grid; ``fixed`` is the power drawn at each bus, kVA, if those are to keep it."""
+    """Put sources and generators into the grid; ``fixed`` is the power drawn at each bus, kVA, if those are to keep
+    it."""
     bus = case.tables["bus"]
     running: dict[int, list[np.ndarray]] = {}
     for row in case.tables["gen"]:
@@ -186,7 +190,9 @@ def _sources_and_generators(
         if kind == _REFERENCE:
             kept = {float(unit[5]) for unit in units}
             if len(kept) > 1:
-                raise FeederError(f"case {case.name!r}: generators at bus {name} keep different voltages, {sorted(kept)}")
+                raise FeederError(
+                    f"case {case.name!r}: generators at bus {name} keep different voltages, {sorted(kept)}"
+                )
             grid.sources.append(Source("gen", name, i, kept.pop()))
         elif kind == _PQ:
             grid.p_kw[i] -= 1000.0 * sum(float(unit[1]) for unit in units)
@@ -194,13 +200,19 @@ def _sources_and_generators(
             report.add("taken", "gen", f"at bus {name}", "a negative load, of constant power")
         elif kind == _PV and fixed is not None:
             grid.p_kw[i], grid.q_kvar[i] = float(fixed[i].real), float(fixed[i].imag)
-            report.add("taken", "gen", f"at bus {name}", "a negative load, of the power that MATPOWER's power flow gives it")
+            report.add(
+                "taken", "gen", f"at bus {name}", "a negative load, of the power that MATPOWER's power flow gives it"
+            )
         elif kind == _PV:
             text = "it keeps a voltage, which no load does: --fix-generators makes it a constant power"
             report.add("refused", "gen", f"at bus {name}", text)
     for i in np.flatnonzero(bus[:, 1] == _REFERENCE).tolist():
         if i not in running:
-            raise FeederError(f"case {case.name!r}: reference bus {bus[i, 0]:g} has no generator in service; put one there")
+            raise FeederError(
+                f"case {case.name!r}: reference bus {bus[i, 0]:g} has no generator in service; put one there"
+            )
     for row in case.tables.get("dcline", []):
         fate = "refused" if row[2] > 0 else "nothing lost"
-        report.add(fate, "dcline", f"{row[0]:g}-{row[1]:g}", "a DC line" if row[2] > 0 else "out of service: it is left out")
+        report.add(
+            fate, "dcline", f"{row[0]:g}-{row[1]:g}", "a DC line" if row[2] > 0 else "out of service: it is left out"
+        )

@@ -65,8 +65,8 @@ def case_tables(file: str, text: str, report: Report) -> CaseTables:
     Raises
     ------
     FeederError
-        For code that is not known, a table that is missing or has a cell that is no number, naming file, line, table and
-        column; where matpowercaseframes is missing.
+        For code that is not known, a table that is missing or has a cell that is no number, naming file, line, table
+        and column; where matpowercaseframes is missing.
     """
     return _Reading(file, report).read(text)
 
@@ -94,7 +94,9 @@ class _Reading:
         if not 0 < base_mva < 1e12:
             raise FeederError(f"{self.file}: mpc.baseMVA is {base_mva:g}; give a positive number of MVA")
         if self.changed:
-            self.report.add("taken", "code", self.name, "its own arithmetic on its tables, such as ohms to p.u., is done")
+            self.report.add(
+                "taken", "code", self.name, "its own arithmetic on its tables, such as ohms to p.u., is done"
+            )
         tables = {name: self.code.tables[name] for name in WIDTHS if name in self.code.tables}
         return CaseTables(self.name, base_mva, tables, self.lines, self.bus_names)
 
@@ -142,9 +144,13 @@ class _Reading:
                     lines.append(number)
         for number, row in zip(lines, rows, strict=True):
             if len(row) != len(rows[0]):
-                raise FeederError(f"{self.file}, line {number}: mpc.{name} has {len(row)} cells here and {len(rows[0])} before")
+                raise FeederError(
+                    f"{self.file}, line {number}: mpc.{name} has {len(row)} cells here and {len(rows[0])} before"
+                )
             if len(row) < least:
-                raise FeederError(f"{self.file}, line {number}: mpc.{name} has {len(row)} columns; it has {least} or more")
+                raise FeederError(
+                    f"{self.file}, line {number}: mpc.{name} has {len(row)} columns; it has {least} or more"
+                )
         if rows and len(rows[0]) > most:
             self.report.add("nothing lost", "column", f"mpc.{name}", f"what stands beyond column {most} is left out")
         self.code.tables[name] = parsed(name, [row[:most] for row in rows])
@@ -154,9 +160,11 @@ class _Reading:
         """A cell as a number that every reader takes; FeederError for what is none."""
         if _NUMBER.match(cell):
             return cell.replace("d", "e").replace("D", "e")
-        if not re.match(r"[\d.(+-]", cell):
-            raise FeederError(f"{self.file}, line {line}: mpc.{table}, column {column} is {cell!r}; give a number")
-        return repr(self.code.scalar(line, cell))
+        try:
+            return repr(self.code.scalar(line, cell))
+        except FeederError:
+            where = f"{self.file}, line {line}: mpc.{table}, column {column}"
+            raise FeederError(f"{where} is {cell[:60]!r}; give a number") from None
 
     def _texts(self, line: int, text: str, value: str) -> tuple[str, ...]:
         if not (value.startswith("{") and value.endswith("}")):
@@ -172,7 +180,8 @@ def parsed(name: str, rows: list[list[str]]) -> np.ndarray:
         from matpowercaseframes import CaseFrames
     except ImportError:
         raise FeederError(
-            "matpowercaseframes is missing, which parses MATPOWER's tables; install it by `pip install 'dcgrid-env[matpower]'`"
+            "matpowercaseframes is missing, which parses MATPOWER's tables; install it by "
+            "`pip install 'dcgrid-env[matpower]'`"
         ) from None
     body = ";\n".join("\t".join(row) for row in rows)
     with tempfile.TemporaryDirectory() as folder:

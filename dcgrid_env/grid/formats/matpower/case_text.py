@@ -26,7 +26,8 @@ _PAIRS = {")": "(", "]": "[", "}": "{"}
 
 @dataclass(frozen=True)
 class Statement:
-    """A MATLAB statement: the line that it begins on and its text without comments; line ends within brackets remain."""
+    """A MATLAB statement: the line that it begins on and its text without comments; line ends within brackets
+    remain."""
 
     line: int
     text: str

@@ -7,6 +7,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from dcgrid_env.core.files import write_text
 from dcgrid_env.grid.formats.bus_branch import Branch, described
 from dcgrid_env.grid.network import bus_numbers
@@ -35,9 +37,9 @@ def matpower_text(feeder: Feeder, function: str = "") -> str:
     numbers = bus_numbers(grid.buses) or ()
     named = not numbers or min(numbers) < 1
     numbers = tuple(range(1, grid.n_bus + 1)) if named else numbers
+    drawn_mw = np.stack([grid.p_kw, grid.q_kvar, grid.shunt_kw, grid.shunt_kvar], axis=1) / 1000.0
     bus = [
-        [numbers[i], 3 if i == 0 else 1, grid.p_kw[i] / 1000.0, grid.q_kvar[i] / 1000.0, grid.shunt_kw[i] / 1000.0]
-        + [grid.shunt_kvar[i] / 1000.0, 1, 1.0, 0.0, grid.base_kv[i], 1, 1.1, 0.9]
+        [numbers[i], 3 if i == 0 else 1, *drawn_mw[i].tolist(), 1, 1.0, 0.0, grid.base_kv[i], 1, 1.1, 0.9]
         for i in range(grid.n_bus)
     ]
     v0_pu = grid.sources[0].v_pu
@@ -51,8 +53,8 @@ def matpower_text(feeder: Feeder, function: str = "") -> str:
         _table("bus", "bus_i type Pd Qd Gs Bs area Vm Va baseKV zone Vmax Vmin", bus),
         _table(
             "gen",
-            "bus Pg Qg Qmax Qmin Vg mBase status Pmax Pmin Pc1 Pc2 Qc1min Qc1max Qc2min Qc2max ramp_agc ramp_10 ramp_30 "
-            "ramp_q apf",
+            "bus Pg Qg Qmax Qmin Vg mBase status Pmax Pmin Pc1 Pc2 Qc1min Qc1max Qc2min Qc2max ramp_agc "
+            "ramp_10 ramp_30 ramp_q apf",
             gen,
         ),
         _table("branch", "fbus tbus r x b rateA rateB rateC ratio angle status angmin angmax", branch),
@@ -66,7 +68,8 @@ def matpower_text(feeder: Feeder, function: str = "") -> str:
 def _branch(feeder: str, b: Branch, numbers: tuple[int, ...], base_mva: float) -> list[float]:
     if b.z_pu == 0:
         raise FeederError(
-            f"feeder {feeder!r}: branch {b.name} has no impedance, with which MATPOWER has no power flow; make its buses one"
+            f"feeder {feeder!r}: branch {b.name} has no impedance, with which MATPOWER has no power flow; "
+            "make its buses one"
         )
     rating_mva = 0.0 if math.isnan(b.rating_pu) else b.rating_pu * base_mva
     ratio = 0.0 if b.kind == "line" else b.tap

@@ -111,7 +111,9 @@ def _ratings(net: Any, rows: ModelRows) -> dict[tuple[str, str], float]:
         for i, bus, limit_ka, derating, parallel in columns:
             if limit_ka is not None and limit_ka == limit_ka:
                 found["line", str(i)] = limit_ka * derating * parallel * math.sqrt(3.0) * kv[bus] / base_mva
-    columns = zip(trafo.index, trafo.lv_bus, trafo.sn_mva, trafo.vn_lv_kv, _or_one(trafo, "df"), trafo.parallel, strict=True)
+    columns = zip(
+        trafo.index, trafo.lv_bus, trafo.sn_mva, trafo.vn_lv_kv, _or_one(trafo, "df"), trafo.parallel, strict=True
+    )
     for i, bus, sn_mva, vn_kv, derating, parallel in columns:
         found["trafo", str(i)] = sn_mva * derating * parallel / base_mva * kv[bus] / vn_kv
     return found

@@ -1,8 +1,9 @@
 """A pandapower net out of its JSON file, without importing or calling anything that the file names.
 
-pandapower's own reader imports modules and makes objects of classes that stand in the file, and opens files whose paths do.
-Here the tables that a power flow needs are filled from plain figures and texts; controllers, functions and other objects are
-not made.
+pandapower's own reader imports modules and makes objects of classes that stand in the file, and opens files whose
+paths do.
+Here the tables that a power flow needs are filled from plain figures and texts; controllers, functions and other
+objects are not made.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A radial feeder out of a pandapower net.
 
-Branches, loads and shunts are those of the per-unit model that pandapower itself builds for its power flow, so that every
-way in which it lets a line, a transformer or its taps be described is understood as pandapower understands it.
+Branches, loads and shunts are those of the per-unit model that pandapower itself builds for its power flow, so that
+every way in which it lets a line, a transformer or its taps be described is understood as pandapower understands it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import BusBranchGrid, ClosedSwitch, ImportedFeeder, Source, imported
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import named_buses
+from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, check_net
@@ -45,8 +45,8 @@ def read_pandapower(
     Parameters
     ----------
     source
-        A net, the name of a function of ``pandapower.networks`` such as ``"case33bw"``, a SimBench code where simbench is
-        installed, or the path of a JSON file that ``pandapower.to_json`` wrote.
+        A net, the name of a function of ``pandapower.networks`` such as ``"case33bw"``, a SimBench code where
+        simbench is installed, or the path of a JSON file that ``pandapower.to_json`` wrote.
     arguments
         What the function of ``pandapower.networks`` is called with.
     at
@@ -63,31 +63,34 @@ def read_pandapower(
     Raises
     ------
     FeederError
-        For a cell that cannot be used, naming file, table, index and column, for what cannot be represented, naming it, and
-        where pandapower is missing.
+        For a cell that cannot be used, naming file, table, index and column, for what cannot be represented, naming
+        it, and where pandapower is missing.
     """
     report = Report("net")
     called, net = loaded_net(source, arguments or {}, trust, report)
-    for name in ("bus", "line", "trafo", "load", "ext_grid", "switch"):
-        if name not in net:
-            raise FeederError(f"{called}: the table {name} is missing; give a net of this pandapower's format")
-    check_net(called, net)
-    if len(net.controller) and trust | (not isinstance(source, str)):
-        report.add_all("lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are")
-    _report_what_is_refused(net, report)
-    converged = _solve(called, net)
-    rows = ModelRows(net)
-    grid = _grid(called, net, rows, bus_names)
-    grid.branches = read_branches(net, rows, report)
-    _add_switches(net, grid, rows, report)
-    _add_loads(net, grid, rows, report)
-    _add_sources(net, grid, rows, report, fix_generators and converged)
-    volts = net.res_bus.vm_pu.to_dict() if converged else {}
-    voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
-    facts = f"pandapower net {grid.name}"
-    return imported(
-        grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
-    )
+    with errors_naming(called):
+        for name in ("bus", "line", "trafo", "load", "ext_grid", "switch"):
+            if name not in net:
+                raise FeederError(f"{called}: the table {name} is missing; give a net of this pandapower's format")
+        check_net(called, net)
+        if len(net.controller) and trust | (not isinstance(source, str)):
+            report.add_all(
+                "lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are"
+            )
+        _report_what_is_refused(net, report)
+        converged = _solve(called, net)
+        rows = ModelRows(net)
+        grid = _grid(called, net, rows, bus_names)
+        grid.branches = read_branches(net, rows, report)
+        _add_switches(net, grid, rows, report)
+        _add_loads(net, grid, rows, report)
+        _add_sources(net, grid, rows, report, fix_generators and converged)
+        volts = net.res_bus.vm_pu.to_dict() if converged else {}
+        voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
+        facts = f"pandapower net {grid.name}"
+        return imported(
+            grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
+        )
 
 
 def _solve(called: str, net: Any) -> bool:
@@ -99,7 +102,12 @@ def _solve(called: str, net: Any) -> bool:
         try:
             with quiet():
                 pandapower.runpp(
-                    net, init=start, calculate_voltage_angles=True, tolerance_mva=tolerance, max_iteration=40, numba=False
+                    net,
+                    init=start,
+                    calculate_voltage_angles=True,
+                    tolerance_mva=tolerance,
+                    max_iteration=40,
+                    numba=False,
                 )
             return True
         except pandapower.LoadflowNotConverged:
@@ -154,7 +162,7 @@ def _place(net: Any, bus: int, row: int) -> tuple[float, float]:
 
 def _report_what_is_refused(net: Any, report: Report) -> None:
     for name, what in REFUSED.items():
-        table = net[name] if name in net else ()
+        table = net.get(name, ())
         if len(table):
             live = table.in_service.to_numpy(dtype=bool) if "in_service" in table.columns else np.ones(len(table), bool)
             report.add_all("refused", name, map(str, table.index[live]), f"{what}, which a balanced feeder has none of")
@@ -163,9 +171,7 @@ def _report_what_is_refused(net: Any, report: Report) -> None:
 
 def _add_switches(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     table = net.switch
-    for i, bus, element, et, closed in zip(
-        table.index, table.bus, table.element, table.et, table.closed, strict=True
-    ):
+    for i, bus, element, et, closed in zip(table.index, table.bus, table.element, table.et, table.closed, strict=True):
         if not closed:
             report.add("nothing lost", "switch", str(i), "open")
         elif et != "b":

@@ -34,10 +34,12 @@ SCHEMA: dict[str, dict[str, str]] = {
         "bus": "bus", "p_mw": "number", "vm_pu": "positive", "scaling": "number", "slack": "bool", "in_service": "bool",
     },
     "shunt": {
-        "bus": "bus", "p_mw": "number", "q_mvar": "number", "vn_kv": "positive?", "step": "number", "in_service": "bool",
+        "bus": "bus", "p_mw": "number", "q_mvar": "number", "vn_kv": "positive?", "step": "number",
+        "in_service": "bool",
     },
     "ward": {
-        "bus": "bus", "ps_mw": "number", "qs_mvar": "number", "pz_mw": "number", "qz_mvar": "number", "in_service": "bool",
+        "bus": "bus", "ps_mw": "number", "qs_mvar": "number", "pz_mw": "number", "qz_mvar": "number",
+        "in_service": "bool",
     },
     "line": {
         "from_bus": "bus", "to_bus": "bus", "length_km": "positive", "r_ohm_per_km": "not negative",
@@ -56,7 +58,8 @@ SCHEMA: dict[str, dict[str, str]] = {
          (("sn", "mva"), ("vn", "kv"), ("vk", "percent"))}
     | {f"vkr_{side}_percent": "not negative" for side in ("hv", "mv", "lv")} | _TAP,
     "impedance": {
-        "from_bus": "bus", "to_bus": "bus", "rft_pu": "number", "xft_pu": "number", "rtf_pu": "number", "xtf_pu": "number",
+        "from_bus": "bus", "to_bus": "bus", "rft_pu": "number", "xft_pu": "number", "rtf_pu": "number",
+        "xtf_pu": "number",
         "gf_pu": "number", "bf_pu": "number", "gt_pu": "number", "bt_pu": "number", "sn_mva": "positive",
         "in_service": "bool",
     },
@@ -136,7 +139,9 @@ def _check_cells(source: str, name: str, table: Any, column: str, kind: str, bus
         if empty and (cell is None or cell != cell):
             continue
         if not _is_good(kind, cell, buses):
-            raise FeederError(f"{source}, table {name}, index {i}: {column} is {str(cell)[:60]!r}; give {_WANTED[kind]}")
+            raise FeederError(
+                f"{source}, table {name}, index {i}: {column} is {str(cell)[:60]!r}; give {_WANTED[kind]}"
+            )
 
 
 def _limits(kind: str) -> tuple[float, float]:
@@ -197,9 +202,12 @@ def _check_ends(source: str, net: Any) -> None:
         table = net[name]
         for i, a, b in zip(table.index, table[columns[0]], table[columns[1]], strict=True):
             if a == b:
-                raise FeederError(f"{source}, table {name}, index {i}: {columns[1]} is {b}, as {columns[0]}; give two buses")
+                raise FeederError(
+                    f"{source}, table {name}, index {i}: {columns[1]} is {b}, as {columns[0]}; give two buses"
+                )
     for i, whole, real in zip(net.trafo.index, net.trafo.vk_percent, net.trafo.vkr_percent, strict=True):
         if real > whole:
             raise FeederError(
-                f"{source}, table trafo, index {i}: vkr_percent is {real}, more than vk_percent, {whole}; it is a part of it"
+                f"{source}, table trafo, index {i}: vkr_percent is {real}, more than vk_percent, {whole}; it is part "
+                "of that"
             )

@@ -1,4 +1,5 @@
-"""Where a pandapower net comes from: a name of its example networks, SimBench, a JSON file, or an object of Python's."""
+"""Where a pandapower net comes from: a name of its example networks, SimBench, a JSON file, or an object of
+Python's."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ def loaded_net(source: Any, arguments: Mapping[str, Any], trust: bool, report: R
             return text, _from_file(Path(text), trust, report)
         return text, _made(text, arguments)
     if not isinstance(source, pandapower.pandapowerNet):
-        raise FeederError(f"{type(source).__name__} is no pandapower net; give a net, the name of an example or a .json path")
+        raise FeederError(
+            f"{type(source).__name__} is no pandapower net; give a net, the name of an example or a .json path"
+        )
     return str(source.name or "net"), copy.deepcopy(source)
 
 
@@ -68,7 +71,9 @@ def _made(name: str, arguments: Mapping[str, Any]) -> Any:
     import pandapower
 
     if not isinstance(made, pandapower.pandapowerNet):
-        raise FeederError(f"{name} makes {type(made).__name__}, not one network; write one by pandapower.to_json and import that")
+        raise FeederError(
+            f"{name} makes {type(made).__name__}, not one network; write one by pandapower.to_json and import that"
+        )
     made["name"] = made.name or name.removeprefix("create_")
     return made
 
@@ -86,7 +91,9 @@ def _simbench(code: str) -> Any:
     try:
         import simbench
     except ImportError:
-        raise FeederError(f"{code!r} looks like a SimBench code, but simbench is missing; install it by `pip install simbench`") from None
+        raise FeederError(
+            f"{code!r} looks like a SimBench code, but simbench is missing; install it by `pip install simbench`"
+        ) from None
     if code not in simbench.collect_all_simbench_codes():
         raise FeederError(f"{code!r} is no code of SimBench's; simbench.collect_all_simbench_codes() lists them")
     net = simbench.get_simbench_net(code)

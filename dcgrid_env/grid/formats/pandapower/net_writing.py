@@ -28,10 +28,11 @@ def write_pandapower(feeder: Feeder, path: str | Path) -> None:
 
 
 def pandapower_net(feeder: Feeder) -> Any:
-    """A net of a feeder, in the voltages of its own buses; indices are its buses where all are whole numbers of 0 or more.
+    """A net of a feeder, in the voltages of its own buses; indices are its buses where all are whole numbers of 0 or
+    more.
 
-    A branch without impedance becomes a closed switch between two buses. FeederError for a transformer without impedance,
-    which pandapower cannot hold, and where pandapower is missing.
+    A branch without impedance becomes a closed switch between two buses. FeederError for a transformer without
+    impedance, which pandapower cannot hold, and where pandapower is missing.
     """
     try:
         import pandapower as pp

@@ -49,7 +49,8 @@ def read_generic_branches(data: Data, rows: dict[int, int], u_rated: np.ndarray)
 
 
 def read_transformers(data: Data, rows: dict[int, int], u_rated: np.ndarray) -> list[Branch]:
-    """Transformers: short-circuit impedance and half of the magnetising admittance at either end, taps within limits."""
+    """Transformers: short-circuit impedance and half of the magnetising admittance at either end, taps within
+    limits."""
     made = []
     for one in data.get("transformer", ()):
         u_from, u_to = (float(u_rated[rows[int(one[end])]]) for end in ("from_node", "to_node"))
@@ -87,7 +88,8 @@ def _branch(
 
 
 def _tapped(one: Any) -> tuple[float, float, float, float]:
-    """Rated voltages, V, short-circuit voltage, p.u., and loss, W, at the tap position, which stays within its limits."""
+    """Rated voltages, V, short-circuit voltage, p.u., and loss, W, at the tap position, which stays within its
+    limits."""
     u1, u2, uk, pk = (float(one[name]) for name in ("u1", "u2", "uk", "pk"))
     least, most = int(one["tap_min"]), int(one["tap_max"])
     unset = np.iinfo(one["tap_pos"].dtype).min

@@ -1,5 +1,5 @@
-"""The input data of a power-grid-model JSON file: its cells are looked at, then power-grid-model's own reader and checks
-take it."""
+"""The input data of a power-grid-model JSON file: its cells are looked at, then power-grid-model's own reader and
+checks take it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Data = dict[str, np.ndarray]
 def input_data(path: Path, report: Report) -> tuple[Data, dict[int, str]]:
     """Structured arrays of a file by component, and the names that nodes have beside their ids.
 
-    FeederError for a cell that cannot be used, naming component, row, id and field; for what power-grid-model's own checks
-    refuse; where it is missing.
+    FeederError for a cell that cannot be used, naming component, row, id and field; for what power-grid-model's own
+    checks refuse; where it is missing.
     """
     try:
         from power_grid_model import power_grid_meta_data
@@ -132,7 +132,9 @@ class _Look:
         elif np.issubdtype(dtype, np.integer):
             limits = np.iinfo(dtype)
             if not isinstance(value, int) or not limits.min < value <= limits.max:
-                raise FeederError(f"{where} is {str(value)[:60]}; give a whole number of {limits.min + 1} to {limits.max}")
+                raise FeederError(
+                    f"{where} is {str(value)[:60]}; give a whole number of {limits.min + 1} to {limits.max}"
+                )
         elif not abs(value) < _LARGEST and not (infinite and abs(value) == np.inf):
             raise FeederError(f"{where} is {str(value)[:60]}; give a finite number")
 

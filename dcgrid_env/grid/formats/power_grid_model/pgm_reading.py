@@ -11,7 +11,7 @@ import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, ImportedFeeder, Source, imported
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import named_buses
+from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.power_grid_model.pgm_branches import (
     BASE_MVA,
@@ -33,6 +33,7 @@ _NO_MATTER = ("sym_voltage_sensor", "asym_voltage_sensor", "sym_power_sensor", "
 _CONSTANT_POWER, _CONSTANT_IMPEDANCE, _CONSTANT_CURRENT = 0, 1, 2
 IDEAL_SK_VA = 1e15
 """Short-circuit power from which a source is an ideal one."""
+_LOWEST_V, _HIGHEST_V = 1e-3, 1e8
 _SK_VA, _RX_RATIO = 1e10, 0.1
 """What power-grid-model takes where a file does not say."""
 
@@ -63,30 +64,33 @@ def read_power_grid_model(
     Raises
     ------
     FeederError
-        For a cell that cannot be used, naming component, row, id and field, for what cannot be represented, naming it, and
-        where power-grid-model is missing.
+        For a cell that cannot be used, naming component, row, id and field, for what cannot be represented, naming
+        it, and where power-grid-model is missing.
     """
     path = Path(path)
     if not (math.isfinite(frequency_hz) and frequency_hz > 0):
         raise FeederError(f"frequency is {frequency_hz} Hz; give a positive number such as 50")
-    report = Report("grid")
-    data, names = input_data(path, report)
-    grid, rows = _grid(path, data, names, bus_names)
-    u_rated = 1000.0 * grid.base_kv
-    grid.branches += read_lines(data, rows, u_rated, frequency_hz)
-    grid.branches += read_transformers(data, rows, u_rated)
-    grid.branches += read_generic_branches(data, rows, u_rated)
-    grid.switches += read_links(data, rows, report)
-    _add_loads(grid, data, rows, report)
-    _add_rest(data, report)
-    chosen = next((s.name for s in grid.sources if grid.buses[_node_of(grid, s)] == source), source)
-    at = next((grid.buses[s.bus] for s in grid.sources if s.name == chosen), chosen)
-    facts = f"power-grid-model file {path.name}"
+    with errors_naming(path):
+        report = Report("grid")
+        data, names = input_data(path, report)
+        grid, rows = _grid(path, data, names, bus_names)
+        u_rated = 1000.0 * grid.base_kv
+        grid.branches += read_lines(data, rows, u_rated, frequency_hz)
+        grid.branches += read_transformers(data, rows, u_rated)
+        grid.branches += read_generic_branches(data, rows, u_rated)
+        grid.switches += read_links(data, rows, report)
+        _add_loads(grid, data, rows, report)
+        _add_rest(data, report)
+        chosen = next((s.name for s in grid.sources if grid.buses[_node_of(grid, s)] == source), source)
+        at = next((grid.buses[s.bus] for s in grid.sources if s.name == chosen), chosen)
+        facts = f"power-grid-model file {path.name}"
 
-    def voltages() -> dict[str, float]:
-        return {grid.buses[rows[node]]: v for node, v in _solved(data, frequency_hz).items()}
+        def voltages() -> dict[str, float]:
+            return {grid.buses[rows[node]]: v for node, v in _solved(data, frequency_hz).items()}
 
-    return imported(grid, report, voltages, solver="power-grid-model", source=at, allow=allow, source_of_facts=facts)
+        return imported(
+            grid, report, voltages, solver="power-grid-model", source=at, allow=allow, source_of_facts=facts
+        )
 
 
 def _solved(data: Data, frequency_hz: float) -> dict[int, float]:
@@ -110,6 +114,9 @@ def _grid(path: Path, data: Data, names: dict[int, str], bus_names: bool) -> tup
     nodes, sources = data.get("node", np.zeros(0)), [s for s in data.get("source", ()) if s["status"]]
     if not len(nodes):
         raise FeederError(f"{path}: it has no node; give power-grid-model's input data")
+    for node in nodes:
+        if not _LOWEST_V <= node["u_rated"] <= _HIGHEST_V:
+            raise FeederError(f"{path}: node {node['id']}: u_rated is {node['u_rated']:g}; give the rated voltage in V")
     ids = [int(node["id"]) for node in nodes]
     rows = {i: k for k, i in enumerate(ids)}
     weak = [s for s in sources if _given(s["sk"], _SK_VA) < IDEAL_SK_VA]

@@ -27,7 +27,8 @@ def write_power_grid_model(feeder: Feeder, path: str | Path) -> None:
 
 
 def power_grid_model_text(feeder: Feeder) -> str:
-    """Text of a JSON file; nodes have the feeder's buses as ids where all are whole numbers, and a ``name`` in any case.
+    """Text of a JSON file; nodes have the feeder's buses as ids where all are whole numbers, and a ``name`` in any
+    case.
 
     A branch without impedance becomes a link. FeederError for a transformer without impedance.
     """
