@@ -39,13 +39,13 @@ ROWS = (
 """Metrics of the table, row by row."""
 OVER_EPISODES = {"mean": np.mean, "min": np.min, "max": np.max}
 SECONDS = 40.0
-_OF_RULES, _OF_HINDSIGHT = (0.15, 0.35), 0.85
-"""Shares of the time after which the search of each rule, and hindsight, begin nothing further."""
+_OF_DROOP, _OF_HINDSIGHT, _OF_PINNED = 0.15, 0.7, 0.75
+"""Shares of the time after which these begin nothing further; the best constant is looked for until its end."""
 _GAP = 1e-3
 """Gap between the replay and the program at which an episode of hindsight is near enough, as a share of J."""
 _PINNED = 3
 """Episodes of hindsight at the top clock."""
-_SLOW_S = 1.5
+_SLOW_S = 6.0
 """Time that an episode of hindsight takes from which it pays to start processes, s."""
 _PLACEMENTS = 8
 """Placements that the droop's gain is looked at in, where a scenario draws them."""
@@ -78,7 +78,8 @@ class ScenarioCheck:
         """Who reaches what, side by side."""
         from dcgrid_env import METRICS
 
-        shown = {name: one for name, one in self.figures.reached.items() if name not in (BARE, PINNED)}
+        reached = self.figures.reached
+        shown = {name: reached[name] for name in (NONE, PAPER, DROOP, CONSTANT, HINDSIGHT) if name in reached}
         rows = []
         for metric in (METRICS[name] for name in ROWS):
             each = (OVER_EPISODES[metric.over_episodes](one.metrics[metric.name]) for one in shown.values())
@@ -126,22 +127,21 @@ def check_scenario(
     recorder = rollout(scenario, NoControl(), seeds, name=NONE)
     reached[NONE], lowest_bus = Reached.of(recorder.metrics()), _lowest_bus(recorder, episodes)
     reached[PAPER] = Reached.of(rollout(scenario, Droop(), seeds, name=PAPER).metrics())
-    for name, law, share in zip((DROOP, CONSTANT), ("droop", "constant-q"), _OF_RULES, strict=True):
-        on_stage(name)
-        best = fitted(law, scenario, seeds, began_s + share * seconds)
-        metrics = rollout(scenario, best.controller, seeds, name=name).metrics()
-        reached[name] = Reached.of(metrics, best.parameters)
+    on_stage(DROOP)
+    reached[DROOP] = _fitted("droop", scenario, seeds, began_s + _OF_DROOP * seconds)
     on_stage(HINDSIGHT)
     refused = ""
     try:
         reached[HINDSIGHT] = _hindsight(scenario, seeds, began_s + _OF_HINDSIGHT * seconds, jobs)
     except ValueError as error:
         refused = str(error)
-    has_clock = scenario.n_datacenters > 0 and scenario.f_min_mhz < scenario.f_max_mhz
-    if HINDSIGHT in reached and has_clock and time.monotonic() < began_s + seconds:
+    has_clock, until_s = scenario.n_datacenters > 0, began_s + _OF_PINNED * seconds
+    if HINDSIGHT in reached and has_clock and time.monotonic() < until_s:
         on_stage(PINNED)
         pinned = scenario.replace(f_min_mhz=scenario.f_max_mhz)
-        reached[PINNED] = _hindsight(pinned, range(min(_PINNED, reached[HINDSIGHT].n)), began_s + seconds, jobs)
+        reached[PINNED] = _hindsight(pinned, range(min(_PINNED, reached[HINDSIGHT].n)), until_s, jobs)
+    on_stage(CONSTANT)
+    reached[CONSTANT] = _fitted("constant-q", scenario, seeds, began_s + seconds)
     if scenario.n_datacenters:
         bare = scenario.replace(p_rated_kw=_NEXT_TO_NOTHING_KW)
         reached[BARE] = Reached.of(rollout(bare, NoControl(), seeds, name=BARE).metrics())
@@ -165,6 +165,12 @@ def _lowest_bus(recorder: Recorder, lanes: int) -> str:
         node = np.arange(feeder.n_node)[feeder.load_slice][np.argmin(v_pu)]
         each.append((float(v_pu.min()), feeder.bus_ids[feeder.node_bus[node]]))
     return min(each)[1]
+
+
+def _fitted(law: str, scenario: Scenario, seeds: Sequence[int], until_s: float) -> Reached:
+    """What a law reaches with the best parameters that are found for the episodes."""
+    best = fitted(law, scenario, seeds, until_s)
+    return Reached.of(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
 
 
 def _hindsight(scenario: Scenario, seeds: Sequence[int], until_s: float, jobs: int) -> Reached:

@@ -68,7 +68,6 @@ ELSEWHERE = {
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
-    "dcgrid import matpower": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
     "python docs/import_differences.py": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",

@@ -42,7 +42,7 @@ def test_who_reaches_what_is_in_order_and_hindsight_is_the_least():
     assert j[PINNED] >= j[HINDSIGHT] - 1e-6
     assert j[BARE] < j[NONE]
     assert reached[HINDSIGHT].metrics["J"][1] == pytest.approx(hindsight(scenario, 1).J, rel=2e-3)
-    assert stages == [NONE, DROOP, CONSTANT, HINDSIGHT, PINNED]
+    assert stages == [NONE, DROOP, HINDSIGHT, PINNED, CONSTANT]
     assert check.figures.lowest_bus in ("18", "33")
     table = check.table
     assert table.header == ("mean over episodes", NONE, PAPER, DROOP, CONSTANT, HINDSIGHT)

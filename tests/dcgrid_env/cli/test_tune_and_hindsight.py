@@ -110,7 +110,6 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
 def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_again(tmp_path, monkeypatch, capsys):
     out = tmp_path / "tuned.json"
     arguments = [
-        "dev",
         "tune",
         "--laws",
         "droop-q",
