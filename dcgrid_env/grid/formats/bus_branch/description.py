@@ -55,7 +55,7 @@ class Branch:
     to_closed: bool = True
 
     def reversed(self) -> Branch:
-        """The same branch seen from its other end."""
+        """This branch as it is seen from its other end."""
         square = self.tap**2
         return replace(
             self,

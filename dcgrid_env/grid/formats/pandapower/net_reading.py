@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import BusBranchGrid, ClosedSwitch, ImportedFeeder, Source, imported
+from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_buses
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, check_net

@@ -5,29 +5,26 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, described
+from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
-
-if TYPE_CHECKING:
-    from dcgrid_env.grid.feeder import Feeder
 
 _SN_MVA = 1.0
 
 
-def write_pandapower(feeder: Feeder, path: str | Path) -> None:
+def write_pandapower(feeder: BalancedFeeder, path: str | Path) -> None:
     """Write a feeder as a JSON file that ``pandapower.from_json`` reads; FeederError where pandapower is missing."""
     import pandapower
 
     write_text(Path(path), pandapower.to_json(pandapower_net(feeder)))
 
 
-def pandapower_net(feeder: Feeder) -> Any:
+def pandapower_net(feeder: BalancedFeeder) -> Any:
     """A net of a feeder, in the voltages of its own buses; indices are its buses where all are whole numbers of 0 or
     more.
 
