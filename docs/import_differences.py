@@ -13,6 +13,7 @@ import warnings
 from pathlib import Path
 
 from dcgrid_env import Feeder, FeederError
+from dcgrid_env.grid.formats.bus_branch import ImportedFeeder
 from dcgrid_env.grid.formats.matpower import read_matpower
 from dcgrid_env.grid.formats.pandapower import read_pandapower
 from dcgrid_env.powerflow import distflow
@@ -48,7 +49,7 @@ case38si case51ga case51he case69 case74ds case85 case94pi case118zh case136ma c
 case533mt_hi case1197"""
 
 
-def row(command: str, imported: object) -> str:
+def row(command: str, imported: ImportedFeeder) -> str:
     """A row of the table."""
     feeder = Feeder.from_network(imported.network)
     ours = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar)
@@ -84,9 +85,8 @@ def cases() -> None:
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     wanted = sys.argv[1:] or ["pandapower", "matpower"]
-    print(
-        "| command, after dcgrid import | buses | kW | lowest voltage, p.u. | largest difference, p.u. |\n|---|---|---|---|---|"
-    )
+    print("| command, after dcgrid import | buses | kW | lowest voltage, p.u. | largest difference, p.u. |")
+    print("|---|---|---|---|---|")
     for kind in wanted:
         known = {"pandapower": nets, "matpower": cases}
         if kind not in known:

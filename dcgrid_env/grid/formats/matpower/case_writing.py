@@ -30,9 +30,9 @@ def matpower_text(feeder: BalancedFeeder, function: str = "") -> str:
     function = function or re.sub(r"\W", "_", feeder.name)
     function = function if re.match("[A-Za-z]", function) else f"case_{function}"
     grid = described(feeder, base_mva=10.0)
-    numbers = bus_numbers(grid.buses) or ()
-    named = not numbers or min(numbers) < 1
-    numbers = tuple(range(1, grid.n_bus + 1)) if named else numbers
+    known = bus_numbers(grid.buses)
+    named = known is None or min(known) < 1
+    numbers = tuple(range(1, grid.n_bus + 1)) if known is None or named else known
     drawn_mw = np.stack([grid.p_kw, grid.q_kvar, grid.shunt_kw, grid.shunt_kvar], axis=1) / 1000.0
     bus = [
         [numbers[i], 3 if i == 0 else 1, *drawn_mw[i].tolist(), 1, 1.0, 0.0, grid.base_kv[i], 1, 1.1, 0.9]

@@ -97,11 +97,12 @@ def _solve(called: str, net: Any) -> bool:
     """Run pandapower's power flow, which builds its model; whether it found a solution."""
     import pandapower
 
+    run: Any = pandapower.runpp  # its annotations do not fit its documentation
     net["user_pf_options"] = {}
     for start, tolerance in itertools.product(("dc", "flat"), _TOLERANCES_MVA):
         try:
             with quiet():
-                pandapower.runpp(
+                run(
                     net,
                     init=start,
                     calculate_voltage_angles=True,

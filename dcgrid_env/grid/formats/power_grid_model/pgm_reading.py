@@ -96,7 +96,7 @@ def read_power_grid_model(
 def _solved(data: Data, frequency_hz: float) -> dict[int, float]:
     """Voltage of each energised node, p.u., empty where power-grid-model finds none."""
     from power_grid_model import PowerGridModel
-    from power_grid_model.errors import PowerGridError
+    from power_grid_model.errors import PowerGridError  # pyright: ignore[reportPrivateImportUsage]
 
     for tolerance in (1e-11, 1e-9, 1e-7):
         try:
