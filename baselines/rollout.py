@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from functools import partial
 from itertools import count
 from typing import Any, TypeVar
@@ -77,8 +77,8 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
-    scenario = as_driven(scenario, controller)
     groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    groups = [(as_driven(on, controller), lanes) for on, lanes in groups]
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
     steps, every = count(1), len(groups)
@@ -114,7 +114,7 @@ def streaming_rollout(
     Raises
     ------
     ControllerError
-        As in :func:`rollout`.
+        Where :func:`rollout` raises it.
     ScenarioError
         Where the seeds are on different random feeders.
     """
@@ -161,22 +161,22 @@ def transitions(
     seeds: Sequence[int],
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Iterator[Any]:
+) -> Generator[Any, None, None]:
     """Drive episodes; the transitions of all lanes (``DcgridVectorEnv.transition``) from the reset on, without an end.
 
     Parameters
     ----------
     scenario
-        As :func:`as_driven` gives it.
+        What :func:`as_driven` gives.
     controller, seeds, name
-        As :func:`rollout` takes them.
+        See :func:`rollout`.
     options
         What the reset is given of the episodes, see ``DcgridVectorEnv.reset``.
 
     Raises
     ------
     ControllerError
-        As :func:`rollout` does.
+        See :func:`rollout`.
     """
     called = name or type(controller).__name__
     env = DcgridVectorEnv(len(seeds), scenario, info="none")

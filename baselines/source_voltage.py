@@ -1,9 +1,9 @@
 """A substation voltage for a scenario on a feeder that names none of use: the one that centres the band.
 
 Published feeders mostly say 1 p.u., at which everything on them lies below, and a learner would be paid for holding
-up what any utility lifts by a tap. The rule here is what a tap changer's setting does: the voltages of the buses, each its
-mean over episodes without control, are to reach as far above 1 p.u. as below it. Where a feeder's own regulators act,
-they hold its voltages, and the source stays as it is. docs/own-feeder.md has what the rule does to what is reached.
+up what any utility lifts by a tap. The rule here is what a tap changer's setting does: the voltages of the buses, each
+its mean over episodes without control, are to reach as far above 1 p.u. as below it. Where a feeder's own regulators
+act, they hold its voltages, and the source stays as it is. What the rule does to costs stands in docs/own-feeder.md.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ TAP_PU = 0.00625
 """One of the 32 taps of 10 % up and down that regulators and tap changers mostly have, p.u."""
 EPISODES = 8
 """Episodes of the training split that the mean is over."""
+LONGEST = 600
+"""Steps of an episode that are looked at."""
 _ROUNDS = 4
 
 
@@ -61,7 +63,8 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
 
 def _reach(scenario: Scenario, v_pu: float, episodes: int) -> tuple[float, float]:
     """Lowest and highest of the nodes' mean voltages over episodes without control, p.u."""
-    recorder = rollout(scenario.replace(source_voltage_pu=v_pu, split="train"), NoControl(), range(episodes))
+    short = scenario.replace(source_voltage_pu=v_pu, split="train", horizon=min(scenario.horizon, LONGEST))
+    recorder = rollout(short, NoControl(), range(episodes))
     each = [recorder.lane(i).v_pu[1:, scenario.feeder.load_slice].mean(axis=0) for i in range(episodes)]
     mean = np.mean(each, axis=0)
     return float(mean.min()), float(mean.max())

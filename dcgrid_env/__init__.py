@@ -39,6 +39,7 @@ from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
 from dcgrid_env.engine.parquet_course import ParquetCourse
 from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
+from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
@@ -52,10 +53,12 @@ from dcgrid_env.powerflow import (
     PowerFlowError,
     Sensitivity,
     Solution,
+    branch_loading,
     distflow,
     lindistflow,
     own_sensitivity,
     sensitivity,
+    sensitivity_by,
     solver_for,
 )
 from dcgrid_env.scenario.background import Background
@@ -102,6 +105,7 @@ __all__ = [
     "FeederError",
     "Forecast",
     "GridControl",
+    "HugeObservationWarning",
     "Inverters",
     "JoinedRecorder",
     "LinearDvfs",
@@ -137,6 +141,7 @@ __all__ = [
     "acting_relays",
     "action_layout",
     "believed_sensitivity",
+    "branch_loading",
     "course_bytes",
     "distflow",
     "end_costs",
@@ -159,6 +164,7 @@ __all__ = [
     "scenario_on",
     "sensitivity",
     "sensitivity_between_agents",
+    "sensitivity_by",
     "sensitivity_to_agents",
     "short_term_flicker",
     "solver_for",

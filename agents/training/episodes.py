@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dcgrid_env import RandomFeeders, Scenario
 
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
@@ -21,13 +23,15 @@ def normalising_seeds(scenario: Scenario, seed: int) -> list[range]:
     return [range(start, start + lanes) for start in first]
 
 
-def check_batch(scenario: Scenario, num_envs: int) -> None:
+def check_batch(scenarios: Sequence[Scenario], num_envs: int) -> None:
     """ValueError, naming the field, unless a batch of episodes is on one feeder where feeders are random."""
-    if isinstance(scenario.feeder, RandomFeeders) and scenario.feeder.batch % num_envs:
-        raise ValueError(
-            f"num_envs is {num_envs}; {scenario.name} has another feeder after each {scenario.feeder.batch} episodes "
-            f"and gradients are of one feeder at a time: give {scenario.feeder.batch} or a divisor of it"
-        )
+    for scenario in scenarios:
+        if isinstance(scenario.feeder, RandomFeeders) and scenario.feeder.batch % num_envs:
+            batch = scenario.feeder.batch
+            raise ValueError(
+                f"num_envs is {num_envs}; {scenario.name} has another feeder after each {batch} episodes, and "
+                f"gradients are of one feeder at a time: give {batch} or a divisor of it"
+            )
 
 
 def windows(horizon: int, window: int) -> list[int]:

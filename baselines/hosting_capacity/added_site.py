@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
-from dcgrid_env.baselines.hosting_capacity.study import Study
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study, has_ratings
+from dcgrid_env.core.units import S_BASE_KVA
 
 _NOTHING_KW = 1e-3
 """Rating that stands for no site: a device has a rating."""
@@ -31,6 +32,8 @@ class AddedSite:
         self.agent = first.agents.index(f"dc_{self.slot}")
         """Which of the agents it is."""
         self._buses = self._buses_of_samples(first)
+        self.rated, self.limit_sq_pu = _branch_limits(study)
+        """Positions of the branches whose rating is known, and the squares of their limits, p.u., (n_rated,) each."""
 
     def mw(self, size: int) -> float:
         """A size in MW."""
@@ -52,12 +55,24 @@ class AddedSite:
             "horizon": study.horizon,
             "start_hour": "random" if study.load == "day" else None,
             "n_datacenters": self.slot + 1,
-            "datacenter_buses": None,
+            "datacenter_buses": self._datacenter_buses(),
             "p_rated_kw": (*(base.datacenter.p_rated_kw.tolist() if study.others else ()), kw),
         }
         if not study.others:
             changed |= {"inverter_buses": (), "inverter_s_kva": 0.0}
         return base.replace(**changed)
+
+    def _datacenter_buses(self) -> tuple[str, ...] | None:
+        """Where the scenario has its sites; the added one anywhere free, as each lane says where it really is."""
+        scenario, others = self.study.scenario, self.study.others
+        there = scenario.datacenter_buses if others else ()
+        if there is None:
+            return None
+        taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}
+        free = [bus for bus in scenario.feeder.bus_ids[1:] if bus not in taken]
+        if not free:
+            raise ValueError(f"scenario {scenario.name!r} has a device at every bus; leave one bus without")
+        return (*map(str, there), free[0])
 
     def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""
@@ -66,8 +81,13 @@ class AddedSite:
         index = scenario.feeder.index
         placed = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         env.close()
-        fixed = self.study.scenario.datacenter_buses if self.study.others else None
-        if fixed is not None:
-            first = self.agent - self.slot
-            placed[:, first : self.agent] = [index(bus) for bus in fixed]
         return placed
+
+
+def _branch_limits(study: Study) -> tuple[np.ndarray, np.ndarray]:
+    feeder = study.scenario.feeder
+    if not has_ratings(feeder):
+        return np.zeros(0, np.int64), np.zeros(0)
+    rated = np.flatnonzero(~np.isnan(feeder.rating_a))
+    base_a = S_BASE_KVA / (np.sqrt(3.0) * feeder.base_kv)
+    return rated, (study.loading_max_pct / 100.0 * feeder.rating_a[rated] / base_a) ** 2

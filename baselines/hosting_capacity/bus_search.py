@@ -3,11 +3,11 @@
 Sizes are whole numbers of steps. A size carries if it breaks limits in no more seconds than are allowed, over all
 samples. It surely does not as soon as it breaks them in more seconds of some samples: between the largest size that is
 known to carry and the smallest that does not, sizes are therefore tried in the *critical* samples alone, those that
-came nearest to a limit before, and what is then the largest is tried in all. The next size is where the first
-straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end that
-stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a margin
-with a kink cannot hold it up. That a larger size breaks limits and a smaller one does not need not be so under a controller:
-at the end sizes of a coarse scan, below and above, are tried too.
+came nearest to a limit before, and what is then the largest is tried in the others too. The next size is where the
+first straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end
+that stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a
+margin with a kink cannot hold it up. Under a controller it need not be so that larger sizes break limits and smaller
+ones do not: at the end a size of a coarse scan below and one above are tried too.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from dcgrid_env.baselines.hosting_capacity.trial import UNLIMITED, Trial
 
 CRITICAL = 6
 """Samples that are critical as the nearest to each limit."""
-SCANNED = 2
-"""Sizes of the scan below the result, and above it, that are tried."""
 
 
 class Request(NamedTuple):
@@ -37,20 +35,22 @@ class BusSearch:
 
     Parameters
     ----------
-    n_samples
-        Number of samples.
     empty
         What size 0 comes to in all samples, which carries.
+    critical
+        Numbers of the samples that are critical at first.
     guess, top
         The size to try first, and the largest.
     allowed
         Steps in which limits may be broken, over all samples.
     scan
-        Sizes, ascending, of which the nearest below and above the result are tried at the end; none for no scan.
+        Sizes, ascending, of which the nearest below and the nearest above the result are tried at the end.
     """
 
-    def __init__(self, n_samples: int, empty: Trial, guess: int, top: int, allowed: int, scan: tuple[int, ...]):
-        self._every = np.arange(n_samples)
+    def __init__(
+        self, empty: Trial, critical: np.ndarray, guess: int, top: int, allowed: int, scan: tuple[int, ...] = ()
+    ):
+        self._every = np.arange(len(empty.outside))
         self._top, self._allowed = top, allowed
         self._guess: int | None = min(max(guess, 1), top)
         self._low, self._high = 0, top + 1
@@ -69,48 +69,60 @@ class BusSearch:
         self.larger_carries: tuple[int, ...] = ()
         """Sizes of the scan above the result that carry."""
         self._empty = empty
-        self._critical = _worst(empty)
+        self._critical = np.unique(critical)
+        self._at_low_trial: tuple[Request, Trial] | None = None
+        """What the largest size that may carry came to in the critical samples."""
         self._scan, self._whole_scan = scan, False
         self._to_scan: list[int] | None = None
 
     def next(self) -> Request | None:
         """What to try next; None when all is known."""
         if self._guess is not None:
-            return Request(self._guess, self._every)
+            return Request(self._guess, self._critical)
         if self._high - self._low > 1:
             return Request(self._between(), self._critical)
         if self._low > self.size:
-            return Request(self._low, self._every)
+            assert self._at_low_trial is not None
+            return Request(self._low, np.setdiff1d(self._every, self._at_low_trial[0].samples))
         if self._to_scan is None:
             below = [size for size in self._scan if 0 < size < self.size]
             above = [size for size in self._scan if self._high < size <= self._top]
-            self._to_scan = below[-SCANNED:] + above[:SCANNED]
+            self._to_scan = below[-1:] + above[:1]
         if self._to_scan:
             return Request(self._to_scan[0], self._every if self._whole_scan else self._critical)
         return None
 
     def take(self, request: Request, trial: Trial) -> None:
         """Heed what a request came to."""
-        fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
         if self._to_scan is not None:
-            self._take_scanned(request.size, fails, whole)
+            fails = int(trial.outside.sum()) > self._allowed
+            self._take_scanned(request.size, fails, len(request.samples) == len(self._every))
             return
+        before = self._at_low_trial
+        if before is not None and request.size == before[0].size:  # the others of its samples
+            request = Request(request.size, np.concatenate((before[0].samples, request.samples)))
+            trial = Trial.joined([before[1], trial])
+        fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
         self._guess, self._tries = None, self._tries + 1
+        at = trial.margins.min(axis=0)
         if fails:
             self.beyond = trial
             if self._low >= request.size:  # what carried in the critical samples does not in all
                 self._low, self._at_low = self.size, self.at_size.margins.min(axis=0)
+                self._at_low_trial = None
             elif self._moved == 1:
                 self._at_low = 0.5 * self._at_low
-            self._high, self._at_high, self._moved = request.size, trial.margins.min(axis=0), 1
+            self._high, self._at_high, self._moved = request.size, at, 1
         else:
-            if whole:
-                self.size, self.at_size = request.size, trial
             if self._moved == -1 and self._at_high is not None:
                 self._at_high = 0.5 * self._at_high
-            self._low, self._at_low, self._moved = request.size, trial.margins.min(axis=0), -1
+            self._low, self._at_low, self._moved = request.size, at, -1
+            self._at_low_trial = (request, trial)
+            if whole:
+                self.size, self.at_size = request.size, trial
         if whole:
-            self._critical = np.union1d(self._critical, _worst(trial)) if fails else _worst(trial)
+            worst = request.samples[worst_samples(trial)]
+            self._critical = np.union1d(self._critical, worst) if fails else worst
 
     def _take_scanned(self, size: int, fails: bool, whole: bool) -> None:
         assert self._to_scan is not None
@@ -136,8 +148,8 @@ class BusSearch:
         return min(max(low + int((high - low) * share), low + 1), high - 1) if share < 1.0 else (low + high) // 2
 
 
-def _worst(trial: Trial) -> np.ndarray:
-    """The samples that come nearest to each limit, of a trial of all of them."""
+def worst_samples(trial: Trial) -> np.ndarray:
+    """Positions of the samples that came nearest to each limit in a trial at one bus, (n,)."""
     order = np.argsort(trial.margins, axis=0, kind="stable")[:CRITICAL]
     return np.unique(order[:, (trial.margins < UNLIMITED).any(axis=0)])
 

@@ -8,8 +8,9 @@ import io
 from collections.abc import Iterator
 from typing import Any
 
-from dcgrid_env import Feeder, scenario_hash
+from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.hosting_capacity.capacity_study import has_ratings
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
@@ -78,9 +79,7 @@ def capacity_table(found: Capacities) -> Table:
 def record(found: Capacities) -> dict[str, Any]:
     """The study and its answers as JSON takes them."""
     study = found.study
-    asked = {
-        field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"
-    }
+    asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
     return {
         "study": asked
         | {
@@ -113,15 +112,14 @@ def _mw(capacity: BusCapacity) -> str:
 def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
     yield (
-        f"snapshot: one power flow at peak load without control. Sizes are multiples of {study.step_mw:g} MW up to "
-        f"{study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
-        f"on, and may be broken in {study.allowed_pct:g} % of the seconds."
+        f"Source at {study.scenario.source_voltage_pu:.5g} p.u.; snapshot: one power flow at peak load, without "
+        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where "
+        f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
+        f"broken in {study.allowed_pct:g} % of the seconds."
     )
     everyone = list(_all(found))
     tops = [capacity for capacity in everyone if capacity.at_most]
-    feeder = study.scenario.feeder
-    known = isinstance(feeder, Feeder) and has_ratings(feeder)
-    if not known:
+    if not has_ratings(study.scenario.feeder):
         beside = ", which is what would limit those at >=" if tops else ""
         yield f"No rating of a branch is known: no size is too large for a line or transformer{beside}."
     for name in found.controllers:
@@ -136,9 +134,3 @@ def _notes(found: Capacities) -> Iterator[str]:
             sizes = ", ".join(f"{mw:g}" for mw in capacity.larger_carries_mw)
             yield f"* {capacity.controller}, bus {capacity.bus}: larger sites of {sizes} MW keep within them"
     yield from found.notes
-
-
-def has_ratings(feeder: Any) -> bool:
-    """Whether the rating of any branch of a feeder is known."""
-    ratings = getattr(feeder, "rating_a", None)
-    return ratings is not None and bool((ratings == ratings).any())

@@ -7,13 +7,16 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
-from dcgrid_env.baselines.hosting_capacity.study import Study
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
+from dcgrid_env.baselines.hosting_capacity.trial import trials
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.core.processes import Died, each
 from dcgrid_env.traces import PowerTrace
@@ -22,7 +25,7 @@ SNAPSHOT = "snapshot"
 """What the capacity of a moment is called where controllers stand."""
 _SLOW = ("mpc",)
 """Beginnings of the names of controllers whose tasks are handed out first."""
-_PARTS = 4
+_PARTS = 2
 """Tasks of each controller and process: a task of few buses wastes batches, few tasks leave processes idle."""
 
 
@@ -37,9 +40,17 @@ class Capacities:
     by_controller: dict[str, tuple[BusCapacity, ...]]
     """In the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
-    """The same of one power flow: peak load, the site at its rating, nobody controls anything."""
+    """What they carry in one power flow: peak load, the site at its rating, nobody controls anything."""
     notes: tuple[str, ...]
     """What is to be said of the controllers."""
+
+
+class _Asked(NamedTuple):
+    """A bus, and the size and the samples to try first there."""
+
+    bus: int
+    guess: int
+    critical: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -47,8 +58,7 @@ class _Task:
     study: Study
     controller: str
     tuned: Path | None
-    buses: tuple[int, ...]
-    guesses: tuple[int, ...]
+    asked: tuple[_Asked, ...]
 
 
 def hosting_capacity(
@@ -69,12 +79,12 @@ def hosting_capacity(
     study
         Buses, limits and sampled load.
     controllers
-        As the command line names them: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class of one's
-        own.
+        What names them on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class
+        of one's own.
     jobs
         Processes, over which controllers and buses are shared out. The answers do not depend on them.
     tuned
-        A file of ``dcgrid dev tune`` that the gains of tuned laws must come from.
+        A file of ``dcgrid tune`` that the gains of tuned laws must come from.
     on_buses
         Called with a controller and the number of buses that were done under it (for progress).
 
@@ -98,10 +108,12 @@ def hosting_capacity(
     buses = study.candidates()
     snapshot = snapshot_capacity(study, buses)
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
+    critical = critical_samples(study, buses, guesses)
+    parts = _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
     tasks = [
-        _Task(study, name, tuned, tuple(buses[part].tolist()), tuple(guesses[i] for i in part))
+        _Task(study, name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
-        for part in _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
+        for part in parts
     ]
     found: dict[tuple[str, str], BusCapacity] = {}
     for task, result in each(_work, tasks, jobs):
@@ -131,7 +143,23 @@ def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
         tolerance_mw=study.step_mw, max_mw=study.largest_mw,
     )  # fmt: skip
     guesses = np.full(len(buses), max(1, math.isqrt(study.top)))
-    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses)
+    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
+
+
+def critical_samples(study: Study, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
+    """The samples in which buses come nearest to a limit with a site of these sizes, in steps, that nobody controls.
+
+    They are found at the price of no control, and are what every controller is tried in first.
+    """
+    site, by_size = AddedSite(study), dict[int, list[int]]()
+    for i, size in enumerate(sizes):
+        by_size.setdefault(size, []).append(i)
+    found: list[tuple[int, ...]] = [()] * len(buses)
+    for size, at in by_size.items():
+        asked = [(int(buses[i]), np.arange(study.samples)) for i in at]
+        for i, trial in zip(at, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
+            found[i] = tuple(worst_samples(trial).tolist())
+    return found
 
 
 def _shared_out(n: int, parts: int) -> list[np.ndarray]:
@@ -140,6 +168,12 @@ def _shared_out(n: int, parts: int) -> list[np.ndarray]:
 
 def _work(task: _Task) -> list[BusCapacity]:
     controller, _ = study_controller(task.controller, task.study.scenario, task.tuned)
+    buses, guesses, critical = zip(*task.asked, strict=True)
     return search_buses(
-        AddedSite(task.study), controller, task.controller, np.array(task.buses), np.array(task.guesses)
+        AddedSite(task.study),
+        controller,
+        task.controller,
+        np.array(buses),
+        np.array(guesses),
+        [np.array(samples) for samples in critical],
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from dcgrid_env import Feeder, Scenario, fcfs_delays
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
-from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, Trial, run_trial
+from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, Trial, run_trial, trials
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ def search_buses(
     name: str,
     buses: np.ndarray,
     guesses: np.ndarray,
+    critical: Sequence[np.ndarray],
     on_bus: Callable[[], None] | None = None,
 ) -> list[BusCapacity]:
     """Find what buses carry.
@@ -61,6 +62,8 @@ def search_buses(
         Positions in ``bus_ids`` of the candidates, (n,).
     guesses
         The size to try first at each, in steps, (n,).
+    critical
+        Numbers of the samples to try first at each.
     on_bus
         Called as each bus is done (for progress).
 
@@ -76,8 +79,8 @@ def search_buses(
     fails = int(empty.outside.sum()) > study.allowed_seconds
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
     searches = [
-        BusSearch(study.samples, empty, int(guess), 0 if fails else study.top, study.allowed_seconds, scan)
-        for guess in guesses
+        BusSearch(empty, own, int(guess), 0 if fails else study.top, study.allowed_seconds, scan)
+        for guess, own in zip(guesses, critical, strict=True)
     ]
     left = dict(enumerate(searches))
     while left:
@@ -91,21 +94,13 @@ def search_buses(
             else:
                 by_size.setdefault(request.size, []).append((i, request))
         for size, asked in by_size.items():
-            trial = _tried(site, controller, size, [(buses[i], request) for i, request in asked], name)
-            ends = np.cumsum([0, *(len(request.samples) for _, request in asked)])
-            for (i, request), a, b in zip(asked, ends[:-1], ends[1:], strict=True):
-                searches[i].take(request, trial.of(slice(a, b)))
+            of_buses = [(int(buses[i]), request.samples) for i, request in asked]
+            for (i, request), trial in zip(asked, trials(site, controller, size, of_buses, name), strict=True):
+                searches[i].take(request, trial)
     return [
         _capacity(site, name, bus, search, empty if fails else search.beyond)
         for bus, search in zip(buses, searches, strict=True)
     ]
-
-
-def _tried(
-    site: AddedSite, controller: Controller, size: int, asked: list[tuple[int, Request]], name: str
-) -> Trial:
-    at = np.concatenate([np.full(len(request.samples), bus) for bus, request in asked])
-    return run_trial(site, controller, size, at, np.concatenate([r.samples for _, r in asked]), name)
 
 
 def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: Trial | None) -> BusCapacity:

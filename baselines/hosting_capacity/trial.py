@@ -1,7 +1,9 @@
-"""Sites of one size at several buses, in several samples, as one batch: how near they bring the feeder to its limits."""
+"""Sites of one size at several buses, in several samples, as one batch: how near they bring a feeder to its limits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +37,7 @@ class Trial(NamedTuple):
     arrived_kw: np.ndarray
     """Dynamic power that the added site's arriving work asked for in each step, kW, (lane, step)."""
     served_kw: np.ndarray
-    """The same of work served."""
+    """What the work that was served drew of it, kW, (lane, step)."""
 
     @property
     def margin(self) -> float:
@@ -62,6 +64,16 @@ def run_trial(
     at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
     parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
     return Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+
+
+def trials(
+    site: AddedSite, controller: Controller, size: int, asked: Sequence[tuple[int, np.ndarray]], name: str
+) -> list[Trial]:
+    """What a size comes to at several buses, each in samples of its own, as one batch."""
+    buses = np.concatenate([np.full(len(samples), bus) for bus, samples in asked])
+    trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in asked]), name)
+    ends = np.cumsum([0, *(len(samples) for _, samples in asked)])
+    return [trial.of(slice(a, b)) for a, b in pairwise(ends)]
 
 
 def _run(
@@ -104,4 +116,8 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
     below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
     first = nodes.start or 0
     loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    if len(site.rated):  # what DistFlow starts the next step from are the squares of the currents
+        share_sq = now.state.restart[:, site.rated] / site.limit_sq_pu
+        worst = share_sq.argmax(axis=1)
+        loaded, branch = 1.0 - np.sqrt(np.maximum(share_sq[lane, worst], 0.0)), site.rated[worst]
     return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

@@ -21,7 +21,7 @@ toy6). The number of rounds is fixed, so that a lane's solution is the same what
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,9 +89,10 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     work that is not there yet until the rounds have settled that.
     """
     # Both bring the compiler with them, so not on import.
-    from dcgrid_env.baselines.model_based.lookahead_kernels import rounds as compiled
+    from dcgrid_env.baselines.model_based import lookahead_kernels
     from dcgrid_env.core.threads import over_lanes
 
+    kernel: Any = lookahead_kernels.rounds
     p, system = program, _system(program)
     at = _begin(program) if start is None else start
     done = Iterate(*(np.array(part, dtype=np.float64, order="C") for part in at))
@@ -110,7 +111,7 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     by, by_more = p.voltage / system.w_e, p.violation / system.w_e
 
     def part(first: int, last: int) -> int:
-        return compiled(
+        return kernel(
             first, last, rounds, RELAXATION, p.band_pu, by, by_more, *data, system.w_e, *matrices, *done
         )  # fmt: skip
 

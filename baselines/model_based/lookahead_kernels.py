@@ -15,8 +15,8 @@ def rounds(
     """Do ``count`` rounds of the lanes from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
     Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (lane, step, n_dc) and
-    ``effort`` (lane, n_agent) are divided by the penalties, as ``by`` and ``by_more``, the weights of a deviation and of
-    its excess, are.
+    ``effort`` (lane, n_agent) are divided by the penalties, as are ``by`` and ``by_more``, the weights of a deviation
+    and of its excess.
     """
     for lane in range(first, last):
         _lane(
@@ -36,28 +36,31 @@ def _lane(
     steps, n_bus = offset.shape
     n, n_dc = slopes.shape[0], base.shape[1]
     kept = 1.0 - relaxation
-    right, modes, x = np.empty((steps, n)), np.empty((steps, n)), np.empty((steps, n))
+    right, modes, x = np.empty((n, steps)), np.empty((n, steps)), np.empty((n, steps))
+    time_over = np.ascontiguousarray(over_time.T)
     line, of_sites, waits = np.empty(n_bus), np.empty(n_dc), np.empty(n_dc)
     for k in range(steps):
-        _bus_terms(k, w_e, offset, slopes, e, u_e, line, right)
+        for m in range(n_bus):
+            line[m] = e[k, m] - u_e[k, m] - offset[k, m]
+        _bus_terms(k, w_e, slopes, line, right)
     for _ in range(count):
         waits[:] = 0.0
         for k in range(steps - 1, -1, -1):
             for i in range(n):
-                right[k, i] += w_y[i] * (y[k, i] - u_y[k, i])
+                right[i, k] += w_y[i] * (y[k, i] - u_y[k, i])
             for i in range(n_dc):
                 waits[i] += w_b[i] * (work[k, i] - b[k, i] + u_b[k, i])
-                right[k, i] += waits[i]
-        _over_modes(over_time, inverse, sites, share, right, modes, of_sites, x)
+                right[i, k] += waits[i]
+        _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x)
         waits[:] = 0.0
         for k in range(steps):
             _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line)
-            _bus_terms(k, w_e, offset, slopes, e, u_e, line, right)
+            _bus_terms(k, w_e, slopes, line, right)
             for i in range(n):
-                u_y[k, i] += relaxation * x[k, i] + kept * y[k, i]
+                u_y[k, i] += relaxation * x[i, k] + kept * y[k, i]
             _within(k, base, low, high, s_rated, q_high, effort, u_y, y)
             for i in range(n_dc):
-                waits[i] += x[k, i]
+                waits[i] += x[i, k]
                 to = relaxation * (work[k, i] - waits[i]) + kept * b[k, i] + u_b[k, i]
                 new = max(to - price[k, i], 0.0)
                 b[k, i] = new
@@ -66,12 +69,12 @@ def _lane(
 
 @numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
 def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line):
-    """The deviations of a step and their multipliers after a round."""
+    """The deviations of a step and their multipliers after a round, and into ``line`` what the next one begins from."""
     n, n_bus = slopes.shape
     for m in range(n_bus):
         line[m] = offset[k, m]
     for i in range(n):
-        power = x[k, i]
+        power = x[i, k]
         for m in range(n_bus):
             line[m] += power * slopes[i, m]
     for m in range(n_bus):
@@ -80,51 +83,50 @@ def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u
         new = np.copysign(min(size, max(size - by_more, band_pu)), to)
         e[k, m] = new
         u_e[k, m] = to - new
+        line[m] = new - (to - new) - offset[k, m]
 
 
 @numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
-def _bus_terms(k, w_e, offset, slopes, e, u_e, line, right):
+def _bus_terms(k, w_e, slopes, line, right):
     """The buses' part of the right-hand side of a step, into ``right``."""
     n, n_bus = slopes.shape
-    for m in range(n_bus):
-        line[m] = e[k, m] - u_e[k, m] - offset[k, m]
     for i in range(n):
         total = 0.0
         for m in range(n_bus):
             total += line[m] * slopes[i, m]
-        right[k, i] = w_e * total
+        right[i, k] = w_e * total
 
 
 @numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
-def _over_modes(over_time, inverse, sites, share, right, modes, of_sites, x):
-    """Solve the least-squares problem for ``right`` (step, n), into ``x``; ``_System`` says how."""
-    steps, n = right.shape
+def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x):
+    """Solve the least-squares problem for ``right`` (n, step), into ``x``; ``_System`` says how."""
+    n, steps = right.shape
     n_dc = sites.shape[1]
-    for k in range(steps):
-        for i in range(n):
-            modes[k, i] = 0.0
-        for j in range(steps):
-            for i in range(n):
-                modes[k, i] += over_time[j, k] * right[j, i]
+    for i in range(n):
+        for k in range(steps):
+            total = 0.0
+            for j in range(steps):
+                total += time_over[k, j] * right[i, j]
+            modes[i, k] = total
     for k in range(steps):
         for j in range(n_dc):
             total = 0.0
             for i in range(n):
-                total += modes[k, i] * sites[i, j]
+                total += modes[i, k] * sites[i, j]
             of_sites[j] = total * share[k, j]
         for i in range(n):
             total = 0.0
             for j in range(n):
-                total += modes[k, j] * inverse[j, i]
+                total += modes[j, k] * inverse[j, i]
             for j in range(n_dc):
                 total -= of_sites[j] * sites[i, j]
-            right[k, i] = total
-    for k in range(steps):
-        for i in range(n):
-            x[k, i] = 0.0
-        for j in range(steps):
-            for i in range(n):
-                x[k, i] += over_time[k, j] * right[j, i]
+            right[i, k] = total
+    for i in range(n):
+        for k in range(steps):
+            total = 0.0
+            for j in range(steps):
+                total += over_time[k, j] * right[i, j]
+            x[i, k] = total
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -1,8 +1,9 @@
 """The best parameters of a law on a few episodes, found roughly and at once: candidates are lanes of one batch.
 
 The cross-entropy method (R. Y. Rubinstein, 1999): in each generation parameters are drawn around those of the best
-quarter so far. From the best of it on, the method of ``tuning.search`` takes some steps. That module finds the parameters that count, more finely, one set after the other, on more
-episodes; here they are fitted to the very episodes that they are looked at on, within seconds.
+quarter so far. From the best of it on, the method of ``tuning.search`` takes some steps. That module finds the
+parameters that count, more finely, one set after the other, on more episodes; here they are fitted to the very episodes
+that they are looked at on, within seconds.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ CLOCK_SHARE = 0.01
 LOST_PCT, HARD_PCT = 10.0, 1.0
 """Share of bus-seconds that hindsight leaves outside the band from which it is lost, or hard to keep, %."""
 PAPER_K_Q = 0.5
+"""The paper's reactive gain, Mvar per p.u. and s."""
+OUTSIDE = "outside_bus_seconds_pct"
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Reached:
     metrics: dict[str, np.ndarray]
     """By name, (n,) each."""
     parameters: Mapping[str, Any]
-    """Of a rule that was fitted."""
+    """The parameters of a rule that was fitted."""
 
     @classmethod
     def of(cls, metrics: Sequence[Mapping[str, float]], parameters: Mapping[str, Any] | None = None) -> Reached:
@@ -52,6 +54,26 @@ class Reached:
 
 
 @dataclass(frozen=True)
+class Figures:
+    """What was found of a scenario."""
+
+    reached: Mapping[str, Reached]
+    """By name: what stands in the table, and two further ones. Hindsight's may be of fewer episodes, the first."""
+    lowest_bus: str
+    """Bus of the lowest mean voltage without control."""
+    refused: str
+    """Why there is no hindsight; empty where there is."""
+    largest_k_q: float
+    """The largest reactive gain of the droop that is stable by itself, Mvar per p.u. and s."""
+
+
+NONE, PAPER, DROOP, CONSTANT, HINDSIGHT = "no control", "paper's droop", "best droop", "best constant", "hindsight"
+"""Who stands in the table."""
+BARE, PINNED = "no control without data centres", "hindsight at the top clock"
+"""Who is looked at besides."""
+
+
+@dataclass(frozen=True)
 class Verdict:
     """One thing that the figures say."""
 
@@ -65,36 +87,27 @@ class Verdict:
         return f"{self.text}; {self.remedy}" if self.remedy else self.text
 
 
-def verdicts(
-    scenario: Scenario, reached: Mapping[str, Reached], refused: str, largest_k_q: float
-) -> tuple[Verdict, ...]:
-    """What the figures say, the sum of it last.
-
-    Parameters
-    ----------
-    scenario
-        What was looked at.
-    reached
-        By the names of ``scenario_check``.
-    refused
-        Why there is no hindsight, if there is none.
-    largest_k_q
-        The droop's largest stable reactive gain, Mvar per p.u. and s.
-    """
-    best_possible = reached.get("hindsight")
-    found = [*_collapses(scenario, reached), *_droop(largest_k_q)]
-    if best_possible is None:
-        found.append(Verdict(f"hindsight is not known here: {refused}", "judge by what a trained policy reaches"))
+def verdicts(scenario: Scenario, figures: Figures) -> tuple[Verdict, ...]:
+    """What the figures say, the sum of it last."""
+    reached = figures.reached
+    best = reached.get(HINDSIGHT)
+    found = [*_collapses(scenario, reached), *_droop(figures.largest_k_q)]
+    if best is None:
+        found.append(
+            Verdict(f"hindsight is not known here: {figures.refused}", "judge by what a trained policy reaches")
+        )
         return (*found, *_sum_without_hindsight(reached))
-    found = [*_band(scenario, reached["no control"], best_possible), *found, *_clock(scenario, reached)]
-    gain = _to_gain(scenario, reached, best_possible)
+    found = [*_band(scenario, figures, best), *found, *_clock(reached)]
+    gain = _to_gain(scenario, reached, best)
     barred = any(verdict.is_bar for verdict in (*found, gain))
-    said = "not worth learning on as it stands" if barred else "worth learning on"
-    return (*found, gain, Verdict(f"{scenario.name} is {said}"))
+    said = f"{scenario.name} is {'not worth learning on as it stands' if barred else 'worth learning on'}"
+    few = best.n < reached[NONE].n
+    as_far = f", as far as the first {best.n} of {reached[NONE].n} episodes tell" if few else ""
+    return (*found, gain, Verdict(f"{said}{as_far}", "give it more --seconds to be sure" if few else ""))
 
 
 def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:
-    none, best = reached["no control"], reached.get("hindsight")
+    none, best = reached[NONE], reached.get(HINDSIGHT)
     found = []
     if none.collapsed:
         found.append(
@@ -109,18 +122,23 @@ def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdi
     return found
 
 
-def _band(scenario: Scenario, none: Reached, best: Reached) -> list[Verdict]:
+def _band(scenario: Scenario, figures: Figures, best: Reached) -> list[Verdict]:
     """Whether the band can be kept."""
-    outside, low, high = (best.mean("outside_bus_seconds_pct"), *_reach(best))
+    none, bare = figures.reached[NONE], figures.reached.get(BARE)
+    outside, low, high = (best.mean(OUTSIDE), *_reach(best))
     said = f"in {outside:.1f} % of bus-seconds (voltages {low:.3f} to {high:.3f} p.u.)"
-    if outside > LOST_PCT:
-        return [Verdict(f"hopeless: even hindsight leaves the band {said}", _centre(scenario, low, high), is_bar=True)]
-    if outside > HARD_PCT:
-        return [Verdict(f"hard: even hindsight leaves the band {said}", _centre(scenario, low, high))]
-    before = none.mean("outside_bus_seconds_pct")
-    if before > HARD_PCT:
-        return [Verdict(f"the band can be kept: outside {before:.1f} % of bus-seconds without control, hindsight {said}")]
-    return []
+    if outside <= HARD_PCT:
+        before = none.mean(OUTSIDE)
+        text = f"the band can be kept: outside {before:.1f} % of bus-seconds without control, hindsight {said}"
+        return [Verdict(text)] if before > HARD_PCT else []
+    remedy = _centre(scenario, low, high)
+    if bare is not None and bare.mean(OUTSIDE) > 0.5 * outside and remedy == _lower(scenario):
+        remedy = (
+            f"the feeder's own load leaves it in {bare.mean(OUTSIDE):.1f} % without any data centre: give inverters "
+            f"more than {_kvar(scenario)} kvar near bus {figures.lowest_bus}, or the feeder less load"
+        )
+    hopeless = outside > LOST_PCT
+    return [Verdict(f"{'hopeless' if hopeless else 'hard'}: even hindsight leaves the band {said}", remedy, hopeless)]
 
 
 def _reach(one: Reached) -> tuple[float, float]:
@@ -133,7 +151,8 @@ def _centre(scenario: Scenario, low: float, high: float) -> str:
     taps = int((top - high) / TAP_PU + 1e-9) if low < bottom else -int((low - bottom) / TAP_PU + 1e-9)
     if taps and acting_relays(scenario) is None:
         way = "raise" if taps > 0 else "lower"
-        return f"{way} source_voltage_pu from {scenario.source_voltage_pu:g} to {scenario.source_voltage_pu + taps * TAP_PU:g}"
+        to_pu = scenario.source_voltage_pu + taps * TAP_PU
+        return f"{way} source_voltage_pu from {scenario.source_voltage_pu:g} to {to_pu:g}"
     return _lower(scenario) if low < bottom else f"give inverters more than {_kvar(scenario)} kvar, or shed PV"
 
 
@@ -158,13 +177,13 @@ def _droop(largest_k_q: float) -> list[Verdict]:
     return [Verdict(said)]
 
 
-def _clock(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:
+def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
     """What the clock is worth."""
-    pinned = reached.get("hindsight at the top clock")
+    pinned = reached.get(PINNED)
     if pinned is None:
         return []
-    free_j, pinned_j = reached["hindsight"].mean("J", pinned.n), pinned.mean("J")
-    worth, delay_s = 1.0 - free_j / max(pinned_j, 1e-12), reached["hindsight"].mean("delay_mean_s", pinned.n)
+    free_j, pinned_j = reached[HINDSIGHT].mean("J", pinned.n), pinned.mean("J")
+    worth, delay_s = max(0.0, 1.0 - free_j / max(pinned_j, 1e-12)), reached[HINDSIGHT].mean("delay_mean_s", pinned.n)
     said = f"{100 * worth:.1f} % of J to hindsight (work then waits {delay_s:.1f} s on average)"
     if worth < CLOCK_SHARE:
         remedy = "train with --act q, or raise p_rated_kw if the clock is what you study"
@@ -174,13 +193,13 @@ def _clock(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:
 
 def _to_gain(scenario: Scenario, reached: Mapping[str, Reached], best: Reached) -> Verdict:
     """How far the best rule is from hindsight."""
-    rules = {name: one.mean("J", best.n) for name, one in reached.items() if not name.startswith("hindsight")}
+    rules = {name: reached[name].mean("J", best.n) for name in (NONE, PAPER, DROOP, CONSTANT)}
     name = min(rules, key=lambda rule: rules[rule])
     j = best.mean("J")
     share = 1.0 - j / max(rules[name], 1e-12)
-    of_none = 1.0 - j / max(rules["no control"], 1e-12)
+    of_none = 1.0 - j / max(rules[NONE], 1e-12)
     said = f"hindsight is {100 * share:.1f} % below the {name} (J {j:.3f} against {rules[name]:.3f})"
-    if name == "no control" or of_none < NOTHING_SHARE:
+    if name == NONE or of_none < NOTHING_SHARE:
         text = f"nothing to gain: hindsight is within {100 * of_none:.1f} % of no control (J {j:.3f})"
         return Verdict(text, _harder(scenario), is_bar=True)
     if share < NOTHING_SHARE:
@@ -198,5 +217,5 @@ def _harder(scenario: Scenario) -> str:
 
 
 def _sum_without_hindsight(reached: Mapping[str, Reached]) -> list[Verdict]:
-    none, rules = reached["no control"].mean("J"), [reached[name].mean("J") for name in ("best droop", "best constant")]
+    none, rules = reached[NONE].mean("J"), [reached[name].mean("J") for name in (DROOP, CONSTANT)]
     return [Verdict(f"simple rules are {100 * (1.0 - min(rules) / max(none, 1e-12)):.1f} % below no control")]

@@ -10,7 +10,7 @@ import tyro
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.own_feeder import scenario_on_feeder
+from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, check_folder, processes
 from dcgrid_env.cli.terminal import plain_console, say
@@ -20,7 +20,7 @@ from dcgrid_env.core.versions import meta
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
-    from dcgrid_env.baselines.hosting_capacity.study import Study
+    from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
 Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
@@ -37,7 +37,8 @@ class Capacity(Command):
 
     feeder: str | None = None
     """The feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. The added site
-    is alone on it, unless --scenario says what else is there. Without it the feeder is that of the scenario."""
+    is alone on it, at a source voltage that centres the band unless --set v0_pu says which, if --scenario does not say
+    what else is there. Without it the feeder is that of the scenario."""
     scenario: str | None = None
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function, whose devices stand beside the
     added site, and whose trace and kind of site it has."""
@@ -72,7 +73,7 @@ class Capacity(Command):
     split: str = "test"
     """Which windows the seeds mean: train, validation, test, or ood."""
     tuned: Path | None = None
-    """File of dcgrid dev tune that the gains of tuned controllers must come from."""
+    """File of dcgrid tune that the gains of tuned controllers must come from."""
     jobs: int | None = None
     """Number of processes; by default one for each core."""
     out: Path = Path("results/capacity")
@@ -92,9 +93,7 @@ class Capacity(Command):
         with progress_bar(console) as progress:
             total = len(study.candidates())
             tasks = {name: progress.add_task(name, total=total) for name in names}
-            found = hosting_capacity(
-                study, names, jobs, self.tuned, lambda name, n: progress.advance(tasks[name], n)
-            )
+            found = hosting_capacity(study, names, jobs, self.tuned, lambda name, n: progress.advance(tasks[name], n))
         table = capacity_table(found)
         console.print(table.rich(console.width))
         for note in table.notes:
@@ -106,7 +105,7 @@ class Capacity(Command):
 
 
 def _study(cfg: Capacity) -> Study:
-    from dcgrid_env.baselines.hosting_capacity.study import Study
+    from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
     scenario = _scenario(cfg)
     buses = None
@@ -136,7 +135,7 @@ def _scenario(cfg: Capacity) -> Scenario:
 
     chosen: dict[str, Any] = {} if cfg.trace is None else {"trace": cfg.trace}
     if cfg.feeder is not None:
-        return scenario_on_feeder(cfg.feeder, cfg.scenario, cfg.set, cfg.split, chosen)
+        return scenario_on_feeder(Asked(cfg.feeder, cfg.scenario), cfg.set, cfg.split, chosen)
     if cfg.scenario is None:
         raise ValueError("feeder is missing; give --feeder, a feeder's name or folder, or --scenario")
     return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
@@ -163,4 +162,6 @@ def draw(path: Path, found: Capacities) -> None:
         mw[[feeder.index(bus) for bus in found.buses]] = [c.capacity_mw for c in found.by_controller[name]]
         maps[name] = mw
     limits = f"{found.study.v_min_pu:g} to {found.study.v_max_pu:g} p.u."
-    write_figure(path, capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}"), 130)
+    write_figure(
+        path, capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}"), 130
+    )

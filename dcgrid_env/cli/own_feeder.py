@@ -56,7 +56,9 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
         return on_it.replace(source_voltage_pu=centred_voltage(on_it).v_pu)
     for option in ("datacenters", "inverters"):
         if getattr(asked, option) is not None:
-            raise ValueError(f"{option} is given beside --scenario {scenario}, which has its own; leave one of them out")
+            raise ValueError(
+                f"{option} is given beside --scenario {scenario}, which has its own; leave one of them out"
+            )
     base = ScenarioSpec(scenario).make(split)
     _check_buses(base, made, scenario, given)
     more = [f"feeder={json.dumps(feeder)}"]

@@ -117,6 +117,8 @@ class Run(Command):
             scenario.replace(split="train").to_toml(saved)  # the split is each command's to choose
             written.append(saved)
         say(console, f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}")
+        if self.feeder is not None:
+            say(console, f"`dcgrid check {written[-1]}` says whether it is worth learning on")
 
 
 def _check_options(cfg: Run) -> None:

@@ -15,6 +15,7 @@ from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
 from dcgrid_env.engine.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.dynamics import step_kernels
+from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -80,15 +81,6 @@ def _load_of(feeder: Any, scenario: Scenario) -> _Load:
         return _Load(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
     fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
     return _Load(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
-
-
-class Given(NamedTuple):
-    """What of an episode is set from outside rather than drawn; None is drawn."""
-
-    buses: np.ndarray | None = None
-    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
-    begin_h: np.ndarray | None = None
-    """Time of day at t = 0, h in [0, 24), (lane,), of a scenario that follows the day."""
 
 
 def prepare(scenario: Scenario, episode: Episode) -> None:

@@ -18,13 +18,17 @@ OF_GRID: dict[str, Rule] = {
     **dict.fromkeys(
         (
             "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "voltage_step_mean_pu", "loss_mean_kw",
-            "q_effort_pct", "unbalance_mean_pct",
+            "q_effort_pct", "unbalance_mean_pct", "overloaded_branch_seconds_pct",
         ),
         "mean",
     ),
     "voltage_min_pu": "min",
     **dict.fromkeys(
-        ("voltage_max_pu", "unbalance_max_pct", "nema_unbalance_max_pct", "voltage_after_loss_max_pu"), "max"
+        (
+            "voltage_max_pu", "unbalance_max_pct", "nema_unbalance_max_pct", "voltage_after_loss_max_pu",
+            "loading_max_pct",
+        ),
+        "max",
     ),
     "power_flow_converged": "last",
 }  # fmt: skip
@@ -48,7 +52,8 @@ class FiguresByParts:
         figures = part.grid_figures() | part.phase_figures() | part.after_loss()
         if self._grid is None:
             costs: dict[str, Rule] = dict.fromkeys((f"cost_{name}" for name in part.costs), "sum")
-            self._grid = Combined(OF_GRID | costs | {_SQUARE: "mean"})
+            squares: dict[str, Rule] = {_SQUARE: "mean"}
+            self._grid = Combined(OF_GRID | costs | squares)
             self._devices = [_of_device(device, part, i) for i, device in enumerate(s.devices)]
         std, mean = figures.pop("voltage_deviation_std_pu"), figures["voltage_deviation_mean_pu"]
         del figures["outside_buses_pct"]

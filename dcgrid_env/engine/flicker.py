@@ -181,7 +181,8 @@ def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smooth
 
     numerator, denominator = smoothing
     before, after = (np.zeros((len(sections), 2)), np.zeros(len(denominator) - 1)) if state is None else state
-    weighted, before = signal.sosfilt(sections, change, zi=before)
+    filtered: Any = signal.sosfilt(sections, change, zi=before)
+    weighted, before = filtered
     smoothed, after = signal.lfilter(numerator, denominator, weighted * weighted, zi=after)
     return smoothed, (before, after)
 

@@ -17,6 +17,8 @@
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+| loading_max_pct | highest current of a branch as a share of its rating; where the feeder knows ratings |
+| overloaded_branch_seconds_pct | share of rated branches (of a line's phases) and steps above it, the same |
 | pst_max, swing_*, ramp_*, voltage_step_max_pu, voltage_step_excess_pct | see ``fluctuation``; where they can be had |
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
@@ -74,6 +76,7 @@ import numpy as np
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.fluctuation import WorstFlicker, fluctuation, worst_flicker
 from dcgrid_env.engine.leaving import after_loss
+from dcgrid_env.engine.overload import overload_figures
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -106,9 +109,9 @@ class Series:
 
     def _take(self, scenario: Scenario, course: _Course, lane: int) -> None:
         self.scenario = scenario
-        self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase = course.from_reset
+        self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase, self.loading = course.from_reset
         """``devices`` are the states of each device over time, and ``three_phase`` is ``State.three_phase``, None on a
-        balanced feeder, from the reset on."""
+        balanced feeder, from the reset on; so is ``loading``, ``State.loading``, None where no rating is known."""
         self.p_kw = self.p_kw_from_reset[1:]
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
@@ -159,6 +162,7 @@ class Series:
             "q_effort_pct": 100.0 * (np.abs(self.q_kvar[:, : len(ratings)]) / ratings).mean() if len(ratings) else 0.0,
             "steps": len(v),
             "power_flow_converged": self.converged,
+            **overload_figures(s, self.loading),
         }
 
     def phase_figures(self) -> dict[str, Any]:
@@ -203,7 +207,7 @@ class _Course(NamedTuple):
     """What a series is made of, arrays with time in front."""
 
     from_reset: tuple[Any, ...]
-    """Voltages, draws, states of the devices and of three phases, from the reset on."""
+    """Voltages, draws, states of the devices and of three phases, loading, from the reset on."""
     of_steps: tuple[Any, ...]
     """Reactive injections, losses, costs, whether the power flow had a solution, and the terms of the cost."""
     trace_start: np.ndarray
@@ -217,7 +221,7 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
         return over_arrays(lambda *values: stack(values), *parts)
 
     states = [t.state for t in transitions]
-    from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase) for s in states]
+    from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading) for s in states]
     of_steps = [(t.state.q_kvar, t.loss_kw, t.cost_j, t.converged, t.costs) for t in transitions[1:]]
     return _Course(over_time(from_reset), over_time(of_steps), transitions[0].trace_start)
 

@@ -94,7 +94,7 @@ class ParquetCourse:
                 table = pyarrow.table(columns)
                 if writer is None:
                     # Neighbouring values of a float share their leading bytes, which the split puts side by side.
-                    floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
+                    floats: Any = [name for name, values in columns.items() if values.dtype.kind == "f"]
                     writer = parquet.ParquetWriter(
                         file, table.schema.with_metadata(self._about), compression="zstd", use_dictionary=False,
                         use_byte_stream_split=floats,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
+from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.engine.state import State
@@ -66,7 +67,7 @@ class Simulation:
         self._now = snapshot
 
     def reset(
-        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: episode.Given | None = None
+        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: Given | None = None
     ) -> Transition:
         """Begin a new episode in every lane, or where ``mask`` is True.
 
@@ -106,7 +107,7 @@ class Simulation:
         )
         return transition
 
-    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: episode.Given | None = None) -> Snapshot:
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: Given | None = None) -> Snapshot:
         """New episodes of these lanes, see ``reset``."""
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
@@ -118,7 +119,7 @@ class Simulation:
                 seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
         return self._drawn(seed, number, given)
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: episode.Given | None = None) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: Given | None = None) -> Snapshot:
         """Episodes at their beginning, of seeds and numbers of episodes since these, (lane,) uint64 each."""
         drawn = episode.draw(self.scenario, seed, number, given)
         step = np.zeros(len(seed), np.int64)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dcgrid_env.engine.figures_by_parts import FiguresByParts
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import over_arrays
 from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
 
 WHOLE_COURSE_BYTES = 256 * 2**20
 """Largest course that a run keeps whole; beyond, it is recorded in parts."""
@@ -97,7 +99,7 @@ class StreamingRecorder:
         return [own.figures() for own in self._figures]
 
     def _end_part(self) -> None:
-        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length)
+        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length.tolist())
         for own, part in zip(self._figures, parts, strict=True):
             if part is not None:
                 own.add(part)
@@ -113,7 +115,9 @@ def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
 
     Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
     """
-    values, arrays = _size(Simulation(scenario, 1).reset([seeds[0]]))
+    from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it
+
+    values, arrays = _size(Simulation(scenario.member(seeds[0]), 1).reset([seeds[0]]))
     return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +17,23 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.episode import Given
+    from dcgrid_env.engine.given import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
+
+HUGE = 1000
+"""Nodes of the largest feeder whose every voltage is shown to each agent without a word."""
+
+
+class HugeObservationWarning(UserWarning):
+    """An observation or a global state holds the voltage of every node of a very large feeder."""
+
+
+def warn_if_huge(scenario: Scenario, what: str, remedy: str) -> None:
+    """Warn that ``what`` grows with a feeder that is very large."""
+    n = len(scenario.feeder.load_nodes)
+    if n > HUGE:
+        warnings.warn(f"{what} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
+
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -66,6 +82,9 @@ class BaseEnvironment:
             raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
+        if self.scenario.observe == "feeder":
+            what = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
+            warn_if_huge(self.scenario, what, "'local' or 'neighbours' does not grow with the feeder")
         self.render_mode, self.info_level = render_mode, info
         ids = self.scenario.feeder.bus_ids
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of

@@ -94,10 +94,10 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin episodes: lane i with ``seed + i`` (or ``seed[i]``), or each lane's next one if no seed is given.
 
-        ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True. ``options={"buses":
-        .., "begin_h": ..}``, either or both, sets what would be drawn in a reset of all lanes: positions in
-        ``feeder.bus_ids`` of the agents' buses, (num_envs, n_agents), and the time of day at which each lane begins, h,
-        (num_envs,).
+        ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True.
+        ``options={"buses": .., "begin_h": ..}``, either or both, sets what would be drawn in a reset of all lanes:
+        positions in ``feeder.bus_ids`` of the agents' buses, (num_envs, n_agents), and the time of day at which each
+        lane begins, h, (num_envs,).
         """
         if seed is None or isinstance(seed, int | np.integer):
             first = as_seed(seed)

@@ -28,7 +28,7 @@ from dcgrid_env.grid.network import (
 from dcgrid_env.grid.network_checks import check_balanced, check_lengths
 from dcgrid_env.grid.optional_fields import as_column, optional_fields
 from dcgrid_env.grid.per_unit import PerUnit
-from dcgrid_env.grid.topology import FeederError, orient
+from dcgrid_env.grid.topology import FeederError, listed, orient
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -267,7 +267,9 @@ class Feeder(PerUnit, OneNodeABus):
         try:
             return self._index[bus_text(bus)]
         except KeyError:
-            raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
+            raise FeederError(
+                f"feeder {self.name!r} has no bus {bus!r}; its buses are {listed(self.bus_ids)}"
+            ) from None
 
     @cached_property
     def _index(self) -> dict[str, int]:

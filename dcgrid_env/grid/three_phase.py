@@ -106,6 +106,15 @@ class ThreePhaseFeeder(PhaseNodes):
         return _frozen(branches_of(self.network, self._tree, self.base_kv_ln))
 
     @cached_property
+    def rating_a(self) -> FloatArray | None:
+        """Ampacity of the line that feeds each node, A, shape (n_node,), NaN where unknown; None if no line has one."""
+        of_line = self.network.phase_line.rating_a
+        if not of_line or np.isnan(of_line).all():
+            return None
+        of_bus = [of_line[b.rows[0]] if b.kind == "phase_line" else np.nan for b in self._tree.branches]
+        return read_only(np.array([np.nan, *of_bus])[self.node_bus])
+
+    @cached_property
     def load_legs(self) -> Legs:
         """The legs of the loads, which come first among the legs."""
         return _frozen(load_legs(self.network, self._nodes_by_phase, self._bases))

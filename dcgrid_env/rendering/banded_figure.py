@@ -18,7 +18,7 @@ from dcgrid_env.rendering.phase_curves import UNBALANCE, tap_looks
 from dcgrid_env.scenario.scenario import Scenario
 
 _MOST_NAMED = 10
-_TICKS_H = (1 / 60, 1 / 12, 1 / 6, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0, 24.0, 48.0, 168.0)
+_TICKS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0, 24.0, 48.0, 168.0)
 _MOST_TICKS = 9
 
 
@@ -147,6 +147,7 @@ def _mark_lowest(ax: Axes, scenario: Scenario, run: Envelope, per_unit_s: float,
         f"lowest: {v_pu:.3f} at {node_words(scenario.feeder)[0]} {node}, {at:.2f} {unit}",
         (at, v_pu), xytext=(-8 if late else 8, -2), textcoords="offset points", fontsize=8, color="#A34700",
         ha="right" if late else "left", va="center",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
     )  # fmt: skip
 
 
@@ -166,7 +167,8 @@ def _lines(
         if own is None:
             return
         n = own.mean.shape[1]
-        ax.fill_between(t, own.low.min(axis=1), own.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35)
+        if name != "tap":  # levels of their own each
+            ax.fill_between(t, own.low.min(axis=1), own.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35)
         begin = np.arange(0, len(t), run.intervals_a_mean)
         counts = np.diff(np.append(begin, len(t)))
         middle, mean = (np.add.reduceat(x, begin, axis=0) / counts[:, None] for x in (t[:, None], own.mean))

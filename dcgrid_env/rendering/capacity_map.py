@@ -34,7 +34,7 @@ class CapacityMap(FeederMap):
     Parameters
     ----------
     ax, feeder, xy
-        As ``feeder_map.draw_feeder`` takes them.
+        See ``feeder_map.draw_feeder``.
     capacity_mw
         What each bus carries, MW, (n_bus,); NaN for buses that are no candidates.
     norm

@@ -55,7 +55,7 @@ class Part(NamedTuple):
 
     count: int
     rating: float
-    """Of each, kW or kVA."""
+    """Rating of each, kW or kVA."""
     place: str | tuple[str, ...]
     """A place of the kind's, or the buses."""
 

@@ -20,6 +20,7 @@ from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.branch_ratings import check_ratings
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.equality import alike
@@ -98,6 +99,7 @@ class Scenario(PickledByFields, FlatNames):
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
+        check_ratings(self)
         for device in self.devices:
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):
@@ -145,7 +147,8 @@ class Scenario(PickledByFields, FlatNames):
         """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
 
         With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
-        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
+        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a
+        clock law that exists in memory alone.
         """
         from dcgrid_env.scenario.toml import to_toml  # for who writes alone
 

@@ -3,7 +3,7 @@
 Those of SimBench (S. Meinecke et al., Energies 13(12), 2020, 3290; the grids 1-*--0-no_sw), of CIGRE (task force
 C6.04.02, Technical Brochure 575), of G. Kerber's networks (Kerber, TU Munich, 2011), and of Oberrhein were measured of
 the nets that come with simbench 1.6 and pandapower 3, in their base case, with what their switches leave closed, at
-one voltage, by tests/dcgrid_env/grid/random_feeders/measured.py; the others are feeders that ship with dcgrid.
+one voltage, by tests/dcgrid_env/grid/random_feeders/test_published.py; the others are feeders that ship with dcgrid.
 """
 
 from __future__ import annotations

@@ -68,6 +68,7 @@ def _feeder(name: str, style: str, drawn: DrawnFeeder) -> Feeder:
         to_bus=ids[1:],
         r_ohm=np.round(drawn.r_ohm, 6).tolist(),
         x_ohm=np.round(drawn.x_ohm, 6).tolist(),
+        rating_a=drawn.ampacity_a.tolist(),
         x=x_km.tolist(),
         y=y_km.tolist(),
     )

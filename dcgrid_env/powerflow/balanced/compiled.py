@@ -29,6 +29,7 @@ from dcgrid_env.powerflow.solution import (
 
 BLOCK = 32  # lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123
 FEW = 10  # up to this many lanes one at a time beats a mostly empty block
+MOST_IN_BLOCKS = 800  # buses: the blocks of a larger feeder do not fit into the cache, and one lane at a time is faster
 PER_KVA = 1.0 / S_BASE_KVA
 BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
 
@@ -218,7 +219,7 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
     ``max_sweeps``. Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
-    few = n_lanes <= FEW
+    few = n_lanes <= FEW or n > MOST_IN_BLOCKS
     if not few:
         _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out)
     work = np.empty((6, n, 1), p_kw.dtype)

@@ -106,7 +106,11 @@ def test_what_ships_scores_here_as_it_did_when_found(law, preset):
     assert mean_cost(scenario, make_controller(f"{law}-tuned", scenario), EPISODES) == pytest.approx(shipped["J"])
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+LONG = ("ieee123-3ph-day", "smoothing")
+"""Presets of more than a thousand steps."""
+
+
+@pytest.mark.parametrize("preset", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PRESETS])
 def test_tuning_did_no_harm(preset):
     """On the episodes it was tuned on, a tuned law costs no more than as it stands."""
     scenario = make_scenario(preset, split="validation", **SHORTENED.get(preset, {}))

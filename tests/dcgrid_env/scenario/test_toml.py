@@ -13,6 +13,7 @@ from dcgrid_env import (
     PrefillDecodeDvfs,
     ScenarioError,
     episode_hash,
+    load_feeder,
     make_scenario,
     scenario_hash,
 )
@@ -178,3 +179,29 @@ def test_the_command_line_takes_a_file(tmp_path):
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in done.stderr
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_is_at_its_default_may_be_left_out(preset, tmp_path):
+    scenario = make_scenario(preset)
+    brief = scenario.to_toml(tmp_path / "a.toml", brief=True)
+    assert scenario_hash(make_scenario(tmp_path / "a.toml")) == scenario_hash(scenario)
+    assert "idle_share" not in brief
+    assert len(brief) < 0.8 * len(scenario.to_toml())
+
+
+@pytest.mark.parametrize("folder", ["my-feeder", "feeders/das69", "das69"])
+def test_a_feeder_beneath_the_file_is_named_from_there(folder, tmp_path, monkeypatch):
+    changed = load_feeder("ieee33").scaled(1.1, 1.0)
+    changed.to_csv(tmp_path / "a" / folder)
+    scenario = make_scenario("ieee33", name="mine", feeder=str(tmp_path / "a" / folder))
+    (tmp_path / "a" / "deeper").mkdir()
+    inside = scenario.to_toml(tmp_path / "a" / "mine.toml")
+    assert str(tmp_path) not in inside
+    beside = scenario.to_toml(tmp_path / "a" / "deeper" / "mine.toml")
+    assert str(tmp_path / "a" / folder) in beside
+    for where in ("mine.toml", "deeper/mine.toml"):
+        assert scenario_hash(make_scenario(tmp_path / "a" / where)) == scenario_hash(scenario)
+    (tmp_path / "a").rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    assert scenario_hash(make_scenario("moved/mine.toml")) == scenario_hash(scenario)

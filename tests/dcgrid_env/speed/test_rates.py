@@ -29,6 +29,7 @@ def check(rows: list[Row], worst_pu: float) -> None:
         assert row.error_pu is None or 0.0 <= row.error_pu < worst_pu
 
 
+@pytest.mark.slow
 def test_every_row_is_a_positive_finite_figure(monkeypatch):
     monkeypatch.setattr(tensors, "NUM_ENVS", {"cpu": (3,)})
     rows = list(rates.measure(QUICK))

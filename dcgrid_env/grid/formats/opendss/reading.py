@@ -233,6 +233,8 @@ def _rows(joints: Iterable[Joint], kind: str) -> list[Row]:
 
 
 def _table(table: type[Any], rows: Sequence[Row]) -> Any:
-    """A table out of its rows; each has every column."""
-    fields = [field.name for field in dataclasses.fields(table)]
-    return table(**{name: tuple(row[name] for row in rows) for name in fields})
+    """A table out of its rows; each has every column. Ratings that are all unknown are left out."""
+    columns = {field.name: tuple(row[field.name] for row in rows) for field in dataclasses.fields(table)}
+    if all(map(math.isnan, columns.get("rating_a", ()))):
+        columns.pop("rating_a", None)
+    return table(**columns)

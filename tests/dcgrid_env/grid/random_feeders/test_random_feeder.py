@@ -1,5 +1,7 @@
 """Random feeders: radial, with headroom, drawn as their style says, and the same bits everywhere."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -10,27 +12,28 @@ from dcgrid_env.grid.random_feeders.published import PUBLISHED
 from dcgrid_env.grid.random_feeders.statistics import drawn_figures
 from dcgrid_env.grid.random_feeders.styles import STYLES
 
-DRAWS = 12
+DRAWS = 8
+COLUMNS = ("base_kv", "v0_pu", "bus_ids", "p_load_kw", "q_load_kvar", "parent", "r_ohm", "x_ohm", "rating_a", "x", "y")
 HASHES = {
-    ("urban", 60, 0): "f277f012443b9e84",
-    ("rural", 60, 1): "1bf67f55b6b5afde",
-    ("european-lv", 100, 2): "ade4356ba952f9fb",
-    ("us-mv", 60, 3): "cd80169ad8cd378c",
-    ("us-mv", 1000, 2**64 - 1): "f4008b87296b413e",
+    ("urban", 60, 0): "672731550ad29072",
+    ("rural", 60, 1): "1df750cb0233af32",
+    ("european-lv", 100, 2): "a74867e9ca0117d4",
+    ("us-mv", 60, 3): "85f71dc34f5baf99",
+    ("us-mv", 1000, 2**64 - 1): "952e9c05671a42a2",
 }
-"""Content of some feeders, which must never change while the version of the generator stays."""
+"""Columns of some feeders, which must never change while the version of the generator stays."""
 
 
 @pytest.mark.parametrize(("style", "n_bus", "seed"), HASHES)
 def test_the_bits_are_fixed(style, n_bus, seed):
     feeder = random_feeder(seed, n_bus=n_bus, style=style)
-    assert digest([("", feeder)]) == HASHES[style, n_bus, seed]
+    assert digest((name, getattr(feeder, name)) for name in COLUMNS) == HASHES[style, n_bus, seed]
 
 
-@pytest.mark.parametrize("n_bus", [10, 61, 500])
+@pytest.mark.parametrize("n_bus", [10, 61])
 @pytest.mark.parametrize("style", STYLES)
 def test_every_draw_is_a_feeder_with_headroom(style, n_bus):
-    for seed in range(DRAWS if n_bus < 500 else 2):
+    for seed in range(DRAWS):
         feeder = random_feeder(seed, n_bus=n_bus, style=style)
         assert feeder.n_bus == n_bus
         assert (feeder.parent < np.arange(1, n_bus)).all()  # numbered depth first
@@ -60,7 +63,7 @@ def test_conductors_carry_their_current_and_grow_towards_the_substation(style):
 @pytest.mark.parametrize("style", STYLES)
 def test_statistics_are_those_of_published_feeders(style):
     """Medians over draws lie within what published feeders of the style have, widened by a quarter."""
-    generated = drawn_figures(style, 80, 30)
+    generated = drawn_figures(style, 80, 24)
     for name in ("ends", "mean_hops", "trunk", "length_m", "r_by_x", "loaded", "mean_kw", "power_factor", "drop_pu"):
         known = [getattr(net, name) for net in PUBLISHED[style] if getattr(net, name) == getattr(net, name)]
         if len(known) > 1:
@@ -74,8 +77,13 @@ def test_a_load_that_is_given_is_kept_and_seeds_give_other_feeders():
     assert len({digest([("", feeder)]) for feeder in feeders}) == 20
 
 
+@pytest.mark.slow
 def test_ten_thousand_buses_take_about_ten_times_what_a_thousand_take():
+    began_s = time.perf_counter()
+    random_feeder(0, n_bus=1_000, style="rural")
+    small_s = time.perf_counter() - began_s
     assert random_feeder(0, n_bus=10_000, style="rural").depth_first.end[0] == 10_000
+    assert time.perf_counter() - began_s < 40 * small_s + 5.0
 
 
 @pytest.mark.parametrize(

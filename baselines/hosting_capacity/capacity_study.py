@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -73,7 +73,7 @@ class Study:
     allowed_pct: float = 0.0
     """Share of the sampled seconds in which some bus or branch may be outside its limits, %."""
     tolerance_mw: float | None = None
-    """Distance between sizes: a capacity is a multiple of it. None: a round number near a thousandth of the largest size."""
+    """Distance between sizes: a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
     max_mw: float | None = None
     """The largest size that is tried; None: three times the feeder's base load, rounded."""
 
@@ -85,7 +85,7 @@ class Study:
         self._require("window_s", self.window_s <= 3600.0, "give at most 3600 s")
         settles = _finite(self.settle_s) and 0.0 <= self.settle_s <= self.window_s - self.scenario.dt_s
         self._require("settle_s", settles, f"give 0 to less than the window's {self.window_s:g} s")
-        self._require("v_min_pu", _finite(self.v_min_pu) and 0.0 < self.v_min_pu, "give a voltage > 0 p.u.")
+        self._require("v_min_pu", _finite(self.v_min_pu) and self.v_min_pu > 0.0, "give a voltage > 0 p.u.")
         above = _finite(self.v_max_pu) and self.v_max_pu > self.v_min_pu
         self._require("v_max_pu", above, f"give a voltage above the lowest, {self.v_min_pu:g} p.u.")
         self._require("loading_max_pct", _finite(self.loading_max_pct) and self.loading_max_pct > 0.0, "give > 0 %")
@@ -148,7 +148,7 @@ class Study:
             loaded = np.flatnonzero(feeder.p_load_kw > 0)
         else:
             with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
-            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= {1, 2, 3}], dtype=np.int64)
+            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= set("abc")], dtype=np.int64)
         loaded = loaded[loaded > 0]
         if not len(loaded):
             kind = "" if isinstance(feeder, Feeder) else " of three phases"
@@ -164,6 +164,12 @@ class Study:
         if 0 in at:
             raise ValueError(f"buses has the substation {buses[at.index(0)]!r}, where the source is; choose another")
         return np.array(list(dict.fromkeys(at)), dtype=np.int64)
+
+
+def has_ratings(feeder: Any) -> bool:
+    """Whether the rating of some branch of a balanced feeder is known."""
+    ratings = feeder.rating_a if isinstance(feeder, Feeder) else None
+    return ratings is not None and not bool(np.isnan(ratings).all())
 
 
 def _finite(value: object) -> bool:
