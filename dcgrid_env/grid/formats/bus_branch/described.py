@@ -1,24 +1,68 @@
 """A feeder as buses and branches in the voltages of its own buses, from which the formats write it."""
+# ruff: noqa: D102  (the protocol's members are ``Feeder``'s, and described there)
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dcgrid_env.grid.formats.bus_branch.description import Branch, BusBranchGrid, Source, empty_grid
+from dcgrid_env.grid.formats.bus_branch.description import (
+    Branch,
+    BusBranchGrid,
+    FloatArray,
+    Source,
+    empty_grid,
+)
 
-if TYPE_CHECKING:
-    from dcgrid_env.grid.feeder import Feeder
+
+class BalancedFeeder(Protocol):
+    """What a format needs of a ``Feeder``, whose own file reads formats and is not imported here."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def base_kv(self) -> float: ...
+    @property
+    def v0_pu(self) -> float: ...
+    @property
+    def bus_ids(self) -> tuple[str, ...]: ...
+    @property
+    def p_load_kw(self) -> FloatArray: ...
+    @property
+    def q_load_kvar(self) -> FloatArray: ...
+    @property
+    def capacitor_kvar(self) -> FloatArray: ...
+    @property
+    def parent(self) -> NDArray[np.intp]: ...
+    @property
+    def r_ohm(self) -> FloatArray: ...
+    @property
+    def x_ohm(self) -> FloatArray: ...
+    @property
+    def x(self) -> FloatArray: ...
+    @property
+    def y(self) -> FloatArray: ...
+    @property
+    def shunt_kw(self) -> FloatArray | None: ...
+    @property
+    def shunt_kvar(self) -> FloatArray | None: ...
+    @property
+    def voltage_ratio(self) -> FloatArray | None: ...
+    @property
+    def bus_base_kv(self) -> FloatArray | None: ...
+    @property
+    def rating_a(self) -> FloatArray | None: ...
 
 
-def described(feeder: Feeder, base_mva: float = 1.0) -> BusBranchGrid:
+def described(feeder: BalancedFeeder, base_mva: float = 1.0) -> BusBranchGrid:
     """Buses and branches of a feeder; a branch between buses of one ratio is a line, another a transformer.
 
     Capacitors of constant kvar are part of the loads, as no other format tells them from those.
     """
-    n = feeder.n_bus
+    n = len(feeder.bus_ids)
     base_kv = np.full(n, feeder.base_kv) if feeder.bus_base_kv is None else feeder.bus_base_kv
     ratio = np.ones(n) if feeder.voltage_ratio is None else feeder.voltage_ratio
     grid = empty_grid(feeder.name, base_mva, feeder.bus_ids, base_kv)
@@ -33,7 +77,7 @@ def described(feeder: Feeder, base_mva: float = 1.0) -> BusBranchGrid:
     z_base_ohm = feeder.base_kv**2 / base_mva
     i_base_a = 1000.0 * base_mva / (math.sqrt(3.0) * feeder.base_kv)
     z_pu = (feeder.r_ohm + 1j * feeder.x_ohm) / z_base_ohm
-    rating_pu = np.full(feeder.n_branch, math.nan) if feeder.rating_a is None else feeder.rating_a / i_base_a
+    rating_pu = np.full(n - 1, math.nan) if feeder.rating_a is None else feeder.rating_a / i_base_a
     for k, parent in enumerate(feeder.parent.tolist()):
         fed = k + 1
         kind = "line" if ratio[parent] == ratio[fed] and base_kv[parent] == base_kv[fed] else "transformer"

@@ -55,7 +55,7 @@ class Branch:
     to_closed: bool = True
 
     def reversed(self) -> Branch:
-        """The same branch seen from its other end."""
+        """This branch as it is seen from its other end."""
         square = self.tap**2
         return replace(
             self,
@@ -138,6 +138,7 @@ class BusBranchGrid:
 def empty_grid(name: str, base_mva: float, buses: tuple[str, ...], base_kv: FloatArray) -> BusBranchGrid:
     """A grid of buses alone, where nothing is drawn and no coordinates are known."""
     n = len(buses)
-    zeros = [np.zeros(n) for _ in range(4)]
-    nowhere = [np.full(n, math.nan) for _ in range(2)]
-    return BusBranchGrid(name, base_mva, buses, np.asarray(base_kv, dtype=np.float64), *zeros, *nowhere)
+    p_kw, q_kvar, shunt_kw, shunt_kvar = np.zeros((4, n))
+    x, y = np.full((2, n), math.nan)
+    base_kv = np.asarray(base_kv, dtype=np.float64)
+    return BusBranchGrid(name, base_mva, buses, base_kv, p_kw, q_kvar, shunt_kw, shunt_kvar, x, y)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch.description import Branch, BusBranchGrid, FloatArray, Source
-from dcgrid_env.grid.formats.bus_branch.parallel import Joint, joints
+from dcgrid_env.grid.formats.bus_branch.parallel_branches import Joint, joints
 from dcgrid_env.grid.formats.bus_branch.supplied import Supplied, supplied_by
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dcgrid_env.grid.formats.bus_branch.parallel import Joint
+from dcgrid_env.grid.formats.bus_branch.parallel_branches import Joint
 from dcgrid_env.grid.formats.import_report import Report
 
 _LOOPS_NAMED = 5

@@ -8,6 +8,7 @@ Newton's Method", IEEE Transactions on Power Apparatus and Systems, PAS-86, 1967
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,11 +102,11 @@ def _start_angle(case: CaseModel, live: NDArray[np.bool_]) -> FloatArray:
 
 def _slopes(
     y: sparse.csr_matrix, v: ComplexArray, current: ComplexArray, free: NDArray[np.intp], pq: NDArray[np.intp]
-) -> sparse.csc_matrix:
+) -> Any:
     """Derivatives of the power at free buses with the angle at free and the magnitude at PQ buses."""
     at, unit = sparse.diags(v), sparse.diags(v / abs(v))
-    by_angle = (1j * at @ (sparse.diags(current) - y @ at).conj()).tocsr()
-    by_size = (at @ (y @ unit).conj() + sparse.diags(current.conj()) @ unit).tocsr()
+    by_angle: Any = (1j * at @ (sparse.diags(current) - y @ at).conj()).tocsr()
+    by_size: Any = sparse.csr_matrix(at @ (y @ unit).conj() + sparse.diags(current.conj()) @ unit)
     blocks = [
         [by_angle[free][:, free].real, by_size[free][:, pq].real],
         [by_angle[pq][:, free].imag, by_size[pq][:, pq].imag],

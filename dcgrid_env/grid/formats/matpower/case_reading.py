@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, ImportedFeeder, Source, imported
+from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_buses
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.matpower.case_checks import check_case
 from dcgrid_env.grid.formats.matpower.case_newton import CaseModel, admittance, solved

@@ -5,28 +5,24 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.bus_branch import Branch, described
+from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, described
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
-
-if TYPE_CHECKING:
-    from dcgrid_env.grid.feeder import Feeder
 
 _LARGE = 9999.0
 
 
-def write_matpower(feeder: Feeder, path: str | Path) -> None:
+def write_matpower(feeder: BalancedFeeder, path: str | Path) -> None:
     """Write a feeder as a case file; FeederError for one that MATPOWER cannot hold, and nothing is written."""
     path = Path(path)
     write_text(path, matpower_text(feeder, re.sub(r"\W", "_", path.stem)))
 
 
-def matpower_text(feeder: Feeder, function: str = "") -> str:
+def matpower_text(feeder: BalancedFeeder, function: str = "") -> str:
     """Text of a case; buses keep their numbers where all are whole numbers above 0, and get 1, 2, .. and names else.
 
     FeederError for a branch without impedance, for which MATPOWER has no place.
@@ -34,9 +30,9 @@ def matpower_text(feeder: Feeder, function: str = "") -> str:
     function = function or re.sub(r"\W", "_", feeder.name)
     function = function if re.match("[A-Za-z]", function) else f"case_{function}"
     grid = described(feeder, base_mva=10.0)
-    numbers = bus_numbers(grid.buses) or ()
-    named = not numbers or min(numbers) < 1
-    numbers = tuple(range(1, grid.n_bus + 1)) if named else numbers
+    known = bus_numbers(grid.buses)
+    named = known is None or min(known) < 1
+    numbers = tuple(range(1, grid.n_bus + 1)) if known is None or named else known
     drawn_mw = np.stack([grid.p_kw, grid.q_kvar, grid.shunt_kw, grid.shunt_kvar], axis=1) / 1000.0
     bus = [
         [numbers[i], 3 if i == 0 else 1, *drawn_mw[i].tolist(), 1, 1.0, 0.0, grid.base_kv[i], 1, 1.1, 0.9]

@@ -123,7 +123,7 @@ def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, A
 def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
     """A column with the type that pandapower gives it; objects and lists in it are not made."""
     kind = SCHEMA.get(table, {}).get(column, "")
-    plain = [None if isinstance(cell, dict | list) else cell for cell in cells]
+    plain: list[Any] = [None if isinstance(cell, dict | list) else cell for cell in cells]
     right = {bool} if kind == "bool" else {float}
     if kind and not set(map(type, plain)) <= right:
         wanted = bool if kind == "bool" else (int, float)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import BusBranchGrid, ClosedSwitch, ImportedFeeder, Source, imported
+from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_buses
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, check_net
@@ -97,11 +97,12 @@ def _solve(called: str, net: Any) -> bool:
     """Run pandapower's power flow, which builds its model; whether it found a solution."""
     import pandapower
 
+    run: Any = pandapower.runpp  # its annotations do not fit its documentation
     net["user_pf_options"] = {}
     for start, tolerance in itertools.product(("dc", "flat"), _TOLERANCES_MVA):
         try:
             with quiet():
-                pandapower.runpp(
+                run(
                     net,
                     init=start,
                     calculate_voltage_angles=True,

@@ -5,29 +5,26 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, described
+from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
-
-if TYPE_CHECKING:
-    from dcgrid_env.grid.feeder import Feeder
 
 _SN_MVA = 1.0
 
 
-def write_pandapower(feeder: Feeder, path: str | Path) -> None:
+def write_pandapower(feeder: BalancedFeeder, path: str | Path) -> None:
     """Write a feeder as a JSON file that ``pandapower.from_json`` reads; FeederError where pandapower is missing."""
     import pandapower
 
     write_text(Path(path), pandapower.to_json(pandapower_net(feeder)))
 
 
-def pandapower_net(feeder: Feeder) -> Any:
+def pandapower_net(feeder: BalancedFeeder) -> Any:
     """A net of a feeder, in the voltages of its own buses; indices are its buses where all are whole numbers of 0 or
     more.
 
@@ -51,11 +48,11 @@ def pandapower_net(feeder: Feeder) -> Any:
     at = np.array(index)
     loaded = (grid.p_kw != 0) | (grid.q_kvar != 0)
     if loaded.any():
-        pp.create_loads(net, at[loaded], p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
+        pp.create_loads(net, at[loaded].tolist(), p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
     shunted = (grid.shunt_kw != 0) | (grid.shunt_kvar != 0)
     if shunted.any():
         p_mw, q_mvar = grid.shunt_kw[shunted] / 1000.0, -grid.shunt_kvar[shunted] / 1000.0
-        pp.create_shunts(net, at[shunted], q_mvar=q_mvar, p_mw=p_mw)
+        pp.create_shunts(net, at[shunted].tolist(), q_mvar=q_mvar, p_mw=p_mw)
     _add_lines(net, grid, index, [b for b in grid.branches if b.kind == "line"])
     _add_transformers(net, feeder.name, grid, index, [b for b in grid.branches if b.kind != "line"])
     return net

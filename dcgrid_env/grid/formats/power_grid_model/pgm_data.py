@@ -28,12 +28,13 @@ def input_data(path: Path, report: Report) -> tuple[Data, dict[int, str]]:
     """
     try:
         from power_grid_model import power_grid_meta_data
-        from power_grid_model.errors import PowerGridError
-        from power_grid_model.utils import json_deserialize
+        from power_grid_model.errors import PowerGridError  # pyright: ignore[reportPrivateImportUsage]
+        from power_grid_model.utils import json_deserialize  # pyright: ignore[reportPrivateImportUsage]
     except ImportError:
         raise FeederError(MISSING) from None
     text = _text(path)
-    dtypes = {str(getattr(kind, "value", kind)): meta.dtype for kind, meta in power_grid_meta_data["input"].items()}
+    known: Any = power_grid_meta_data
+    dtypes = {str(getattr(kind, "value", kind)): meta.dtype for kind, meta in known["input"].items()}
     names = _Look(str(path), dtypes, report).whole(_parsed(path, text))
     try:
         read = json_deserialize(text)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, ImportedFeeder, Source, imported
+from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_buses
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.bus_branch.names import errors_naming, named_buses
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.power_grid_model.pgm_branches import (
     BASE_MVA,
@@ -96,7 +96,7 @@ def read_power_grid_model(
 def _solved(data: Data, frequency_hz: float) -> dict[int, float]:
     """Voltage of each energised node, p.u., empty where power-grid-model finds none."""
     from power_grid_model import PowerGridModel
-    from power_grid_model.errors import PowerGridError
+    from power_grid_model.errors import PowerGridError  # pyright: ignore[reportPrivateImportUsage]
 
     for tolerance in (1e-11, 1e-9, 1e-7):
         try:

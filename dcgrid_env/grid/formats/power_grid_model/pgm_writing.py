@@ -5,28 +5,25 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.bus_branch import Branch, BusBranchGrid, described
+from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
 from dcgrid_env.grid.formats.power_grid_model.pgm_branches import BASE_MVA
 from dcgrid_env.grid.formats.power_grid_model.pgm_reading import IDEAL_SK_VA
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
 
-if TYPE_CHECKING:
-    from dcgrid_env.grid.feeder import Feeder
-
 _LARGEST_ID = 2**30
 Row = dict[str, Any]
 
 
-def write_power_grid_model(feeder: Feeder, path: str | Path) -> None:
+def write_power_grid_model(feeder: BalancedFeeder, path: str | Path) -> None:
     """Write a feeder as a file of input data; FeederError for one that power-grid-model cannot hold."""
     write_text(Path(path), power_grid_model_text(feeder))
 
 
-def power_grid_model_text(feeder: Feeder) -> str:
+def power_grid_model_text(feeder: BalancedFeeder) -> str:
     """Text of a JSON file; nodes have the feeder's buses as ids where all are whole numbers, and a ``name`` in any
     case.
 

@@ -13,6 +13,7 @@ from helpers.imports import assert_same_feeder
 pytest.importorskip("matpowercaseframes", reason="matpowercaseframes is not installed (extra matpower)")
 
 
+@pytest.mark.slow
 def test_ten_thousand_buses_are_read_in_seconds(tmp_path):
     feeder = large_feeder()
     write_matpower(feeder, tmp_path / "large.m")

@@ -52,6 +52,8 @@ def test_the_arithmetic_of_a_case_is_done(tmp_path):
     assert feeder.bus_ids == ("head", "it's", "end")
     np.testing.assert_allclose(feeder.p_load_kw, [0, 900, 600])
     np.testing.assert_allclose(feeder.r_ohm, [1.0, 2.0])
+    assert feeder.shunt_kvar is not None
+    assert feeder.rating_a is not None
     np.testing.assert_allclose(feeder.shunt_kvar, [0, 0, 100])
     np.testing.assert_allclose(feeder.rating_a, [5000 / np.sqrt(3) / 12.5, np.nan])
     assert (feeder.base_kv, feeder.v0_pu, feeder.name) == (12.5, 1.02, "small")
