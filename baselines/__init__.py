@@ -22,7 +22,8 @@ from dcgrid_env.baselines.registry import (
     find_controller,
     make_controller,
 )
-from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.rollout import rollout, streaming_rollout
+from dcgrid_env.baselines.source_voltage import centred_voltage
 
 __all__ = [
     "CONTROLLERS",
@@ -48,8 +49,10 @@ __all__ = [
     "StaggeredReturn",
     "SwitchingReference",
     "VoltVar",
+    "centred_voltage",
     "find_controller",
     "make_controller",
     "published",
     "rollout",
+    "streaming_rollout",
 ]

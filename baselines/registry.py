@@ -117,7 +117,7 @@ def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Pa
     scenario
         What it is to drive; tuned controllers look up their parameters by it, and names of policies on every preset.
     tuned
-        A file of ``dcgrid dev tune`` that must have them; ``tuned.tuned_parameters`` says where they are without one.
+        A file of ``dcgrid tune`` that must have them; ``tuned.tuned_parameters`` says where they are without one.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     scenario
         What it is to drive; tuned controllers look up their gains by it.
     tuned
-        A file of ``dcgrid dev tune`` that the gains must come from, see ``make_controller``.
+        A file of ``dcgrid tune`` that the gains must come from, see ``make_controller``.
 
     Raises
     ------

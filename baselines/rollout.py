@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Generator, Mapping, Sequence
+from functools import partial
+from itertools import count
+from typing import Any, TypeVar
 
 import numpy as np
 
-from dcgrid_env import ActionError, DcgridVectorEnv, Recorder, Scenario
+from dcgrid_env import (
+    ActionError,
+    DcgridVectorEnv,
+    JoinedRecorder,
+    PartSink,
+    Recorder,
+    Scenario,
+    StreamingRecorder,
+)
 from dcgrid_env.baselines.controller import Controller, Placed
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
+
+AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
 
 
 class ControllerError(OwnCodeError):
@@ -45,6 +57,8 @@ def rollout(
 ) -> Recorder:
     """Drive one episode for each seed to its end; lane i of the recorder is seed i.
 
+    On random feeders a controller that is given buses is reset for each feeder in turn, with the scenario on it.
+
     Parameters
     ----------
     scenario
@@ -63,28 +77,126 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
+    groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    groups = [(as_driven(on, controller), lanes) for on, lanes in groups]
+    if len(groups) == 1:
+        return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
+    steps, every = count(1), len(groups)
+
+    def on_any_step() -> None:
+        if on_step is not None and next(steps) % every == 0:
+            on_step()
+
+    parts = []
+    for member, lanes in groups:
+        own = [seeds[i] for i in lanes]
+        parts.append((lanes, _driven(member, controller, own, partial(Recorder, seeds=own), on_any_step, name)))
+    return JoinedRecorder(scenario, parts)
+
+
+def streaming_rollout(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    sinks: Sequence[PartSink] = (),
+    on_step: Callable[[], None] | None = None,
+    name: str | None = None,
+) -> StreamingRecorder:
+    """Drive episodes of any length, in memory that does not grow with it; else as :func:`rollout`.
+
+    Parameters
+    ----------
+    scenario, controller, seeds, on_step, name
+        See :func:`rollout`.
+    sinks
+        What is given the course as it comes, part by part, :class:`ParquetCourse` for instance.
+
+    Raises
+    ------
+    ControllerError
+        Where :func:`rollout` raises it.
+    ScenarioError
+        Where the seeds are on different random feeders.
+    """
+    scenario = as_driven(scenario.member(seeds), controller)
+
+    def recorder(scenario: Scenario, begun: Any) -> StreamingRecorder:
+        return StreamingRecorder(scenario, begun, sinks)
+
+    return _driven(scenario, controller, seeds, recorder, on_step, name)
+
+
+def _driven(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    record: Callable[[Scenario, Any], AnyRecorder],
+    on_step: Callable[[], None] | None,
+    name: str | None,
+) -> AnyRecorder:
+    """Drive the episodes into a recorder that ``record`` makes of scenario and first transition."""
+    steps = transitions(scenario, controller, seeds, name)
+    recorder = record(scenario, next(steps))
+    while not recorder.over:
+        recorder.add(next(steps))
+        if on_step is not None:
+            on_step()
+    steps.close()
+    return recorder
+
+
+def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
+    """The scenario with the scope of observation that a controller needs.
+
+    Actions and metrics are those of the team, whoever is paid what.
+    """
+    wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
+    changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
+    return scenario.replace(**changed) if changed else scenario
+
+
+def transitions(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    name: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Generator[Any, None, None]:
+    """Drive episodes; the transitions of all lanes (``DcgridVectorEnv.transition``) from the reset on, without an end.
+
+    Parameters
+    ----------
+    scenario
+        What :func:`as_driven` gives.
+    controller, seeds, name
+        See :func:`rollout`.
+    options
+        What the reset is given of the episodes, see ``DcgridVectorEnv.reset``.
+
+    Raises
+    ------
+    ControllerError
+        See :func:`rollout`.
+    """
     called = name or type(controller).__name__
-    # Actions and metrics are those of the team, whoever is paid what.
-    scenario = scenario.replace(reward="shared", observe=getattr(controller, "observe", scenario.observe))
-    env = DcgridVectorEnv(len(seeds), scenario)
-    observations, info = env.reset(seed=list(seeds))
-    recorder = Recorder(scenario, env.transition)
+    env = DcgridVectorEnv(len(seeds), scenario, info="none")
+    observations, _ = env.reset(seed=list(seeds), options=dict(options or {}))
     _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, Placed):
         index = scenario.feeder.index
-        buses = np.array([[index(bus) for bus in info[f"bus_{agent}"]] for agent in scenario.agents]).T
+        buses = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         _asked(called, "place", controller.place, buses)
-    while not recorder.over:
-        action = _asked(called, "act", _action_of, controller, observations)
-        try:
-            observations, *_ = env.step(action)
-        except ActionError as error:
-            raise ControllerError(called, "act", error) from error
-        recorder.add(env.transition)
-        if on_step is not None:
-            on_step()
-    env.close()
-    return recorder
+    try:
+        yield env.transition
+        while True:
+            action = _asked(called, "act", _action_of, controller, observations)
+            try:
+                observations, *_ = env.step(action)
+            except ActionError as error:
+                raise ControllerError(called, "act", error) from error
+            yield env.transition
+    finally:
+        env.close()
 
 
 def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, refuses: str | None = None) -> Any:

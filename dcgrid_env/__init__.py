@@ -15,6 +15,7 @@ from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
@@ -32,24 +33,32 @@ from dcgrid_env.engine.connections import (
 from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
+from dcgrid_env.engine.joined_recorder import JoinedRecorder
 from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
+from dcgrid_env.engine.parquet_course import ParquetCourse
+from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
+from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
 from dcgrid_env.envs.tensor import TensorEnv, TensorStep
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
 from dcgrid_env.powerflow import (
     Control,
     PowerFlowError,
     Sensitivity,
     Solution,
+    branch_loading,
     distflow,
     lindistflow,
     own_sensitivity,
     sensitivity,
+    sensitivity_by,
     solver_for,
 )
 from dcgrid_env.scenario.background import Background
@@ -57,6 +66,7 @@ from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
 from dcgrid_env.scenario.scenario import Scenario
@@ -72,6 +82,7 @@ __all__ = [
     "METRICS",
     "PRESETS",
     "SCENARIO_REGISTRY",
+    "WHOLE_COURSE_BYTES",
     "ActingRelays",
     "ActionError",
     "ActionLayout",
@@ -87,18 +98,24 @@ __all__ = [
     "DcgridEnv",
     "DcgridParallelEnv",
     "DcgridVectorEnv",
+    "Delays",
     "Device",
     "Fault",
     "Feeder",
     "FeederError",
     "Forecast",
     "GridControl",
+    "HugeObservationWarning",
     "Inverters",
+    "JoinedRecorder",
     "LinearDvfs",
     "Metric",
+    "ParquetCourse",
+    "PartSink",
     "PowerFlowError",
     "PowerSmoothing",
     "PrefillDecodeDvfs",
+    "RandomFeeders",
     "Recorder",
     "RideThrough",
     "RideThroughCurve",
@@ -113,6 +130,7 @@ __all__ = [
     "SiteStorage",
     "Solution",
     "Storages",
+    "StreamingRecorder",
     "TensorEnv",
     "TensorStep",
     "ThreePhaseFeeder",
@@ -123,10 +141,13 @@ __all__ = [
     "acting_relays",
     "action_layout",
     "believed_sensitivity",
+    "branch_loading",
+    "course_bytes",
     "distflow",
     "end_costs",
     "env",
     "episode_hash",
+    "fcfs_delays",
     "field_names",
     "forecast",
     "lindistflow",
@@ -135,12 +156,15 @@ __all__ = [
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
+    "random_feeder",
     "read_feeder",
     "register_device",
     "sag_times",
     "scenario_hash",
+    "scenario_on",
     "sensitivity",
     "sensitivity_between_agents",
+    "sensitivity_by",
     "sensitivity_to_agents",
     "short_term_flicker",
     "solver_for",

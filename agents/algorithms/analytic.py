@@ -32,7 +32,7 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, action_layou
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
-from dcgrid_env.agents.training.episodes import NORMALISED_LANES, NORMALISED_STEPS, episode_seeds, windows
+from dcgrid_env.agents.training.episodes import NORMALISED_STEPS, check_batch, episode_seeds, normalising_seeds, windows
 from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
@@ -119,15 +119,16 @@ class Learner:
         return torch.from_numpy(np.array(array)).to(self.device)
 
     def _moments(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-        """Mean and standard deviation of what each network sees, over an episode of each grid at random setpoints."""
-        rng, rows_by_network = np.random.default_rng(self.cfg.seed), {}
-        for env, interface in zip(self.envs, self.interfaces, strict=True):
+        """Mean and standard deviation of what each network sees, over episodes of each grid at random setpoints."""
+        seed, rng, rows_by_network = self.cfg.seed, np.random.default_rng(self.cfg.seed), {}
+        grids = zip(self.envs, self.interfaces, strict=True)
+        for env, interface, seeds in ((*own, of) for own in grids for of in normalising_seeds(own[0].scenario, seed)):
             clocks = action_layout(env.scenario).is_channel("clock")
-            joint = env.reset(episode_seeds(self.cfg.seed, 0, NORMALISED_LANES))
+            joint = env.reset(seeds)
             action = torch.empty(0)
             while not env.over:
                 if env.step_number % NORMALISED_STEPS == 0:
-                    drawn = rng.uniform(-1.0, 1.0, (NORMALISED_LANES, len(clocks)))
+                    drawn = rng.uniform(-1.0, 1.0, (len(seeds), len(clocks)))
                     drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
                     action = self._tensor(drawn.astype(np.float32))
                 joint = env.step(action).observation
@@ -248,6 +249,7 @@ def check_settings(cfg: Analytic) -> None:
 def grids_of(cfg: Analytic) -> list[Scenario]:
     """Scenarios of the training split: those named, then variants of each; ValueError for one that cannot be."""
     given = [under_own_control(grid) for grid in scenarios(cfg.scenario, cfg.set, observe=cfg.observe)]
+    check_batch(given, cfg.num_envs)
     rng = np.random.default_rng([cfg.seed, 1])
     return given + [variant(grid, rng) for _ in range(cfg.vary) for grid in given]
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env import Feeder, Scenario, field_names, sensitivity_between_agents
+from dcgrid_env import Feeder, RandomFeeders, Scenario, field_names, sensitivity_between_agents
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.analytic import main as train
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups
@@ -50,6 +50,11 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
 
     The smallest over ``PLACEMENTS`` placements that the scenario draws; infinite where there are no agents of the kind.
     """
+    if isinstance(scenario.feeder, RandomFeeders):
+        raise ValueError(
+            f"safe: the bound on gains is that of one feeder, and {scenario.name} has random ones; train analytic, or "
+            "give another feeder"
+        )
     index, n_dc = scenario.feeder.index, scenario.n_datacenters
     largest = _eigenvalue if isinstance(scenario.feeder, Feeder) else _singular_value
     q_mvar = scenario.q_scale_kvar / 1e3

@@ -2,8 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from dcgrid_env import RandomFeeders, Scenario
+
 NORMALISED_LANES, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
+
+
+FEEDERS = 8
+"""Feeders over which that rollout goes where they are random."""
+
+
+def normalising_seeds(scenario: Scenario, seed: int) -> list[range]:
+    """Seeds of the episodes that normalise observations, a batch on each of several feeders where they are random."""
+    if not isinstance(scenario.feeder, RandomFeeders):
+        return [episode_seeds(seed, 0, NORMALISED_LANES)]
+    lanes = min(NORMALISED_LANES, scenario.feeder.batch)
+    first = [(seed << 40) + i * scenario.feeder.batch for i in range(FEEDERS)]
+    return [range(start, start + lanes) for start in first]
+
+
+def check_batch(scenarios: Sequence[Scenario], num_envs: int) -> None:
+    """ValueError, naming the field, unless a batch of episodes is on one feeder where feeders are random."""
+    for scenario in scenarios:
+        if isinstance(scenario.feeder, RandomFeeders) and scenario.feeder.batch % num_envs:
+            batch = scenario.feeder.batch
+            raise ValueError(
+                f"num_envs is {num_envs}; {scenario.name} has another feeder after each {batch} episodes, and "
+                f"gradients are of one feeder at a time: give {batch} or a divisor of it"
+            )
 
 
 def windows(horizon: int, window: int) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import RandomFeeders, Scenario
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 
@@ -25,6 +25,8 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     Data centres are drawn anew in each episode, from half to 1.1 times their rating each; inverters stand at other load
     buses, at half to twice their rating each; the substation is held up to 0.01 p.u. higher or lower.
     """
+    if isinstance(scenario.feeder, RandomFeeders):
+        raise ValueError(f"vary: {scenario.name} has another feeder in each batch by itself; leave vary out")
     feeder, n_inv = scenario.feeder, scenario.n_inverters
     load_kw = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
     loaded = [bus for i, bus in enumerate(feeder.bus_ids) if load_kw[i] > 0 and _has_phases(scenario, i)][1:]

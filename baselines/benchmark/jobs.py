@@ -64,7 +64,7 @@ class Case:
 
     spec: ScenarioSpec
     tuned: Path | None = None
-    """A file of ``dcgrid dev tune``; None as for ``make_controller``."""
+    """A file of ``dcgrid tune``; None as for ``make_controller``."""
 
     def scenario(self) -> Scenario:
         """The scenario; one object in a process."""

@@ -9,7 +9,7 @@ The data centres run at their top clock, and what a converter cannot give beside
 
 The defaults are one compromise over three presets, found on the validation split (never the test split) with
 
-    dcgrid dev tune --laws constant-q,placement --scenarios toy6,ieee123,ieee33-weak --together
+    dcgrid tune --laws constant-q,placement --scenarios toy6,ieee123,ieee33-weak --together
 
 J is then on average 0.512 of no control's with one number and 0.457 with the rule. Elsewhere they can do harm: where PV
 holds the voltage up (``mixed``) injecting is wrong. What was found for each preset alone ships as ``constant-q-tuned``,

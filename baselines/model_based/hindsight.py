@@ -121,6 +121,7 @@ def hindsight(
         For a scenario with other costs or another clock law, naming them, or a program without a solution, naming
         the constraint that cannot be met, where and when.
     """
+    scenario = scenario.member(seed)
     _check(scenario)
     if rounds is None:
         rounds = effort_of(scenario).rounds
@@ -227,7 +228,8 @@ def _shortened(
 
 def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
     """Play actions (T, n_action) in the episode of a seed; stops early where the power flow has no solution."""
-    env = DcgridVectorEnv(1, scenario.replace(reward="shared"))
+    scenario = scenario.member(seed)
+    env = DcgridVectorEnv(1, scenario if scenario.reward == "shared" else scenario.replace(reward="shared"))
     env.reset(seed=[seed])
     recorder = Recorder(scenario, env.transition)
     for action in actions:

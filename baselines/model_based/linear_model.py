@@ -37,7 +37,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines.controller import Local, LocalController, require_draws_of_work, require_known_devices
 
-NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching", "ramp_excess", "voltage_step_excess")
+NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload")
 """Weights of cost terms that controllers with a model do not minimise, and hindsight neither."""
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
 _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are

@@ -21,7 +21,7 @@ toy6). The number of rounds is fixed, so that a lane's solution is the same what
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,6 @@ class Penalties(NamedTuple):
 PENALTIES = Penalties(200.0, 0.3, 1.0)
 """Chosen on such states: 60 rounds from cold leave 0.09 % over 8 steps of ieee33-weak on average, 0.16 % with half the
 first, 1.5 % with five times the first and three times the last."""
-_BLOCK = 12_000  # voltages of a block of lanes: its arrays stay in the cache
 
 
 def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
@@ -89,49 +88,35 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     ``y`` of the result, (L, H, n), is within all limits of the devices; from the second step on it may serve a little
     work that is not there yet until the rounds have settled that.
     """
+    # Both bring the compiler with them, so not on import.
+    from dcgrid_env.baselines.model_based import lookahead_kernels
+    from dcgrid_env.core.threads import over_lanes
+
+    kernel: Any = lookahead_kernels.rounds
+    p, system = program, _system(program)
     at = _begin(program) if start is None else start
-    lanes, steps, n_bus = program.offset.shape
-    size = max(1, _BLOCK // (steps * n_bus))
-    done = [
-        _rounds(_block_of(program, block), Iterate(*(part[block] for part in at)), rounds)
-        for block in (slice(a, a + size) for a in range(0, lanes, size))
+    done = Iterate(*(np.array(part, dtype=np.float64, order="C") for part in at))
+    n_dc = p.base.shape[-1]
+    data = [
+        np.ascontiguousarray(values, dtype=np.float64)
+        for values in (
+            p.offset, p.slopes, p.base, p.low, p.high, p.s_rated, p.q_high, p.work, p.price / system.w_b[:, None],
+            p.effort / system.w_y[:, n_dc:],
+        )
+    ]  # fmt: skip
+    matrices = [
+        np.ascontiguousarray(values)
+        for values in (system.w_y, system.w_b, system.over_time, system.inverse, system.sites, system.share)
     ]
-    return Iterate(*map(np.concatenate, zip(*done, strict=True)))
+    by, by_more = p.voltage / system.w_e, p.violation / system.w_e
 
+    def part(first: int, last: int) -> int:
+        return kernel(
+            first, last, rounds, RELAXATION, p.band_pu, by, by_more, *data, system.w_e, *matrices, *done
+        )  # fmt: skip
 
-def _block_of(program: Program, block: slice) -> Program:
-    """Some lanes of a program."""
-    by_lane = ("offset", "slopes", "base", "low", "high", "s_rated", "q_high", "work")
-    return program._replace(**{name: getattr(program, name)[block] for name in by_lane})
-
-
-def _rounds(program: Program, at: Iterate, rounds: int) -> Iterate:
-    p, n_dc, unrelaxed = program, program.base.shape[-1], 1.0 - RELAXATION
-    system = _system(p)
-    w_e, w_y, w_b = system.w_e, system.w_y[:, None], system.w_b[:, None]
-    effort, price, excess = p.effort / w_y[..., n_dc:], p.price / w_b, p.violation / w_e
-    slopes_t = np.ascontiguousarray(p.slopes.swapaxes(1, 2))
-    e, y, b, u_e, u_y, u_b = at
-    for _ in range(rounds):
-        right = w_e * np.matmul(e - u_e - p.offset, slopes_t)
-        right += w_y * (y - u_y)
-        right[..., :n_dc] += np.cumsum((w_b * (p.work - b + u_b))[:, ::-1], axis=1)[:, ::-1]
-        x = system.solve(right)
-        # Each part's target is its over-relaxed value and its multiplier; what it leaves of that is the new multiplier.
-        e_to = np.matmul(x, p.slopes)
-        e_to += p.offset
-        e_to *= RELAXATION
-        e_to += unrelaxed * e
-        e_to += u_e
-        e = _shrink(e_to, p.voltage / w_e, excess, p.band_pu)
-        u_e = np.subtract(e_to, e, out=e_to)
-        y_to = RELAXATION * x + unrelaxed * y + u_y
-        y = _within(p, y_to, effort)
-        u_y = y_to - y
-        b_to = RELAXATION * (p.work - np.cumsum(x[..., :n_dc], axis=1)) + unrelaxed * b + u_b
-        b = np.maximum(b_to - price, 0.0)
-        u_b = b_to - b
-    return Iterate(e, y, b, u_e, u_y, u_b)
+    over_lanes(part, len(p.offset))
+    return done
 
 
 def moved_on(at: Iterate) -> Iterate:
@@ -170,13 +155,6 @@ class _System(NamedTuple):
     share: np.ndarray
     """g_k / (1 + g_k c), (L, H, n_dc)."""
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """x (L, H, n) for right-hand sides (L, H, n)."""
-        modes = np.matmul(self.over_time.T, right)
-        x = np.matmul(modes, self.inverse)
-        x -= np.matmul(np.matmul(modes, self.sites) * self.share, self.sites.swapaxes(1, 2))
-        return np.matmul(self.over_time, x)
-
 
 def _system(program: Program) -> _System:
     p, steps, n_dc = program, program.offset.shape[1], program.base.shape[-1]
@@ -197,34 +175,3 @@ def _system(program: Program) -> _System:
     share = growth[:, None] / (1.0 + growth[:, None] * curvature[:, None])
     sites = np.matmul(inverse[:, :, :n_dc] * root[:, None], vectors) if n_dc else np.zeros((len(size), n, 0))
     return _System(w_e, w_y, w_b, over_time, inverse, sites, share)
-
-
-def _shrink(value: np.ndarray, by: float, by_more: float, band: float) -> np.ndarray:
-    """Proximal point of by |e| + by_more max(|e| - band, 0)."""
-    size = np.abs(value)
-    size -= by
-    np.maximum(size, 0.0, out=size)
-    beyond = size - by_more
-    np.maximum(beyond, band, out=beyond)
-    np.minimum(size, beyond, out=size)
-    return np.copysign(size, value, out=size)
-
-
-def _within(program: Program, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Proximal point of effort |q| within box and circle."""
-    p, n_dc = program, program.base.shape[-1]
-    d, q = np.clip(x[..., :n_dc], p.low, p.high), x[..., n_dc:]
-    size = np.minimum(np.maximum(np.abs(q) - effort, 0.0), p.q_high[:, None])
-    own, s = size[..., :n_dc], p.s_rated
-    p_own = p.base + d
-    cut = p_own * p_own + own * own > s * s
-    if cut.any():
-        # A corner of the box is outside the circle: the nearest point is on the arc, or at an end of it in the box.
-        p_to, q_top = p.base + x[..., :n_dc], p.q_high[:, None, :n_dc]
-        q_to = np.maximum(np.abs(q[..., :n_dc]) - effort[..., :n_dc], 0.0)
-        p_arc = p_to * s / np.maximum(np.hypot(p_to, q_to), 1e-12)
-        p_arc = np.maximum(p_arc, np.sqrt(np.maximum(s * s - q_top * q_top, 0.0)))
-        p_arc = np.clip(p_arc, p.base + p.low, p.base + p.high)
-        d = np.where(cut, p_arc - p.base, d)
-        size[..., :n_dc] = np.where(cut, np.minimum(np.sqrt(np.maximum(s * s - p_arc * p_arc, 0.0)), q_top), own)
-    return np.concatenate((d, np.copysign(size, q)), axis=-1)

@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Recorder, Scenario
+from dcgrid_env import Recorder, Scenario
 from dcgrid_env.baselines.controller import Controller, Local
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.site_return import SLOWEST_PACE, StaggeredReturn, return_rule
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.tuning.lane_costs import lane_costs
 from dcgrid_env.baselines.tuning.lane_smoothing import LaneSmoothing, smoothing_bounds, smoothing_start
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 
@@ -196,24 +197,10 @@ def _search(scenario: Scenario, seeds: Sequence[int]) -> list[Searched]:
         noise = np.stack([draw.standard_normal((CANDIDATES, len(low))) for draw in draws])
         x = np.round(np.clip(middle[:, None] + spread[:, None] * noise, low, high), DIGITS)
         x[:, 0] = best_x
-        j = _costs(scenario, make(x.reshape(-1, len(low))), lanes).reshape(len(seeds), CANDIDATES)
+        j = lane_costs(scenario, make(x.reshape(-1, len(low))), lanes).reshape(len(seeds), CANDIDATES)
         order = np.argsort(j, axis=1, kind="stable")[:, :_BEST]
         elite = np.take_along_axis(x, order[..., None], axis=1)
         best_x, best_j = elite[:, 0], np.take_along_axis(j, order[:, :1], axis=1)[:, 0]
         middle = _KEPT * middle + (1.0 - _KEPT) * elite.mean(axis=1)
         spread = _KEPT * spread + (1.0 - _KEPT) * elite.std(axis=1)
     return [Searched(float(j), tuple(own.tolist())) for j, own in zip(best_j, best_x, strict=True)]
-
-
-def _costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
-    """J of an episode for each seed, of which nothing else is kept: long episodes of many lanes would not fit."""
-    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
-    observations, _ = env.reset(seed=list(seeds))
-    controller.reset(scenario)
-    j, over = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
-    while not over.all():
-        observations, _, terminated, truncated, _ = env.step(controller.act(observations))
-        j += env.transition.cost_j * ~over
-        over |= terminated | truncated
-    env.close()
-    return j / scenario.horizon

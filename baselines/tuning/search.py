@@ -37,6 +37,7 @@ from dcgrid_env.baselines.rollout import rollout
 Parameters = dict[str, Any]
 _LOG_K_Q = (-2.0, 2.5)  # in episodes of _EPISODE_S at most, with steps of a second at most
 _EPISODE_S = 120.0
+_MEMBERS = 8  # episodes over whose feeders distances are taken where feeders are random
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
     By sinh gentle rules are searched more finely than steep ones, which saturate at most agents.
     """
-    own = np.concatenate([_distances(s) for s in scenarios])
+    own = np.concatenate([_distances(member) for s in scenarios for member, _ in s.members(range(_MEMBERS))])
     middle, *changes = np.sinh(x)
     slopes = changes / np.ptp(own, axis=0)
     names = ("at_substation", "per_r_mw_per_pu", "per_x_mvar_per_pu")

@@ -1,4 +1,4 @@
-"""Parameters tuned on the validation split: those of each preset, which ship, and one's own of ``dcgrid dev tune``.
+"""Parameters tuned on the validation split: those of each preset, which ship, and one's own of ``dcgrid tune``.
 
 The presets' stand in ``data/tuned.json`` with the command that made them. They serve every scenario of the preset's
 name whose grid is the preset's: feeder, devices and step are what a law's gains depend on; load, noise, horizon and
@@ -30,7 +30,7 @@ from dcgrid_env.baselines.tuning.search import TUNABLE
 
 SUFFIX = "-tuned"
 OWN = Path("results/tuned.json")
-"""Where ``dcgrid dev tune`` writes by default, in the working directory."""
+"""Where ``dcgrid tune`` writes by default, in the working directory."""
 NUMBERS = (
     "v0_pu", "idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share", "dt_s",
 )  # fmt: skip
@@ -59,7 +59,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     scenario
         What it is to drive.
     path
-        A file that ``dcgrid dev tune`` wrote, which must have them. Without one: what ``results/tuned.json`` in the
+        A file that ``dcgrid tune`` wrote, which must have them. Without one: what ``results/tuned.json`` in the
         working directory has for this very scenario, else what ships, else what that file has for this name and grid.
 
     Raises
@@ -69,7 +69,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     """
     file = OWN if path is None else Path(path)
     if path is not None and not file.is_file():
-        raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid dev tune wrote")
+        raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
     own = read_tuned(file).get(law, {}).get(scenario.name)
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
     fits = own is not None and _grid_hash_of(own, scenario.name) == grid_hash(scenario)
@@ -91,7 +91,7 @@ def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = Non
 
 
 def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
-    """Entries by law and scenario of a file that ``dcgrid dev tune`` wrote, none where there is no such file.
+    """Entries by law and scenario of a file that ``dcgrid tune`` wrote, none where there is no such file.
 
     ValueError for a file that is none of tuned parameters.
     """
@@ -103,7 +103,7 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
             return laws
     except (ValueError, KeyError, TypeError, AttributeError):
         pass
-    raise ValueError(f"{path} is no file that dcgrid dev tune wrote; name another")
+    raise ValueError(f"{path} is no file that dcgrid tune wrote; name another")
 
 
 def identity(scenario: Scenario) -> dict[str, str]:
@@ -180,4 +180,4 @@ def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, 
     if another:
         said += f"; {path or OWN} has some of another {scenario.name!r}, whose feeder, devices or step differ"
     out = f" --out {path}" if path else ""
-    return f"{said}; find its own with `dcgrid dev tune --laws {law} {options_of(scenario, '--scenarios')}{out}`"
+    return f"{said}; find its own with `dcgrid tune --laws {law} {options_of(scenario, '--scenarios')}{out}`"

@@ -35,7 +35,7 @@ class BestKnownValues(Command):
 
     scenario: str = "ride-through"
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; its sites must have a channel return and a staggered-return tuned by dcgrid dev tune, or a
+    makes your own; its sites must have a channel return and a staggered-return tuned by dcgrid tune, or a
     channel floor and a smoothing tuned."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""

@@ -7,7 +7,7 @@ import inspect
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass, field, make_dataclass
 from typing import Annotated, Any, Protocol, Self
 
 import tyro
@@ -63,6 +63,8 @@ class Group:
     text: str
     """What they are for."""
     members: Mapping[str, Member]
+    moved: Mapping[str, str] = field(default_factory=dict)
+    """Commands that stood here once, and what they are called now."""
 
     def about(self) -> str:
         """What the commands are for."""
@@ -78,7 +80,7 @@ class Group:
         if first in self.members:
             return self.members[first].parse(words[1:], f"{prog} {first}")
         if first and not first.startswith("-"):
-            below = next(self._below(first, prog), "")
+            below = self.moved.get(first) or next(self._below(first, prog), "")
             raise ValueError(
                 f"there is no `{prog} {first}`; it is `{below}`" if below else
                 f"`{prog}` has no command {first!r}; there are {', '.join(self.members)}"

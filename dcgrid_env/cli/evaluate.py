@@ -49,7 +49,7 @@ class Evaluate(Command):
     """Whether to solve the episodes whose hindsight, which a score needs, neither ships nor stands in
     results/hindsight; they are kept there. Without it the command says how long that would take."""
     tuned: Path | None = None
-    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""

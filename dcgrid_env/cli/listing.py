@@ -27,6 +27,7 @@ class List(Command):
         from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
         from dcgrid_env.baselines import CONTROLLER_REGISTRY
         from dcgrid_env.devices import DEVICE_REGISTRY
+        from dcgrid_env.grid.random_feeders.styles import STYLES
         from dcgrid_env.traces import TRACE_SOURCES
         from dcgrid_env.traces.recordings import RECORDINGS
 
@@ -37,6 +38,7 @@ class List(Command):
                 f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()
             },
             "feeder": described(FEEDER_REGISTRY),
+            "random feeder": {name: style.about for name, style in STYLES.items()},
             "device": described(DEVICE_REGISTRY),
             "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
             "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},

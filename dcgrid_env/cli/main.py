@@ -12,14 +12,19 @@ from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
+from dcgrid_env.cli.capacity import Capacity
+from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
+from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
+from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
+from dcgrid_env.cli.random_feeder_table import RandomFeederTable
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
@@ -35,7 +40,6 @@ VERSION = "--version"
 DEV = Group(
     "Make what ships with the package or stands in its documents, or the like for scenarios of your own.",
     {
-        "tune": Tune,
         "hindsight": HindsightValues,
         "best-known": BestKnownValues,
         "ship": Ship,
@@ -44,21 +48,40 @@ DEV = Group(
         "generalise": Generalise,
         "curves": Curves,
         "sags": Sags,
+        "random-feeders": RandomFeederTable,
+    },
+    moved={"tune": "dcgrid tune"},
+)
+"""What maintainers need, and who compares many controllers on a scenario of their own."""
+IMPORT = Group(
+    "Read feeders from the files of other programs.",
+    {
+        "opendss": ImportOpenDss,
+        "pandapower": ImportPandapower,
+        "matpower": ImportMatpower,
+        "power-grid-model": ImportPowerGridModel,
     },
 )
-"""What maintainers need, and who compares controllers on a scenario of their own."""
+EXPORT = Group(
+    "Write feeders as files of other programs.",
+    {"pandapower": ExportPandapower, "matpower": ExportMatpower, "power-grid-model": ExportPowerGridModel},
+)
 COMMANDS = Group(
     f"Voltage control of feeders with data centres. {TRACEBACK}, with any command, shows an error whole; {VERSION} "
     "shows the version.",
     {
         "run": Run,
+        "check": Check,
         "benchmark": Benchmark,
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
+        "tune": Tune,
+        "capacity": Capacity,
         "reproduce": Reproduce,
         "list": List,
         "traces": Group("Fetch, show and record power traces.", {"fetch": Fetch, "show": Show, "record": Record}),
-        "import": Group("Read feeders from the files of other programs.", {"opendss": ImportOpenDss}),
+        "import": IMPORT,
+        "export": EXPORT,
         "dev": DEV,
     },
 )

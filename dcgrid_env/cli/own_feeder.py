@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
 
 
-def scenario_on_feeder(
-    feeder: str, scenario: str | None, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]
-) -> Scenario:
-    """The scenario on a feeder.
+class Asked(NamedTuple):
+    """What is to stand on a feeder."""
+
+    feeder: str
+    """A feeder's name, or the folder of one's own."""
+    scenario: str | None = None
+    """What names the scenario whose feeder is to be another; None for one that is chosen for the feeder."""
+    datacenters: str | None = None
+    """Data centres in words such as "3 x 1 MW at ends"; None for what suits the feeder."""
+    inverters: str | None = None
+    """Inverters in words such as "5 x 200 kvar"; None for what suits the feeder."""
+
+
+def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]) -> Scenario:
+    """The scenario on a feeder. One that is chosen for it has a source voltage that centres the band.
 
     Parameters
     ----------
-    feeder
-        A feeder's name, or the folder of one's own.
-    scenario
-        What names the scenario whose feeder is to be another; None for one that is chosen for the feeder.
+    asked
+        What is to stand on which feeder.
     overrides, split, chosen
         Fields that are to be otherwise, the episodes' split, and fields that the command sets, as ``ScenarioSpec.make``
         takes them.
@@ -30,28 +39,45 @@ def scenario_on_feeder(
     ValueError
         For a feeder that there is not or cannot be read, devices that cannot stand on it, or a field that cannot be.
     """
-    from dcgrid_env import FeederError
+    from dcgrid_env import scenario_on
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec, read_overrides, varied
-    from dcgrid_env.scenario.on_feeder import power_flow_of, scenario_on
-    from dcgrid_env.scenario.plain import feeder_from_plain
+    from dcgrid_env.baselines.source_voltage import centred_voltage
+    from dcgrid_env.scenario.on_feeder import power_flow_of
 
+    feeder, scenario = asked.feeder, asked.scenario
     given = read_overrides(overrides)
     if "feeder" in given:
         raise ValueError("set: feeder is an option of its own here; give it once, as --feeder or with --set")
-    if not feeder.strip():
-        raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
-    try:
-        made = feeder_from_plain(feeder)
-    except FeederError as error:
-        raise FeederError(f"feeder {feeder}: {error}" if Path(feeder).is_dir() else str(error)) from None
+    made = _feeder(feeder)
     if scenario is None:
-        return varied(scenario_on(made), overrides, split, chosen)
+        on_it = varied(scenario_on(made, asked.datacenters, asked.inverters), overrides, split, chosen)
+        if {"source_voltage_pu", "v0_pu"} & set(given):
+            return on_it
+        return on_it.replace(source_voltage_pu=centred_voltage(on_it).v_pu)
+    for option in ("datacenters", "inverters"):
+        if getattr(asked, option) is not None:
+            raise ValueError(
+                f"{option} is given beside --scenario {scenario}, which has its own; leave one of them out"
+            )
     base = ScenarioSpec(scenario).make(split)
     _check_buses(base, made, scenario, given)
     more = [f"feeder={json.dumps(feeder)}"]
     if "power_flow" not in given and type(base.feeder) is not type(made):
         more.append(f"power_flow={power_flow_of(made)}")
     return ScenarioSpec(scenario, (*overrides, *more)).make(split, **chosen)
+
+
+def _feeder(named: str) -> Any:
+    """The feeder of a name or a folder; FeederError for one that there is not or cannot be read."""
+    from dcgrid_env import FeederError
+    from dcgrid_env.scenario.plain import feeder_from_plain
+
+    if not named.strip():
+        raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
+    try:
+        return feeder_from_plain(named)
+    except FeederError as error:
+        raise FeederError(f"feeder {named}: {error}" if Path(named).is_dir() else str(error)) from None
 
 
 def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
@@ -78,7 +104,8 @@ def chosen_line(scenario: Scenario) -> str:
     balanced = isinstance(feeder, Feeder)
     groups = [_group(device, scenario, balanced) for device in scenario.devices if device.count]
     kind = "balanced" if balanced else "three-phase"
-    grid = [f"source at {scenario.source_voltage_pu:g} p.u.", f"power flow {scenario.power_flow}"]
+    own = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (the feeder's own is {feeder.v0_pu:g})"
+    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{own}", f"power flow {scenario.power_flow}"]
     if not balanced and feeder.n_regulator:
         regulators = scenario.grid_control.regulators
         grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.own_feeder import chosen_line, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, tuned_from
+from dcgrid_env.cli.runs import Runs
+from dcgrid_env.cli.settings import Overrides, tuned_from, with_horizon
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
-    from dcgrid_env import Scenario, Series
+    from dcgrid_env import Scenario
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
 
@@ -28,11 +29,22 @@ class Run(Command):
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own; without one and without --feeder it is ieee123."""
     feeder: str | None = None
-    """Your own feeder: its folder (what dcgrid import opendss writes, for instance), or the name of one that ships.
-    Data centres and inverters that suit its load are chosen, said in one line and written as scenario.toml; --set
-    changes any of it. With --scenario, that scenario's devices stand on this feeder."""
+    """Your own feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. What
+    --datacenters and --inverters do not say is chosen to suit its load, the source's voltage so that it centres the
+    band; all of it is printed and written as TOML, and --set changes any of it. With --scenario, that scenario's
+    devices stand on this feeder."""
+    datacenters: str | None = None
+    """Data centres on --feeder: COUNT x SIZE kW or MW, then where: drawn in each episode (unless given), at ends, or at
+    BUS,BUS; parts of different sizes joined by +, or none. For instance '3 x 1 MW at ends'."""
+    inverters: str | None = None
+    """Inverters on --feeder: COUNT x SIZE kvar, Mvar, kVA or MVA, then where: spread over the load buses (unless
+    given), at ends, or at BUS,BUS; or none. For instance '5 x 200 kvar'."""
+    save_scenario: Path | None = None
+    """File to write what stands on --feeder to, instead of scenario.toml in the folder of --out."""
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    horizon: int | None = None
+    """Steps of an episode instead of the scenario's own, as --set horizon=N has it; 86400 are a day of steps of 1 s."""
     controllers: str = "none,inverters,droop"
     """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
     'file.py:Class(gain=0.5)', or saved policies (.safetensors). A path must not hold a comma."""
@@ -48,20 +60,24 @@ class Run(Command):
     """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
     training follow it, decode hardly does)."""
     tuned: Path | None = None
-    """File of dcgrid dev tune that the gains of tuned controllers must come from. Without it they are those of
+    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    course: Literal["auto", "parquet", "none"] = "auto"
+    """Whether every step is written, to course/CONTROLLER/part-*.parquet in --out: auto where episodes are too long to
+    be kept in memory, parquet always (both take the extra parquet), or none."""
     out: Path = Path("results/run")
     """Folder for results.json, figure.png and, with --feeder, scenario.toml; made if it is not there."""
 
     def run(self) -> None:
         """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
         from dcgrid_env import scenario_hash
-        from dcgrid_env.baselines import find_controller, rollout
+        from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.laws import stability
 
         if self.episodes < 1 or self.seed < 0:
             raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
+        _check_options(self)
         scenario = _scenario(self)
         names = split_names(self.controllers)
         controllers = {name: find_controller(name, scenario, self.tuned) for name in names}
@@ -69,42 +85,49 @@ class Run(Command):
             raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
         seeds = range(self.seed, self.seed + self.episodes)
         console = plain_console()
-        recorders = {}
+        runs = Runs(scenario, seeds, self.course, self.out, console)
         with progress_bar(console) as progress:
             for name, controller in controllers.items():
                 task = progress.add_task(name, total=scenario.horizon)
-                recorders[name] = rollout(scenario, controller, seeds, lambda task=task: progress.advance(task), name)
+                runs.add(name, controller, lambda task=task: progress.advance(task))
         if self.feeder is not None:
-            say(console, chosen_line(scenario))
+            say(console, f"{chosen_line(scenario)}\n\n{scenario.replace(split='train').to_toml(brief=True)}")
         records = [
             record
-            for name, recorder in recorders.items()
-            for record in episode_records(scenario.name, name, seeds, recorder.metrics())
+            for name, metrics in runs.metrics.items()
+            for record in episode_records(scenario.name, name, seeds, metrics)
         ]
         summed_up = table(scenario, records, names, self)
         console.print(summed_up.rich(console.width, fixed=2))
         for note in summed_up.notes:
             console.print(note)
-        if scenario.power_flow == "distflow":
+        if scenario.power_flow == "distflow" and not runs.in_parts:  # which would run two long ones more
             console.print(linear_difference(scenario, seeds))
         for line in tuned_from(names, scenario, self.tuned):
             console.print(line)
         for name, controller in controllers.items():
-            if said := stability.warning(scenario, controller):
+            if said := stability.warning(scenario.member(self.seed), controller):
                 console.print(f"{name}: {said}")
         about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
         write_json(self.out / "results.json", {"meta": about, "episodes": records})
-        draw(
-            self.out / "figure.png",
-            scenario,
-            {name: recorder.lane(0) for name, recorder in recorders.items()},
-            self.seed,
-        )
-        written = [self.out / "results.json", self.out / "figure.png"]
+        runs.draw(self.out / "figure.png")
+        written = [*runs.folders, self.out / "results.json", self.out / "figure.png"]
         if self.feeder is not None:
-            scenario.replace(split="train").to_toml(self.out / "scenario.toml")  # the split is each command's to choose
-            written.append(self.out / "scenario.toml")
+            saved = self.save_scenario or self.out / "scenario.toml"
+            scenario.replace(split="train").to_toml(saved)  # the split is each command's to choose
+            written.append(saved)
         say(console, f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}")
+        if self.feeder is not None:
+            say(console, f"`dcgrid check {written[-1]}` says whether it is worth learning on")
+
+
+def _check_options(cfg: Run) -> None:
+    """ValueError for options that nothing would heed, or a scenario file that cannot be."""
+    for option in ("datacenters", "inverters", "save_scenario"):
+        if cfg.feeder is None and getattr(cfg, option) is not None:
+            raise ValueError(f"{option} says what stands on a feeder; give it with --feeder, or --set for a scenario")
+    if cfg.save_scenario is not None and cfg.save_scenario.suffix != ".toml":
+        raise ValueError(f"save_scenario is {str(cfg.save_scenario)!r}; give a file that ends in .toml")
 
 
 def _scenario(cfg: Run) -> Scenario:
@@ -124,9 +147,11 @@ def _scenario(cfg: Run) -> Scenario:
         if mixed:
             raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
         chosen["trace"] = tuple(map(recorded_trace, names))
+    changes = with_horizon(cfg.set, cfg.horizon)
     if cfg.feeder is not None:
-        return scenario_on_feeder(cfg.feeder, cfg.scenario, cfg.set, cfg.split, chosen)
-    return ScenarioSpec("ieee123" if cfg.scenario is None else cfg.scenario, cfg.set).make(cfg.split, **chosen)
+        asked = Asked(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
+        return scenario_on_feeder(asked, changes, cfg.split, chosen)
+    return ScenarioSpec("ieee123" if cfg.scenario is None else cfg.scenario, changes).make(cfg.split, **chosen)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
@@ -183,11 +208,3 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
     apart = [np.abs(runs[0].lane(i).v_pu[:n] - runs[1].lane(i).v_pu[:n]) for i, n in enumerate(lengths)]
     mean, most = np.mean([a.mean() for a in apart]), np.max([a.max() for a in apart])
     return f"LinDistFlow, which leaves losses out, is off by {mean:.4f} p.u. on average and {most:.4f} at most (none)"
-
-
-def draw(path: Path, scenario: Scenario, series: dict[str, Series], seed: int) -> None:
-    """The first episode under each controller."""
-    from dcgrid_env.core.files import write_figure
-    from dcgrid_env.rendering import run_figure
-
-    write_figure(path, run_figure(scenario, series, seed), dpi=130)

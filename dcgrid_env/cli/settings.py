@@ -22,6 +22,15 @@ Scenarios = Annotated[str, tyro.conf.arg(aliases=("--scenario",))]
 """Scenarios separated by commas; who has one alone may leave out the s."""
 
 
+def with_horizon(changes: tuple[str, ...], horizon: int | None) -> tuple[str, ...]:
+    """Fields that are to be otherwise with an option ``--horizon``; ValueError where both say the length."""
+    if horizon is None:
+        return changes
+    if any(change.partition("=")[0].strip() == "horizon" for change in changes):
+        raise ValueError(f"horizon is given by --horizon {horizon} and by --set; leave one of them out")
+    return (*changes, f"horizon={horizon}")
+
+
 def processes(jobs: int | None) -> int:
     """How many processes to work with, one for each core by default; ValueError below 1."""
     from dcgrid_env.core.threads import n_threads

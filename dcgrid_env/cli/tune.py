@@ -1,4 +1,4 @@
-"""The command ``dcgrid dev tune``."""
+"""The command ``dcgrid tune``."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Tune(Command):
         if self.laws.strip() == "all":  # those that fit; a law that is named and does not is refused by itself
             asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
         _kept(self.out)  # ValueError for another kind of file, before a folder is made
-        with alone_in(self.out.parent, "dcgrid dev tune"):
+        with alone_in(self.out.parent, "dcgrid tune"):
             _search(self, asked, jobs)
 
 
@@ -144,7 +144,7 @@ def _identity(search: Search) -> dict[str, Any]:
 
 def _command(search: Search, episodes: int) -> str:
     wheres = ",".join(spec.where for spec in search.specs)
-    words = ["dcgrid", "dev", "tune", "--laws", search.law, "--scenarios", wheres]
+    words = ["dcgrid", "tune", "--laws", search.law, "--scenarios", wheres]
     words += ["--set", *search.specs[0].set] if search.specs[0].set else []
     return shlex.join([*words, "--episodes", str(episodes), *(["--together"] if len(search.names) > 1 else [])])
 
@@ -152,8 +152,8 @@ def _command(search: Search, episodes: int) -> str:
 def _stands(kept: Laws, search: Search, episodes: int) -> bool:
     """Whether an entry is of this very search."""
     entry = kept.get(search.law, {}).get(search.key, {})
-    # Entries that ship were made when the command was called `dcgrid tune`.
-    command = str(entry.get("command", "")).replace("dcgrid tune ", "dcgrid dev tune ", 1)
+    # Some that ship were made when the command was called `dcgrid dev tune`.
+    command = str(entry.get("command", "")).replace("dcgrid dev tune ", "dcgrid tune ", 1)
     wanted = {"command": _command(search, episodes), **_identity(search)}
     return all((entry | {"command": command}).get(name) == value for name, value in wanted.items())
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from math import lcm
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
-from dcgrid_env.powerflow import Control, Sensitivity, linearise, own_sensitivity, sensitivity
+from dcgrid_env.powerflow import Control, Sensitivity, linearise, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -22,6 +23,8 @@ def nodes_by_bus(scenario: Scenario) -> np.ndarray:
     of fewer nodes has each of them several times.
     """
     feeder = scenario.feeder
+    if isinstance(feeder, Feeder):
+        return np.broadcast_to(np.arange(feeder.n_bus)[:, None], (scenario.n_agents, feeder.n_bus, 1))
     agents = [phases for device in scenario.devices for phases in phases_of(device)]
     connected = {phases: [_nodes(feeder, bus, phases) for bus in range(feeder.n_bus)] for phases in set(agents)}
     k = lcm(*(len(nodes) for by_bus in connected.values() for nodes in by_bus))
@@ -42,14 +45,45 @@ def _nodes(feeder: AnyFeeder, bus: int, phases: str | None) -> tuple[int, ...]:
 def own_distance(scenario: Scenario) -> np.ndarray:
     """R_ii and X_ii of each agent at each bus, p.u. per MW and Mvar, (n_agent, n_bus, 2).
 
-    How far the agent's voltage rises with the power that it injects, as the scenario's model of the feeder has it.
+    How far the agent's voltage rises with the power that it injects, as the scenario's model of the feeder has it; on a
+    very large three-phase feeder 0 at buses where the agent cannot stand.
     """
     if isinstance(scenario.feeder, Feeder):
         own = np.stack(own_sensitivity(scenario.model), axis=-1)
         return np.broadcast_to(own, (scenario.n_agents, *own.shape))
     nodes = nodes_by_bus(scenario)
+    if scenario.feeder.n_node > DENSE_MOST:
+        return _own_distance_where_agents_may_stand(scenario, nodes)
     by_pair = partial(_mean_of_pairs, nodes[..., :, None], nodes[..., None, :])
     return np.stack([by_pair(matrix) for matrix in believed_sensitivity(scenario)], axis=-1)
+
+
+def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) -> np.ndarray:
+    """``own_distance`` of a three-phase feeder row by row, without the matrices of all pairs of nodes."""
+    feeder: Any = scenario.feeder
+    pairs: list[tuple[int, int]] = []
+    first = 0
+    for device in scenario.devices:
+        for slot in range(device.count):
+            buses = scenario.candidates if device.buses is None else [feeder.index(device.buses[slot])]
+            pairs += [(first + slot, int(bus)) for bus in buses]
+        first += device.count
+    agent, bus = np.array(pairs, np.int64).reshape(-1, 2).T
+    own, n_seen = nodes[agent, bus], nodes.shape[-1]
+    found = np.zeros((*nodes.shape[:2], 2))
+    control = Control(capacitor_on=scenario.capacitor_connected)
+    wanted = np.unique(own)
+    for begin in range(0, len(wanted), _ROWS_AT_ONCE):
+        at = wanted[begin : begin + _ROWS_AT_ONCE]
+        slopes = linearise(
+            feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control, at=at.tolist()
+        )
+        pair, seen = np.nonzero(np.isin(own, at))
+        row = np.searchsorted(at, own[pair, seen])
+        for k, share in enumerate((scenario.r_model_share, scenario.x_model_share)):
+            rise = share * slopes[k][row[:, None], own[pair]].sum(-1) / n_seen**2
+            np.add.at(found[..., k], (agent[pair], bus[pair]), rise)
+    return found
 
 
 def believed_sensitivity(scenario: Scenario) -> Sensitivity:
@@ -92,9 +126,9 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
     Sensitivity
         P.u. per MW and per Mvar, (lane, n_agent, n_node).
     """
-    believed = believed_sensitivity(scenario)
     if isinstance(scenario.feeder, Feeder):
-        return Sensitivity(*(matrix[buses] for matrix in believed))
+        return _by_buses(scenario.model, buses)
+    believed = believed_sensitivity(scenario)
     nodes = agent_nodes(scenario, buses)
     return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in believed))
 
@@ -105,6 +139,10 @@ def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensiti
     ``buses`` is as in :func:`sensitivity_to_agents`; p.u. per MW and per Mvar, (lane, n_agent, n_agent), the agent that
     sees first.
     """
+    if _is_large(scenario.feeder):
+        feeder: Any = scenario.feeder
+        by_agent = _by_buses(feeder, buses)
+        return Sensitivity(*(np.moveaxis(_at_agents(by, buses), -1, -2) for by in by_agent))
     nodes = agent_nodes(scenario, buses)
     rows, columns = nodes[:, :, None, :, None], nodes[:, None, :, None, :]
     return Sensitivity(*(_mean_of_pairs(rows, columns, matrix) for matrix in true_sensitivity(scenario)))
@@ -119,6 +157,46 @@ def _mean_of_pairs(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) ->
     return matrix[rows, columns].mean((-1, -2))
 
 
+DENSE_MOST = 2000
+"""Nodes of the largest feeder whose matrices over all pairs of nodes are made; of others only rows, where they do."""
+_ROWS_AT_ONCE = 64
+
+
+def _is_large(feeder: AnyFeeder) -> bool:
+    return isinstance(feeder, Feeder) and feeder.n_bus > DENSE_MOST
+
+
+def _by_buses(feeder: Feeder, buses: np.ndarray) -> Sensitivity:
+    """Derivative of every voltage by the power at the agents' buses (lane, n_agent), (lane, n_agent, n_bus)."""
+    if not _is_large(feeder):
+        r, x = sensitivity(feeder)
+        if feeder.voltage_ratio is not None:  # without it the matrices are symmetric
+            r, x = r.T, x.T
+        return Sensitivity(r[buses], x[buses])
+    once, at = np.unique(buses, return_inverse=True)
+    return Sensitivity(*(rows[at.reshape(buses.shape)] for rows in sensitivity_by(feeder, once.tolist())))
+
+
+def _at_agents(rows: np.ndarray, buses: np.ndarray) -> np.ndarray:
+    """Entries (lane, n_agent, n_agent) at the agents' buses of rows (lane, n_agent, n_bus)."""
+    columns = np.broadcast_to(buses[:, None, :], (*buses.shape, buses.shape[1]))
+    return np.take_along_axis(rows, columns, axis=-1)
+
+
+def between_agents(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
+    """Impedance magnitude of the path between any two agents at positions ``buses`` (lane, n_agent) of ``bus_ids``.
+
+    P.u. per MVA, (lane, n_agent, n_agent), as :func:`between_buses` has it.
+    """
+    if not _is_large(scenario.feeder):
+        return between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
+    feeder = scenario.model
+    ratio = 1.0 if feeder.voltage_ratio is None else feeder.voltage_ratio
+    own = [(values / ratio)[buses] for values in own_sensitivity(feeder)]
+    by_agent = (_at_agents(rows / ratio, buses) for rows in _by_buses(feeder, buses))
+    return np.hypot(*(o[:, :, None] + o[:, None, :] - 2.0 * by for o, by in zip(own, by_agent, strict=True)))
+
+
 @cached_on_owner
 def between_buses(scenario: Scenario) -> np.ndarray:
     """Impedance magnitude of the path between any two buses, p.u. per MVA, (n_bus, n_bus).
@@ -130,4 +208,6 @@ def between_buses(scenario: Scenario) -> np.ndarray:
         share = np.zeros((feeder.n_bus, feeder.n_node))
         share[feeder.node_bus, np.arange(feeder.n_node)] = 1.0 / np.bincount(feeder.node_bus)[feeder.node_bus]
         by_bus = [0.5 * share @ (matrix + matrix.T) @ share.T for matrix in by_bus]
+    elif feeder.voltage_ratio is not None:
+        by_bus = [matrix / feeder.voltage_ratio[:, None] for matrix in by_bus]
     return np.hypot(*(np.diag(m)[:, None] + np.diag(m)[None, :] - 2.0 * m for m in by_bus))

@@ -18,7 +18,15 @@ from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
 from dcgrid_env.engine.utility_limits import remembered_draws
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.powerflow import AnySolution, Control, Solver, solver_for, three_phase_nodes, unbalance_factor
+from dcgrid_env.powerflow import (
+    AnySolution,
+    Control,
+    Solver,
+    branch_loading,
+    solver_for,
+    three_phase_nodes,
+    unbalance_factor,
+)
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -121,9 +129,12 @@ def _step(
     v, restart, phases = solution.v_pu, solution.restart, None
     if equipment is not None:
         phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
+    loading = None if scenario.feeder.rating_a is None else branch_loading(scenario.feeder, solution)
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
+        if loading is not None:
+            loading = xp.where(solved, loading, 0.0 * v if state.loading is None else state.loading)
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     own = tuple(devices)
@@ -141,6 +152,7 @@ def _step(
         devices=own,
         three_phase=phases,
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
+        loading=loading,
     ), solution
 
 

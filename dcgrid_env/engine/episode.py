@@ -15,9 +15,11 @@ from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
 from dcgrid_env.engine.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.dynamics import step_kernels
+from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.state import Exogenous
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 
@@ -70,7 +72,10 @@ def _legs(feeder: ThreePhaseFeeder) -> _Legs:
 
 @cached_on_owner
 def _load(scenario: Scenario) -> _Load:
-    feeder = scenario.feeder
+    return _load_of(scenario.feeder, scenario)
+
+
+def _load_of(feeder: Any, scenario: Scenario) -> _Load:
     rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
     if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
         return _Load(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
@@ -88,15 +93,17 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
         pool.make(episode.start // pool.p_share.shape[1])
 
 
-def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray) -> Episode:
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Given | None = None) -> Episode:
     """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
 
-    The split enters the key, so that no two splits share an episode whatever their seeds.
+    The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
+    nothing else that is drawn, but for windows of requests that follow the hour.
     """
+    given = given or Given()
     salt = np.uint64(zlib.crc32(scenario.split.encode()))
     key = random.keys(salt, seeds, numbers)
-    buses = _buses(scenario, key)
-    begin_h = _begin_h(scenario, key)
+    buses = _buses(scenario, key) if given.buses is None else given.buses
+    begin_h = _begin_h(scenario, key) if given.begin_h is None else given.begin_h
     sun_row, sun_start = random.bits(key, random.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
     sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
@@ -236,15 +243,22 @@ def exogenous(
     share = episode.still if hour is None else load_share(hour)
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
-    load = _load(scenario)
-
-    def part(a: int, b: int) -> int:
-        return random.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
-
-    if len(step) == 1:
-        random.load_step(episode.key, step, noise, share, *load, z, p, q)
+    if isinstance(scenario.feeder, FeederBatch):
+        for member, at in scenario.feeder.members:
+            own = np.empty((3, len(at), noise.shape[1]))
+            load = _load_of(member, scenario)
+            random.load_step(episode.key[at], step[at], noise[at], share[at], *load, own[0], own[1], own[2])
+            process_and_loads[:, at] = own
     else:
-        over_lanes(part, len(step))
+        load = _load(scenario)
+
+        def part(a: int, b: int) -> int:
+            return random.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
+
+        if len(step) == 1:
+            random.load_step(episode.key, step, noise, share, *load, z, p, q)
+        else:
+            over_lanes(part, len(step))
     schedule = scenario.schedule
     rated_kva = scenario.scheduled_kva
     if schedule is None:

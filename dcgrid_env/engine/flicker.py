@@ -129,6 +129,64 @@ def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_s
     return out.reshape(intervals, *v_pu.shape[1:])
 
 
+class FlickerByParts:
+    """Pst of voltages that come in parts, with no more than those of one interval kept.
+
+    Parameters
+    ----------
+    dt_s
+        Time from a sample to the next, s, at most 0.1.
+    lamp
+        See :func:`short_term_flicker`.
+    """
+
+    def __init__(self, dt_s: float, lamp: str = "120V-60Hz"):
+        check_sampling(dt_s)
+        self._steps = math.ceil(dt_s / _LARGEST_STEP_S - 1e-6)
+        self._filters = _filters(lamp, dt_s / self._steps)
+        self._per_interval = round(INTERVAL_S / dt_s)
+        self._parts: list[np.ndarray] = []
+        self._first: np.ndarray | None = None
+        self._states: list[Any] = []
+        self._largest: float | None = None
+
+    def add(self, v_pu: np.ndarray) -> None:
+        """Take further voltages, p.u., (n_sample, n_node)."""
+        if self._first is None:
+            self._first, self._states = v_pu[0].copy(), [None] * v_pu.shape[1]
+        self._parts.append(v_pu.copy())
+        while sum(map(len, self._parts)) >= self._per_interval:
+            waiting = np.concatenate(self._parts)
+            self._parts = [waiting[self._per_interval :].copy()]
+            self._take(waiting[: self._per_interval])
+
+    def largest(self) -> float:
+        """Largest Pst of a full interval and node so far; before the first, of what there is."""
+        if self._largest is None:
+            self._take(np.concatenate(self._parts))
+            self._parts = [self._parts[0][:0]]
+        return self._largest or 0.0
+
+    def _take(self, v_pu: np.ndarray) -> None:
+        sections, scale, smoothing = self._filters
+        for i, (own, first) in enumerate(zip(v_pu.T, self._first, strict=True)):  # pyright: ignore[reportArgumentType]
+            change = np.repeat(own - first, self._steps)
+            sensation, self._states[i] = _sensation_from(self._states[i], change, sections, smoothing)
+            self._largest = max(self._largest or 0.0, _severity_of(scale * sensation))
+
+
+def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smoothing: Any) -> tuple[np.ndarray, Any]:
+    """What ``_sensation`` gives, of filters in a state, None at rest; and their state behind it."""
+    from scipy import signal
+
+    numerator, denominator = smoothing
+    before, after = (np.zeros((len(sections), 2)), np.zeros(len(denominator) - 1)) if state is None else state
+    filtered: Any = signal.sosfilt(sections, change, zi=before)
+    weighted, before = filtered
+    smoothed, after = signal.lfilter(numerator, denominator, weighted * weighted, zi=after)
+    return smoothed, (before, after)
+
+
 def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.ndarray:
     """Blocks 3 and 4 without the scale, of a change from where the filters are at rest."""
     from scipy import signal  # slow to import, and not needed by a step

@@ -96,6 +96,15 @@ def swing(p_kw: np.ndarray, dt_s: float, band_hz: tuple[float, float] = SWING_BA
     return Swing(np.divide(within, whole, out=np.zeros_like(whole), where=moves), np.sqrt(np.where(moves, within, 0.0)))
 
 
+def swing_figures(scenario: Scenario, p_kw: np.ndarray) -> dict[str, float]:
+    """Figures of the swings of the sites' draws over the steps of an episode, kW, (step, n_site)."""
+    band = swing(p_kw, scenario.dt_s)
+    return {
+        "swing_share_max_pct": 100.0 * float(band.share.max(initial=0.0)),
+        "swing_rms_max_pct": 100.0 * float((band.rms_kw / scenario.site_rated_kw).max(initial=0.0)),
+    }
+
+
 def fluctuation(scenario: Scenario, v_pu: np.ndarray, p_kw: np.ndarray) -> dict[str, float]:
     """The figures of the module's table that the scenario has.
 
@@ -112,9 +121,7 @@ def fluctuation(scenario: Scenario, v_pu: np.ndarray, p_kw: np.ndarray) -> dict[
     own_kw = p_kw[:, sites(scenario)]
     if shows_flicker(scenario):
         figures["pst_max"] = worst_flicker(scenario, v_pu[1:]).pst
-        band = swing(own_kw[1:], scenario.dt_s)
-        figures["swing_share_max_pct"] = 100.0 * float(band.share.max(initial=0.0))
-        figures["swing_rms_max_pct"] = 100.0 * float((band.rms_kw / scenario.site_rated_kw).max(initial=0.0))
+        figures |= swing_figures(scenario, own_kw[1:])
     if scenario.ramp_limit_kw_per_s is not None:
         before = np.concatenate((np.repeat(own_kw[:1], ramp_steps(scenario) - 1, axis=0), own_kw))
         ramps = ramps_kw_per_s(scenario, own_kw[1:], before[: len(own_kw) - 1])

@@ -42,7 +42,8 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
 
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
-    drawn = episode.draw(scenario, np.array([whole_seed(seed) % 2**64], np.uint64), np.zeros(1, np.uint64))
+    seeds, scenario = np.array([whole_seed(seed) % 2**64], np.uint64), scenario.member(seed)
+    drawn = episode.draw(scenario, seeds, np.zeros(1, np.uint64))
     steps, capacitors = [], []
     for _, outside in episode.unroll(scenario, drawn):
         available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]

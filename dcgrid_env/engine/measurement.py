@@ -7,7 +7,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.engine.dynamics import extremes_of_nodes, from_nodes
 from dcgrid_env.engine.state import State
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -41,7 +41,7 @@ def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Arr
     ``nodes`` are those of the agents, see ``Exogenous``; (lane, 2 n_agent), None on a balanced feeder.
     """
     whole, n = scenario.observe == "feeder", scenario.n_agents
-    if isinstance(scenario.feeder, Feeder):
+    if not isinstance(scenario.feeder, ThreePhaseFeeder):
         return from_nodes(measured_pu, nodes) if whole else measured_pu, None
     if not whole:
         return measured_pu[:, :n], measured_pu[:, n:]

@@ -17,6 +17,8 @@
 | nema_unbalance_max_pct | unbalance by NEMA MG 1 over the same |
 | tap_moves, capacitor_switchings | taps of all regulators in either direction, and switchings of all banks, the same |
 | steps, power_flow_converged | steps done; 0 if the power flow ended the episode |
+| loading_max_pct | highest current of a branch as a share of its rating; where the feeder knows ratings |
+| overloaded_branch_seconds_pct | share of rated branches (of a line's phases) and steps above it, the same |
 | pst_max, swing_*, ramp_*, voltage_step_max_pu, voltage_step_excess_pct | see ``fluctuation``; where they can be had |
 
 (b) A balanced feeder has one node a bus; on a three-phase feeder a node is a phase of a bus.
@@ -66,13 +68,15 @@ Where the trace is made of requests, over those that arrived in the episode at a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.fluctuation import WorstFlicker, fluctuation, worst_flicker
 from dcgrid_env.engine.leaving import after_loss
+from dcgrid_env.engine.overload import overload_figures
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -87,24 +91,32 @@ class Series:
     """One episode as arrays over time: ``v_pu`` and ``backlog_kws`` from the reset on (T + 1 rows), the rest T rows."""
 
     def __init__(self, scenario: Scenario, transitions: list[Transition], lane: int):
+        self._take(scenario, _course(transitions, lambda values: np.array([own[lane] for own in values])), lane)
+
+    @classmethod
+    def of_lanes(cls, scenario: Scenario, transitions: list[Transition], lengths: Sequence[int]) -> list[Series | None]:
+        """The first so many steps of each lane; None where there are none. Lanes share memory."""
+        stacked = _course(transitions, np.array)
+        return [cls._cut(scenario, stacked, lane, n) if n else None for lane, n in enumerate(lengths)]
+
+    @classmethod
+    def _cut(cls, scenario: Scenario, stacked: _Course, lane: int, steps: int) -> Series:
+        series = cls.__new__(cls)
+        from_reset = over_arrays(lambda values: values[: steps + 1, lane], stacked.from_reset)
+        of_steps = over_arrays(lambda values: values[:steps, lane], stacked.of_steps)
+        series._take(scenario, _Course(from_reset, of_steps, stacked.trace_start), lane)
+        return series
+
+    def _take(self, scenario: Scenario, course: _Course, lane: int) -> None:
         self.scenario = scenario
-        states = [t.state for t in transitions]
-        steps = transitions[1:]
-        self.v_pu = np.array([s.v_pu[lane] for s in states])
-        self._p_kw = np.array([s.p_kw[lane] for s in states])
-        self.p_kw = self._p_kw[1:]
-        self.q_kvar = np.array([s.q_kvar[lane] for s in states[1:]])
-        self.devices = tuple(_history([s.devices[i] for s in states], lane) for i in range(len(scenario.devices)))
-        """State of each device over time, from the reset on."""
-        self.three_phase: Any = (
-            None if states[0].three_phase is None else _history([s.three_phase for s in states], lane)
-        )
-        """``State.three_phase`` over time, from the reset on; None on a balanced feeder."""
-        self.trace_start = transitions[0].trace_start[lane]
-        self.loss_kw = np.array([t.loss_kw[lane] for t in steps])
-        self.cost_j = np.array([t.cost_j[lane] for t in steps])
-        self.costs = {name: np.array([getattr(t.costs, name)[lane] for t in steps]) for name in steps[0].costs._fields}
-        self.converged = bool(steps[-1].converged[lane])
+        self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase, self.loading = course.from_reset
+        """``devices`` are the states of each device over time, and ``three_phase`` is ``State.three_phase``, None on a
+        balanced feeder, from the reset on; so is ``loading``, ``State.loading``, None where no rating is known."""
+        self.p_kw = self.p_kw_from_reset[1:]
+        self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
+        self.costs = costs._asdict()
+        self.trace_start = course.trace_start[lane]
+        self.converged = bool(converged[-1])
 
     def __getattr__(self, name: str) -> np.ndarray:
         """A field of a device's state over time, (T, slot), from the reset on where it is an amount at an instant."""
@@ -116,12 +128,26 @@ class Series:
     def metrics(self) -> dict[str, float]:
         """The figures of the module's table."""
         s = self.scenario
+        figures = self.grid_figures() | fluctuation(s, self.v_pu, self.p_kw_from_reset) | self.phase_figures()
+        for device, history in zip(s.devices, self.devices, strict=True):
+            requests = self.requests() if device.input == "workload" else None
+            figures |= device.metrics(history, s.dt_s, requests)
+        return {name: float(value) for name, value in figures.items()} | self.after_loss()
+
+    def after_loss(self) -> dict[str, float]:
+        """Highest voltage with devices away, where they can leave."""
+        figures = after_loss(self.scenario, self.devices, self.v_pu[1:, self.scenario.feeder.load_slice])
+        return {name: float(value) for name, value in figures.items()}
+
+    def grid_figures(self) -> dict[str, Any]:
+        """Those of the table that costs, voltages and losses have."""
+        s = self.scenario
         v = self.v_pu[1:, s.feeder.load_slice]
         deviation = np.abs(v - 1.0)
         outside = deviation > s.band_pu
         converters = [device for device in s.devices if not is_equipment(device)]  # which stand first
         ratings = np.concatenate([device.converter_kva for device in converters])
-        figures = {
+        return {
             "J": self.cost_j.sum() / s.horizon,
             **{f"cost_{name}": values.sum() / s.horizon for name, values in self.costs.items()},
             "voltage_deviation_mean_pu": deviation.mean(),
@@ -136,15 +162,13 @@ class Series:
             "q_effort_pct": 100.0 * (np.abs(self.q_kvar[:, : len(ratings)]) / ratings).mean() if len(ratings) else 0.0,
             "steps": len(v),
             "power_flow_converged": self.converged,
+            **overload_figures(s, self.loading),
         }
-        figures |= fluctuation(s, self.v_pu, self._p_kw)
-        if isinstance(s.feeder, ThreePhaseFeeder):
-            figures |= self._unbalance(s.feeder) | self._moves()
-        for device, history in zip(s.devices, self.devices, strict=True):
-            requests = self._requests() if device.input == "workload" else None
-            figures |= device.metrics(history, s.dt_s, requests)
-        figures |= after_loss(s, self.devices, v)
-        return {name: float(value) for name, value in figures.items()}
+
+    def phase_figures(self) -> dict[str, Any]:
+        """Those that a three-phase feeder has beside."""
+        feeder = self.scenario.feeder
+        return self._unbalance(feeder) | self._moves() if isinstance(feeder, ThreePhaseFeeder) else {}
 
     def worst_flicker(self, lamp: str = "120V-60Hz") -> WorstFlicker:
         """Largest Pst of the episode, and where and when it was, in the light of a lamp of ``flicker.LAMPS``.
@@ -169,7 +193,7 @@ class Series:
         regulators, banks = self.three_phase.equipment
         return {"tap_moves": regulators.moved[1:].sum(), "capacitor_switchings": banks.switched[1:].sum()}
 
-    def _requests(self) -> list[tuple[Any, float]] | None:
+    def requests(self) -> list[tuple[Any, float]] | None:
         """The requests of each site's row of trace and when the episode begins among them, s; None without any."""
         pool = trace_pool(self.scenario)
         if not (pool.requests and len(self.trace_start)):
@@ -179,16 +203,42 @@ class Series:
         return [(pool.requests[r], begin) for r, begin in zip(row, begin_s, strict=True)]
 
 
-def _history(states: list[Any], lane: int) -> Any:
-    """A device's states as one, with time in front of every field."""
-    return over_arrays(lambda *over_time: np.array([values[lane] for values in over_time]), *states)
+class _Course(NamedTuple):
+    """What a series is made of, arrays with time in front."""
+
+    from_reset: tuple[Any, ...]
+    """Voltages, draws, states of the devices and of three phases, loading, from the reset on."""
+    of_steps: tuple[Any, ...]
+    """Reactive injections, losses, costs, whether the power flow had a solution, and the terms of the cost."""
+    trace_start: np.ndarray
+    """(lane, n_site)"""
+
+
+def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]) -> _Course:
+    """Transitions as arrays; ``stack`` makes one of those of all instants."""
+
+    def over_time(parts: list[Any]) -> Any:
+        return over_arrays(lambda *values: stack(values), *parts)
+
+    states = [t.state for t in transitions]
+    from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading) for s in states]
+    of_steps = [(t.state.q_kvar, t.loss_kw, t.cost_j, t.converged, t.costs) for t in transitions[1:]]
+    return _Course(over_time(from_reset), over_time(of_steps), transitions[0].trace_start)
 
 
 class Recorder:
-    """Collects the transitions of one episode in every lane of a batch, from the reset on."""
+    """Collects the transitions of one episode in every lane of a batch, from the reset on.
 
-    def __init__(self, scenario: Scenario, begun: Transition):
-        self.scenario = scenario
+    Parameters
+    ----------
+    scenario, begun
+        What is run, and what the reset led to.
+    seeds
+        The seed of each lane's episode, its first, where feeders are random: its course is then said to be on one.
+    """
+
+    def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
+        self.scenario, self._seeds = scenario, seeds
         self._transitions = [begun]
         lanes = len(begun.terminated)
         self._length = np.zeros(lanes, dtype=np.int64)
@@ -210,7 +260,8 @@ class Recorder:
         if self._length[lane] == 0:
             raise ValueError("no step has been recorded yet")
         taken = self._transitions[: int(self._length[lane]) + 1]
-        return Series(self.scenario, taken, lane)
+        on = self.scenario if self._seeds is None else self.scenario.member(self._seeds[lane])
+        return Series(on, taken, lane)
 
     def costs(self) -> np.ndarray:
         """J of each lane's episode, (lane,); ValueError before all have ended."""

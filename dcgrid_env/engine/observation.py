@@ -11,11 +11,12 @@ Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add
 | q_limit | all | the same share | 0 .. 1 |
 | r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
 | v_lowest, v_highest | all on a three-phase feeder | lowest and highest of its phases, as v_deviation | the same |
+| loading | all, if asked for | loading of the branch that feeds the bus, (*) share of its rating, true | 0 .. 4 |
 | device fields | as each device says (``Device.fields``), voltages in bands | without noise or delay | |
 | neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
 | bus fields | `feeder` | v_deviation of every node but the substation's, as in node_ids | as above |
 
-* Under a clock law that tells two work classes of work apart.
+* Under a clock law that tells two work classes of work apart. (*) Of the most loaded phase; 0 where it is not known.
 """
 
 from __future__ import annotations
@@ -28,17 +29,22 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
-from dcgrid_env.engine.connections import agent_nodes, between_buses, own_distance
+from dcgrid_env.engine.connections import agent_nodes, between_agents, own_distance
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.measurement import of_agents
+from dcgrid_env.engine.overload import loading_of_agents
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
 BY_PHASE = ("v_lowest", "v_highest")
 """What agents on a three-phase feeder see beside these."""
+LOADING = "loading"
+LOADING_MOST = 4.0
+"""Highest loading that an agent is shown."""
 N_NEIGHBOURS = 3
 
 
@@ -73,7 +79,8 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 
 def common_fields(scenario: Scenario) -> tuple[str, ...]:
     """Names of the fields that every agent observes, whatever its device, in order."""
-    return COMMON if isinstance(scenario.feeder, Feeder) else (*COMMON, *BY_PHASE)
+    by_phase = BY_PHASE if isinstance(scenario.feeder, ThreePhaseFeeder) else ()
+    return (*COMMON, *by_phase, *((LOADING,) if scenario.observe_loading else ()))
 
 
 @cached_on_owner
@@ -93,16 +100,17 @@ def _in_bands(field: Field, band_pu: float) -> Field:
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
     edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
-    own = _own_distance(scenario)
+    r, x = _largest_distance(scenario)
     range_of = {
         "v_deviation": (-edge, edge),
         "v_change": (-edge, edge),
         **dict.fromkeys(BY_PHASE, (-edge, edge)),
+        LOADING: (0.0, LOADING_MOST),
         "p": (-1.0, max(device.largest_draw_share for device in scenario.devices)),
         "q": (-1.0, 1.0),
         "q_limit": (0.0, 1.0),
-        "r": (0.0, max(float(own[..., 0].max()), 1e-6)),
-        "x": (0.0, max(float(own[..., 1].max()), 1e-6)),
+        "r": (0.0, max(r, 1e-6)),
+        "x": (0.0, max(x, 1e-6)),
     }
 
     def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
@@ -137,6 +145,16 @@ def _own_distance(scenario: Scenario) -> np.ndarray:
     return own_distance(scenario) / (scenario.band_pu or 1.0)
 
 
+def _largest_distance(scenario: Scenario) -> tuple[float, float]:
+    """Largest R_ii and X_ii of any agent at any bus, in bands; on random feeders what they are below on all of them."""
+    feeder, band = scenario.family.feeder, scenario.band_pu or 1.0
+    if isinstance(feeder, RandomFeeders):
+        largest = feeder.largest_drop_pu_per_mw / band
+        return largest * scenario.r_model_share, largest * scenario.x_model_share
+    own = _own_distance(scenario)
+    return float(own[..., 0].max()), float(own[..., 1].max())
+
+
 class _Layout(NamedTuple):
     scale: Array  # of each raw figure, (n_raw,)
     column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
@@ -153,7 +171,7 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     blocks = [
         np.full(n, per_band), np.full(n, per_band), 1.0 / params.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
     ]  # fmt: skip
-    blocks += [np.full(n, per_band) for _ in common_fields(scenario)[len(blocks) :]]
+    blocks += [np.full(n, 1.0 if name == LOADING else per_band) for name in common_fields(scenario)[len(blocks) :]]
     common = len(blocks)
     for fields in device_fields(scenario):
         blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
@@ -192,7 +210,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
-        apart = between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
+        apart = between_agents(scenario, buses)
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
@@ -229,6 +247,8 @@ def observe(
     raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
     if by_phase is not None:
         raw.append(by_phase - 1.0)
+    if scenario.observe_loading:
+        raw.append(loading_of_agents(state, placed.nodes))
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])

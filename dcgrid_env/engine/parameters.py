@@ -10,6 +10,7 @@ from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Q
 from dcgrid_env.engine.actions import action_layout
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -84,8 +85,13 @@ def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Paramet
         converter_kva=array(np.concatenate([group.converter_kva for group in groups])),
         one=array(1.0),
         minus_one=array(-1.0),
-        p_all_kw=float(drawing + np.abs(scenario.feeder.p_load_kw).sum()) or 1.0,
+        p_all_kw=float(drawing + _load_kw(scenario.family.feeder)) or 1.0,
     )
+
+
+def _load_kw(feeder: Any) -> float:
+    """Sum of a feeder's base load, kW; random feeders all have the same."""
+    return feeder.load_kw if isinstance(feeder, RandomFeeders) else float(np.abs(feeder.p_load_kw).sum())
 
 
 def _middle(device: Any) -> np.ndarray:

@@ -9,7 +9,8 @@ their range, ``loss`` the feeder's loss as a share of its base load and the data
 feeder means are over nodes, and there are two more terms at weight 0: ``unbalance``, the mean over three-phase buses of
 the squared voltage unbalance factor, taken as 1 at most, and ``switching``, the mean number of taps and switchings over
 the regulators and capacitor banks that are not fixed. Where they have a weight there are ``ramp_excess``, the mean over
-sites, and ``voltage_step_excess``, the mean over buses, of what exceeds a utility's limit (see ``utility_limits``).
+sites, and ``voltage_step_excess``, the mean over buses, of what exceeds a utility's limit (see ``utility_limits``),
+and ``overload``, the mean over branches of what exceeds their ratings (see ``overload``).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.dynamics import device_slices, step_kernels
 from dcgrid_env.engine.equipment import largest_mean_switching, mean_controlled_switching, mean_switching
+from dcgrid_env.engine.overload import MOST_EXCESS, mean_overload
 from dcgrid_env.engine.parameters import parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.engine.utility_limits import (
@@ -37,7 +39,7 @@ from dcgrid_env.engine.utility_limits import (
     sites,
     voltage_step_excess,
 )
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.cost import LIMIT_OF
 from dcgrid_env.scenario.scenario import Scenario
@@ -59,12 +61,10 @@ class Costs(NamedTuple):
 
 VOLTAGE, VIOLATION, EFFORT, STEP, LOSS = map(Costs._fields.index, ("voltage", "violation", "effort", "step", "loss"))
 """Places of the grid's own terms, so that a step builds its costs without looking names up."""
-
 UNBALANCE, SWITCHING = OF_THREE_PHASES = ("unbalance", "switching")
 """The terms of the grid that a three-phase feeder alone has."""
-
-RAMP, VOLTAGE_STEP = LIMIT_OF
-"""The terms that charge what exceeds a limit, which are there where they have a weight."""
+RAMP, VOLTAGE_STEP, OVERLOAD = OF_LIMITS = (*LIMIT_OF, "overload")
+"""The terms that charge what exceeds a limit, or a branch's rating, which are there where they have a weight."""
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
@@ -98,8 +98,7 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
     """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
     xp, w, params, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
     deviation, excess = _voltage_sums(scenario, state.v_pu, t.judged)
-    none = 0.0 * solution.loss_kw
-    costs = [none] * len(t.kind._fields)
+    costs = [none := 0.0 * solution.loss_kw] * len(t.kind._fields)
     costs[VOLTAGE] = deviation * (w.voltage / t.n_judged)
     costs[VIOLATION] = excess * (w.violation / t.n_judged)
     costs[EFFORT] = sum_last(xp.abs(state.q_kvar) / params.converter_kva) * (w.effort / t.n_converters)
@@ -111,14 +110,16 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
     if state.three_phase is not None and w.unbalance:
         costs[t.kind._fields.index(UNBALANCE)] = _mean_unbalance(state.three_phase.unbalance) * w.unbalance
     if state.three_phase is not None and w.switching:
-        moves = mean_switching(scenario, state.three_phase.equipment)
-        costs[t.kind._fields.index(SWITCHING)] = none + moves * w.switching
+        moves = mean_switching(scenario, state.three_phase.equipment) * w.switching
+        costs[t.kind._fields.index(SWITCHING)] = none + moves
     if w.ramp_excess:
         over = ramp_excess(scenario, state)
         costs[t.kind._fields.index(RAMP)] = sum_last(over) * (w.ramp_excess / over.shape[-1])
     if w.voltage_step_excess:
         over = voltage_step_excess(scenario, state.v_pu[..., t.judged], state.v_last_pu[..., t.judged])
         costs[t.kind._fields.index(VOLTAGE_STEP)] = sum_last(over) * (w.voltage_step_excess / t.n_judged)
+    if w.overload:
+        costs[t.kind._fields.index(OVERLOAD)] = mean_overload(scenario, state.loading) * w.overload
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -147,7 +148,7 @@ def _mean_unbalance(factor: Array) -> Array:
 def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
     """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
-    The feeder's loss and unbalance are nobody's own and are charged to all alike.
+    The feeder's loss, unbalance and overload are nobody's own and are charged to all alike.
     """
     xp, w, params = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu)
     deviation = xp.abs(state.v_agent_pu - 1.0)
@@ -161,18 +162,19 @@ def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: A
         **dict.fromkeys(terms(scenario).names, none),
     )
     if state.three_phase is not None and w.unbalance:
-        own = none + (_mean_unbalance(state.three_phase.unbalance) * w.unbalance)[..., None]
-        costs = costs._replace(**{UNBALANCE: own})
+        of_all = _mean_unbalance(state.three_phase.unbalance) * w.unbalance
+        costs = costs._replace(**{UNBALANCE: none + of_all[..., None]})
     if state.three_phase is not None and w.switching:
-        costs = costs._replace(
-            **{SWITCHING: _own_switching(scenario, state, state.three_phase.equipment, none) * w.switching}
-        )
+        moved = _own_switching(scenario, state, state.three_phase.equipment, none)
+        costs = costs._replace(**{SWITCHING: moved * w.switching})
     if w.ramp_excess:
         cut, own = sites(scenario), ramp_excess(scenario, state) * w.ramp_excess
         costs = costs._replace(**{RAMP: xp.concat((none[..., : cut.start], own, none[..., cut.stop :]), axis=-1)})
     if w.voltage_step_excess:
         own = voltage_step_excess(scenario, state.v_agent_pu, state.v_agent_last_pu) * w.voltage_step_excess
         costs = costs._replace(**{VOLTAGE_STEP: own})
+    if w.overload:
+        costs = costs._replace(**{OVERLOAD: none + (mean_overload(scenario, state.loading) * w.overload)[..., None]})
     for i, term, weight, _ in terms(scenario).charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, params.devices[i], state.devices[i])
@@ -221,8 +223,8 @@ def terms(scenario: Scenario) -> Terms:
         for i, device in enumerate(scenario.devices)
         for term in device.cost_terms(scenario.horizon, scenario.dt_s)
     ]
-    of_grid = () if isinstance(scenario.feeder, Feeder) else OF_THREE_PHASES
-    of_limits = tuple(name for name in LIMIT_OF if weights[name])
+    of_grid = OF_THREE_PHASES if isinstance(scenario.feeder, ThreePhaseFeeder) else ()
+    of_limits = tuple(name for name in OF_LIMITS if weights[name])
     names = (*of_grid, *of_limits, *(term.name for _, term, _ in own_terms))
     more = tuple(dict.fromkeys(name for name in names if name not in Costs._fields))
     kind = _costs(more)
@@ -266,6 +268,8 @@ def largest_costs(scenario: Scenario) -> Costs:
         of_devices[RAMP] += w.ramp_excess * largest_ramp_excess(scenario)
     if w.voltage_step_excess:
         of_devices[VOLTAGE_STEP] += w.voltage_step_excess * largest_voltage_step_excess(scenario)
+    if w.overload:
+        of_devices[OVERLOAD] += w.overload * MOST_EXCESS
     return terms(scenario).kind(
         voltage=w.voltage * float(voltage_cost(scenario.voltage_cost, farthest, scenario.band_pu)[0]),
         violation=w.violation * (1.0 - scenario.band_pu),

@@ -3,61 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
+from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.scenario import Scenario
 
-
-class Transition(NamedTuple):
-    """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
-
-    observation: np.ndarray
-    """Joint observation, float32, (lane, n_observation)."""
-    reward: np.ndarray
-    """(lane,), or (lane, n_agent) where the scenario's reward is local."""
-    terminated: np.ndarray
-    """The power flow has no solution, bool, (lane,)."""
-    truncated: np.ndarray
-    """The horizon is reached, bool, (lane,)."""
-    costs: reward.Costs
-    """Weighted terms of the team's cost, (lane,) each."""
-    cost_j: np.ndarray
-    """The step's share of J times T, (lane,): minus the team's reward."""
-    j_so_far: np.ndarray
-    """Sum of ``cost_j`` since the reset over T, (lane,): J of the episode once it is over."""
-    state: State
-    loss_kw: np.ndarray
-    """(lane,)"""
-    converged: np.ndarray
-    """Whether the power flow has a solution, bool, (lane,)."""
-    trace_start: np.ndarray
-    """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
-
-
-class Snapshot(NamedTuple):
-    """All that a simulation needs to go on from where it was; made by ``save``. Its arrays are never written to."""
-
-    scenario: Scenario
-    seeds: np.ndarray
-    numbers: np.ndarray
-    episode: episode.Episode
-    step: np.ndarray
-    noise: np.ndarray
-    p_ref_next_kw: np.ndarray
-    state: State
-    measured: tuple[np.ndarray, ...]
-    transition: Transition
-
-    @property
-    def over(self) -> np.ndarray:
-        """Whether a lane's episode has ended, bool, (lane,)."""
-        return self.transition.terminated | self.transition.truncated
+__all__ = ["Simulation", "Snapshot", "Transition"]
 
 
 class Simulation:
@@ -99,16 +56,27 @@ class Simulation:
         if len(snapshot.seeds) != self.lanes:
             raise ValueError(f"the snapshot has {len(snapshot.seeds)} lanes, this environment {self.lanes}")
         episode.prepare(self.scenario, snapshot.episode)
+        self.go_on(snapshot)
+
+    def scenario_of(self, lane: int) -> Scenario:
+        """The scenario on the feeder that a lane's episode is on; RuntimeError before the first reset."""
+        return self.scenario
+
+    def go_on(self, snapshot: Snapshot) -> None:
+        """``restore`` of what is known to fit."""
         self._now = snapshot
 
-    def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> Transition:
+    def reset(
+        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: Given | None = None
+    ) -> Transition:
         """Begin a new episode in every lane, or where ``mask`` is True.
 
-        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded.
+        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded. What
+        else is ``given`` has a row for each lane that begins.
         """
         lanes = np.arange(self.lanes) if mask is None else np.flatnonzero(mask)
-        drawn = self._begin(lanes, seeds)
-        self._now = drawn if len(lanes) == self.lanes else _merge(self.scenario, self.now, drawn, lanes)
+        drawn = self._begin(lanes, seeds, given)
+        self._now = drawn if len(lanes) == self.lanes else self._merged(self.now, drawn, lanes)
         return self._now.transition
 
     def step_or_begin(self, action: np.ndarray) -> Transition:
@@ -119,9 +87,9 @@ class Simulation:
             self._now = begun
             return begun.transition
         # The physics steps all lanes at once: those that begin stand in the batch meanwhile, and are then put back.
-        self._now = _merge(self.scenario, self.now, begun, lanes)
+        self._now = self._merged(self.now, begun, lanes)
         self.step(action)
-        self._now = _merge(self.scenario, self.now, begun, lanes)
+        self._now = self._merged(self.now, begun, lanes)
         return self._now.transition
 
     def step(self, action: np.ndarray) -> Transition:
@@ -139,28 +107,37 @@ class Simulation:
         )
         return transition
 
-    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None]) -> Snapshot:
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: Given | None = None) -> Snapshot:
+        """New episodes of these lanes, see ``reset``."""
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
         for i, lane in enumerate(lanes):
-            given = seeds[lane]
-            if given is not None:
-                seed[i] = int(given) % 2**64
+            of_lane = seeds[lane]
+            if of_lane is not None:
+                seed[i] = int(of_lane) % 2**64
             else:
                 seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
-        drawn = episode.draw(self.scenario, seed, number)
-        step = np.zeros(len(lanes), np.int64)
-        quiet = np.zeros((len(lanes), self.scenario.feeder.n_bus))
+        return self._drawn(seed, number, given)
+
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: Given | None = None) -> Snapshot:
+        """Episodes at their beginning, of seeds and numbers of episodes since these, (lane,) uint64 each."""
+        drawn = episode.draw(self.scenario, seed, number, given)
+        step = np.zeros(len(seed), np.int64)
+        quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
         outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
-        none = np.zeros(len(lanes))
+        none = np.zeros(len(seed))
         transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
         paid = np.zeros_like(transition.reward)
         transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
+
+    def _merged(self, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
+        """``now`` with the lanes of ``drawn`` put in."""
+        return put_in(self.scenario, now, drawn, lanes)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -199,37 +176,3 @@ class Simulation:
             converged=solution.converged,
             trace_start=drawn.start,
         )
-
-
-_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag")
-"""Fields of an episode that ``episode.assemble`` takes."""
-
-
-def _merge(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
-    """``now`` with the lanes of ``drawn`` put in."""
-
-    def put(old: Any, new: Any) -> Any:
-        if old is None:
-            return None
-        if isinstance(old, np.ndarray):
-            merged = old.copy()
-            merged[lanes] = new
-            return merged
-        merged = [put(a, b) for a, b in zip(old, new, strict=True)]
-        return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
-
-    old_episode, new_episode = now.episode, drawn.episode
-    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in _DRAWN)
-    state = put(now.state, drawn.state)
-    return Snapshot(
-        scenario=scenario,
-        seeds=put(now.seeds, drawn.seeds),
-        numbers=put(now.numbers, drawn.numbers),
-        episode=episode.assemble(scenario, *drawn_in),
-        step=put(now.step, drawn.step),
-        noise=put(now.noise, drawn.noise),
-        p_ref_next_kw=put(now.p_ref_next_kw, drawn.p_ref_next_kw),
-        state=state,
-        measured=put(now.measured, drawn.measured),
-        transition=put(now.transition, drawn.transition)._replace(state=state),
-    )

@@ -91,6 +91,9 @@ class State(NamedTuple):
     """None on a balanced feeder."""
     p_window_kw: tuple[Array, ...] | None = None
     """``p_kw`` of the steps before, the beginning of the ramp limit's window first; None where no ramp is charged."""
+    loading: Array | None = None
+    """Current of the branch that feeds each node as a share of its rating, (lane, n_node), 0 where that is not known;
+    None where the feeder knows no rating."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)

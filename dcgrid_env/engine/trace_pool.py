@@ -39,9 +39,16 @@ def window_steps(scenario: Scenario) -> int:
     return scenario.horizon + 2
 
 
-@cached_on_owner
 def trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
-    """Rows that the scenario's split draws from: power, (n_row, n_step), and what is known of the work behind it."""
+    """Rows that the scenario's split draws from: power, (n_row, n_step), and what is known of the work behind it.
+
+    Scenarios on random feeders share them.
+    """
+    return _trace_pool(scenario.family)
+
+
+@cached_on_owner
+def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if not isinstance(trace, str):
@@ -69,12 +76,16 @@ def spare_steps(dt_s: float) -> int:
     return max(1, round(ROW_DURATION_S / dt_s))
 
 
-@cached_on_owner
 def sun_rows(scenario: Scenario) -> np.ndarray:
     """Active injection of the inverters as a share of their rating: a row for all episodes, or those of the PV drawn.
 
     (n_row, n_step), each row as long as an episode or longer.
     """
+    return _sun_rows(scenario.family)
+
+
+@cached_on_owner
+def _sun_rows(scenario: Scenario) -> np.ndarray:
     trace, steps, dt_s = scenario.schedule, scenario.horizon + 1, float(scenario.dt_s)
     if trace is None:
         return np.zeros((1, steps))

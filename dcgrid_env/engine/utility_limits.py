@@ -76,7 +76,7 @@ def constraint(costs: Any) -> Array:
 
 @cache
 def _over_limits(kind: Any) -> tuple[str, ...]:
-    return tuple(name for name in (*LIMIT_OF, "trips", "inverter_trips") if name in kind._fields)
+    return tuple(name for name in (*LIMIT_OF, "overload", "trips", "inverter_trips") if name in kind._fields)
 
 
 def largest_ramp_excess(scenario: Scenario) -> float:

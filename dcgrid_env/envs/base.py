@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,12 +11,29 @@ from gymnasium import spaces
 from dcgrid_env.engine import actions, observation
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from dcgrid_env.engine.given import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
+
+HUGE = 1000
+"""Nodes of the largest feeder whose every voltage is shown to each agent without a word."""
+
+
+class HugeObservationWarning(UserWarning):
+    """An observation or a global state holds the voltage of every node of a very large feeder."""
+
+
+def warn_if_huge(scenario: Scenario, what: str, remedy: str) -> None:
+    """Warn that ``what`` grows with a feeder that is very large."""
+    n = len(scenario.feeder.load_nodes)
+    if n > HUGE:
+        warnings.warn(f"{what} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
+
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -52,19 +70,25 @@ class BaseEnvironment:
         *,
         joint: bool,
     ) -> None:
-        from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it, so not on import
+        from dcgrid_env.engine.family_simulation import simulation  # brings the compiler with it, so not on import
 
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
         if info not in INFO_LEVELS:
             raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
         self.scenario = make_scenario(scenario, **overrides)
+        self._drawn_on: Scenario | None = None  # what the viewer shows
+        if render_mode is not None and lanes > 1 and isinstance(self.scenario.feeder, RandomFeeders):
+            raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")
         if joint and self.scenario.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
+        if self.scenario.observe == "feeder":
+            what = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
+            warn_if_huge(self.scenario, what, "'local' or 'neighbours' does not grow with the feeder")
         self.render_mode, self.info_level = render_mode, info
         ids = self.scenario.feeder.bus_ids
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
-        self._simulation: Simulation = Simulation(self.scenario, lanes)
+        self._simulation: Simulation = simulation(self.scenario, lanes)
         self._last: Transition | None = None
 
     @property
@@ -102,11 +126,17 @@ class BaseEnvironment:
             self._viewer.close()
             self._viewer = None
 
-    def _reset(self, seeds: list[int | None], rng: np.random.Generator, mask: np.ndarray | None = None) -> Transition:
+    def _reset(
+        self,
+        seeds: list[int | None],
+        rng: np.random.Generator,
+        mask: np.ndarray | None = None,
+        given: Given | None = None,
+    ) -> Transition:
         """Begin episodes; where there was never a seed one is drawn."""
         if not self._simulation.begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
-        transition = self._simulation.reset(seeds, mask)
+        transition = self._simulation.reset(seeds, mask, given)
         self._arrived()
         return transition
 
@@ -121,11 +151,15 @@ class BaseEnvironment:
         self._last = None
         self._bus_names = self.buses()
         if self.render_mode is not None:
+            on = self._simulation.scenario_of(0)
+            if self._drawn_on is not on:
+                self.close()
+                self._drawn_on = on
             if self._viewer is None:
                 from dcgrid_env.rendering.viewer import Viewer
 
                 lanes = 1 if self.render_mode == "human" else self._simulation.lanes
-                self._viewer = Viewer(self.scenario, self.render_mode, lanes)
+                self._viewer = Viewer(on, self.render_mode, lanes)
             self._show()
 
     def _show(self) -> None:

@@ -14,7 +14,7 @@ from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine import observation
 from dcgrid_env.engine.actions import action_layout, joined_actions
 from dcgrid_env.engine.parameters import parameters
-from dcgrid_env.envs.base import BaseEnvironment, check_running
+from dcgrid_env.envs.base import BaseEnvironment, check_running, warn_if_huge
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
@@ -136,6 +136,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         """
         from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
 
+        warn_if_huge(self.scenario, "state()", "take what you need of env.transition.state instead")
         s, now = self.scenario, self._simulation.now
         params = parameters(s, now.state.p_kw)
         coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)

@@ -86,6 +86,7 @@ class TensorEnv:
             trip_widths.check()
         self.scenario = make_scenario(scenario, **overrides)
         self.like, self._trip_widths = like, None if isinstance(like, np.ndarray) else trip_widths
+        self._on = self.scenario  # on the feeder of the episodes, which reset says where feeders are random
         self.step_number = self.scenario.horizon  # over, until reset
 
     @property
@@ -97,7 +98,8 @@ class TensorEnv:
         """Begin the first episode of each seed and return the joint observation, (lane, n_observation).
 
         With ``copies`` each episode is driven by that many lanes: lane i has the episode of seeds[i % len(seeds)].
-        ValueError for no episode, and for seeds or copies that are no whole numbers.
+        On random feeders all must be on one of them. ValueError for no episode, for seeds or copies that are no whole
+        numbers, and for episodes on several feeders.
         """
         if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
             raise ValueError(f"seeds is {seeds!r}; give a list of whole numbers of at least 0, one for each episode")
@@ -105,16 +107,17 @@ class TensorEnv:
             raise ValueError(f"copies is {copies!r}; give a whole number of at least 1")
         if not len(seeds) or copies < 1:
             raise ValueError(f"{len(seeds)} seeds and {copies} copies; give at least 1 of each")
-        outside, buses = _draw(self.scenario, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
+        self._on = self.scenario.member(seeds)
+        outside, buses = _draw(self._on, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
         self._outside = _Outside(*(None if a is None else as_like(a, self.like) for a in outside))
         lanes = np.arange(len(buses) * copies) % len(buses)
         self._copied = None if copies == 1 else self._index(lanes)
-        placed = observation.placement(self.scenario, buses[lanes])
+        placed = observation.placement(self._on, buses[lanes])
         self._placed = Placement(
             as_like(placed.distance, self.like), *map(self._index, (placed.nodes, placed.legs, placed.nearest))
         )
         self.step_number = 0
-        self.state, _ = dynamics.initial_state(self.scenario, self._exogenous())
+        self.state, _ = dynamics.initial_state(self._on, self._exogenous())
         self._measured = (self._measure(),) * remembered(self.scenario)
         self._due = as_like(np.ones(len(lanes)), self.like)
         return self._observe()
@@ -129,7 +132,7 @@ class TensorEnv:
             raise RuntimeError("the episodes are over or have not begun; call reset()")
         self._check_action(action)
         self.step_number += 1
-        s, due = self.scenario, self._due
+        s, due = self._on, self._due
         try:
             self.state, solution = dynamics.step(s, self.state, action, self._exogenous())
         except PowerFlowError:
@@ -182,14 +185,12 @@ class TensorEnv:
         )  # fmt: skip
 
     def _measure(self) -> Array:
-        return measure(self.scenario, self.state, self._now(self._outside.noise_pu))
+        return measure(self._on, self.state, self._now(self._outside.noise_pu))
 
     def _observe(self) -> Array:
         work = Work(self._now(self._outside.p_ref_kw, 1), self._now(self._outside.compute_share, 1))
         coming = [work if device.input == "workload" else None for device in self.scenario.devices]
-        return observation.observe(
-            self.scenario, self.state, self._placed, coming, self._measured[1], self._measured[0]
-        )
+        return observation.observe(self._on, self.state, self._placed, coming, self._measured[1], self._measured[0])
 
     def _index(self, positions: np.ndarray) -> Array:
         """Positions as integers of the wanted kind, on the wanted device."""

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
+from dcgrid_env.envs.given_episodes import given_episodes
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
@@ -94,6 +95,9 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         """Begin episodes: lane i with ``seed + i`` (or ``seed[i]``), or each lane's next one if no seed is given.
 
         ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True.
+        ``options={"buses": .., "begin_h": ..}``, either or both, sets what would be drawn in a reset of all lanes:
+        positions in ``feeder.bus_ids`` of the agents' buses, (num_envs, n_agents), and the time of day at which each
+        lane begins, h, (num_envs,).
         """
         if seed is None or isinstance(seed, int | np.integer):
             first = as_seed(seed)
@@ -110,8 +114,11 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
                 raise ValueError("reset_mask is False for every lane; leave the reset out")
             if not self._simulation.begun:
                 raise ValueError("the first reset must be of all lanes; leave reset_mask out")
+        given = given_episodes(self.scenario, self.num_envs, options or {})
+        if given is not None and mask is not None:
+            raise ValueError("reset_mask stands beside buses or begin_h, which are of all lanes; give one or the other")
         super().reset(seed=first)
-        transition = self._reset(seeds, self.np_random, mask)
+        transition = self._reset(seeds, self.np_random, mask, given)
         return transition.observation.copy(), self._infos(transition, self._everyone if mask is None else mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:

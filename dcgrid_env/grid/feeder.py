@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import fields_alone
-from dcgrid_env.core.units import impedance_base_ohm
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
 from dcgrid_env.grid.formats.folder_kind import is_three_phase
@@ -27,7 +26,9 @@ from dcgrid_env.grid.network import (
     summed_at_nodes,
 )
 from dcgrid_env.grid.network_checks import check_balanced, check_lengths
-from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first, orient
+from dcgrid_env.grid.optional_fields import as_column, optional_fields
+from dcgrid_env.grid.per_unit import PerUnit
+from dcgrid_env.grid.topology import FeederError, listed, orient
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -41,7 +42,7 @@ def _read_only(array: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Feeder(OneNodeABus):
+class Feeder(PerUnit, OneNodeABus):
     """A radial feeder. Every array over buses follows ``bus_ids``; branch ``k`` feeds bus ``k + 1``.
 
     Make one with :meth:`from_tables`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it and turn
@@ -61,6 +62,19 @@ class Feeder(OneNodeABus):
         Series impedance per phase of the balanced equivalent, shape (n_branch,). Zero is a closed switch.
     x, y
         Coordinates of the one-line diagram, shape (n_bus,), NaN where none are published.
+    shunt_kw, shunt_kvar
+        Constant admittance at each bus, shape (n_bus,): draws ``shunt_kw`` v^2 and injects ``shunt_kvar`` v^2 at a
+        referred voltage of v p.u. None where there is none.
+    voltage_ratio
+        Voltage of each bus, p.u. of its own base, over its voltage referred to the substation, shape (n_bus,): what
+        transformers off their nominal ratio make of it. None where all are 1.
+    bus_base_kv
+        Line-to-line base voltage of each bus, kV, shape (n_bus,), for information; None where all are ``base_kv``.
+    rating_a
+        Ampacity of each branch, A, shape (n_branch,), NaN where it is not known; None where none is.
+
+    The power flow runs in quantities referred to the substation's base voltage by the actual ratios of the transformers
+    between: so are ``r_ohm``, ``x_ohm`` and ``rating_a``, which makes an ideal transformer exact.
     """
 
     name: str
@@ -75,6 +89,11 @@ class Feeder(OneNodeABus):
     x_ohm: FloatArray
     x: FloatArray
     y: FloatArray
+    shunt_kw: FloatArray | None = None
+    shunt_kvar: FloatArray | None = None
+    voltage_ratio: FloatArray | None = None
+    bus_base_kv: FloatArray | None = None
+    rating_a: FloatArray | None = None
 
     @classmethod
     def from_tables(
@@ -94,6 +113,11 @@ class Feeder(OneNodeABus):
         capacitor_kvar: Sequence[float] | None = None,
         x: Sequence[float] | None = None,
         y: Sequence[float] | None = None,
+        shunt_kw: Sequence[float] | None = None,
+        shunt_kvar: Sequence[float] | None = None,
+        voltage_ratio: Sequence[float] | None = None,
+        bus_base_kv: Sequence[float] | None = None,
+        rating_a: Sequence[float] | None = None,
     ) -> Feeder:
         """Check bus and branch tables and build the feeder. Branches may be given in either direction.
 
@@ -106,10 +130,20 @@ class Feeder(OneNodeABus):
         n, nan = len(bus_ids), [math.nan] * len(bus_ids)
         capacitors = [0.0] * n if capacitor_kvar is None else capacitor_kvar
         columns = {"p_kw": p_load_kw, "q_kvar": q_load_kvar, "capacitor_kvar": capacitors}
-        check_lengths(name, "bus", n, columns | {"x": x, "y": y})
-        check_lengths(name, "branch", len(from_bus), {"to_bus": to_bus, "r_ohm": r_ohm, "x_ohm": x_ohm})
-        nodes = NodeTable(bus_ids, [0] * n, nan if x is None else x, nan if y is None else y)  # pyright: ignore
-        lines = LineTable(from_bus, to_bus, r_ohm, x_ohm)  # pyright: ignore
+        columns |= {"shunt_kw": shunt_kw, "shunt_kvar": shunt_kvar}
+        node_columns = {"voltage_ratio": voltage_ratio, "bus_base_kv": bus_base_kv}
+        check_lengths(name, "bus", n, columns | node_columns | {"x": x, "y": y})
+        line_columns = {"to_bus": to_bus, "r_ohm": r_ohm, "x_ohm": x_ohm, "rating_a": rating_a}
+        check_lengths(name, "branch", len(from_bus), line_columns)
+        nodes = NodeTable(
+            bus_ids,  # pyright: ignore[reportArgumentType]
+            [0] * n,
+            nan if x is None else x,
+            nan if y is None else y,
+            base_kv=() if bus_base_kv is None else bus_base_kv,
+            voltage_ratio=() if voltage_ratio is None else voltage_ratio,
+        )
+        lines = LineTable(from_bus, to_bus, r_ohm, x_ohm, () if rating_a is None else rating_a)  # pyright: ignore
         network = balanced_network(
             name, base_kv=base_kv, substation=substation, v0_pu=v0_pu, nodes=nodes, lines=lines, **columns
         )
@@ -144,21 +178,32 @@ class Feeder(OneNodeABus):
             x_ohm=frozen(line.x_ohm, branch),
             x=frozen(node.x, order),
             y=frozen(node.y, order),
+            **optional_fields(network, order, branch),
         )
 
     def to_network(self) -> Network:
         """The component tables of this feeder, from which :meth:`from_network` makes the same feeder again."""
         fed_from = [self.bus_ids[i] for i in self.parent]
+        base_kv, ratio, rating_a = map(as_column, (self.bus_base_kv, self.voltage_ratio, self.rating_a))
         return balanced_network(
             self.name,
             base_kv=self.base_kv,
             substation=self.bus_ids[0],
             v0_pu=self.v0_pu,
-            nodes=NodeTable(self.bus_ids, self.node_phase.tolist(), self.x.tolist(), self.y.tolist()),
+            nodes=NodeTable(
+                self.bus_ids,
+                self.node_phase.tolist(),
+                self.x.tolist(),
+                self.y.tolist(),
+                base_kv=base_kv,
+                voltage_ratio=ratio,
+            ),
             p_kw=self.p_load_kw.tolist(),
             q_kvar=self.q_load_kvar.tolist(),
             capacitor_kvar=self.capacitor_kvar.tolist(),
-            lines=LineTable(fed_from, self.bus_ids[1:], self.r_ohm.tolist(), self.x_ohm.tolist()),
+            lines=LineTable(fed_from, self.bus_ids[1:], self.r_ohm.tolist(), self.x_ohm.tolist(), rating_a),
+            shunt_kw=as_column(self.shunt_kw) or None,
+            shunt_kvar=as_column(self.shunt_kvar) or None,
         )
 
     @classmethod
@@ -166,8 +211,9 @@ class Feeder(OneNodeABus):
         """Read a feeder of your own from a folder with three files.
 
         ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu.
-        ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y.
-        ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm.
+        ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio,
+        base_kv.
+        ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a.
 
         Raises
         ------
@@ -176,7 +222,10 @@ class Feeder(OneNodeABus):
         """
         if is_three_phase(Path(folder)):
             raise FeederError(f"{folder} holds a three-phase feeder; read it by ThreePhaseFeeder.from_csv")
-        feeder = cls.from_network(read_csv(Path(folder)))
+        try:
+            feeder = cls.from_network(read_csv(Path(folder)))
+        except FeederError as error:
+            raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 
@@ -218,32 +267,10 @@ class Feeder(OneNodeABus):
         try:
             return self._index[bus_text(bus)]
         except KeyError:
-            raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
+            raise FeederError(
+                f"feeder {self.name!r} has no bus {bus!r}; its buses are {listed(self.bus_ids)}"
+            ) from None
 
     @cached_property
     def _index(self) -> dict[str, int]:
         return {bus: i for i, bus in enumerate(self.bus_ids)}
-
-    @cached_property
-    def r_pu(self) -> FloatArray:
-        """Series resistance of each branch, per unit, shape (n_branch,)."""
-        return _read_only(self.r_ohm / impedance_base_ohm(self.base_kv))
-
-    @cached_property
-    def x_pu(self) -> FloatArray:
-        """Series reactance of each branch, per unit, shape (n_branch,)."""
-        return _read_only(self.x_ohm / impedance_base_ohm(self.base_kv))
-
-    @cached_property
-    def depth_first(self) -> DepthFirst:
-        """The buses in depth-first order from the substation, and where each stands in it."""
-        return depth_first(self.parent)
-
-    @cached_property
-    def path(self) -> FloatArray:
-        """0/1 matrix, shape (n_bus, n_branch): 1 where branch k lies between bus i and the substation."""
-        path = np.zeros((self.n_bus, self.n_branch))
-        for j in self.depth_first.order[1:]:
-            path[j] = path[self.parent[j - 1]]
-            path[j, j - 1] = 1.0
-        return _read_only(path)

@@ -59,6 +59,11 @@ class NodeTable(Table):
     y: Sequence[float] = ()
     base_kv_ln: Sequence[float] = optional_column()
     """Line-to-neutral base voltage of the bus, kV; of three-phase grids alone."""
+    base_kv: Sequence[float] = optional_column()
+    """Line-to-line base voltage of the bus, kV, for information; of balanced grids alone. NaN is the source's."""
+    voltage_ratio: Sequence[float] = optional_column()
+    """Voltage of the bus, p.u. of its own base, over its voltage referred to the source, p.u.; of balanced grids alone.
+    It is what transformers off their nominal ratio make of it, and 1 without them. NaN is 1."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,23 @@ class LineTable(Table):
     to_bus: Sequence[str] = ()
     r_ohm: Sequence[float] = ()
     x_ohm: Sequence[float] = ()
+    """Impedances are referred to the source's base voltage by the actual ratios of the transformers between."""
+    rating_a: Sequence[float] = optional_column()
+    """Ampacity, A, referred like the impedances; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
 class ShuntTable(Table):
-    """One row for each capacitor; injection is positive."""
+    """One row for each capacitor or shunt admittance."""
 
     bus: Sequence[str] = ()
     phase: Sequence[int] = ()
     capacitor_kvar: Sequence[float] = ()
+    """Reactive injection, whatever the voltage."""
+    shunt_kw: Sequence[float] = optional_column()
+    """Draw of a constant admittance at a referred voltage of 1 p.u.; it goes with the voltage's square."""
+    shunt_kvar: Sequence[float] = optional_column()
+    """Injection of a constant admittance at a referred voltage of 1 p.u.; it goes with the voltage's square."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +153,14 @@ def balanced_network(
     q_kvar: Sequence[float],
     capacitor_kvar: Sequence[float],
     lines: LineTable,
+    shunt_kw: Sequence[float] | None = None,
+    shunt_kvar: Sequence[float] | None = None,
 ) -> Network:
-    """Tables of a balanced grid from columns over its buses; a load or capacitor of 0 gets no row."""
+    """Tables of a balanced grid from columns over its buses; a load, capacitor or shunt of 0 gets no row."""
     loaded = [i for i in range(len(nodes)) if not (_is_zero(p_kw[i]) and _is_zero(q_kvar[i]))]
-    shunted = [i for i in range(len(nodes)) if not _is_zero(capacitor_kvar[i])]
+    admittances = [values for values in (shunt_kw, shunt_kvar) if values is not None]
+    shunts = (capacitor_kvar, *admittances)
+    shunted = [i for i in range(len(nodes)) if not all(_is_zero(values[i]) for values in shunts)]
 
     def taken(values: Sequence[Any], rows: list[int]) -> tuple[Any, ...]:
         return tuple(values[i] for i in rows)
@@ -156,7 +173,13 @@ def balanced_network(
         load=LoadTable(
             taken(nodes.bus, loaded), taken(nodes.phase, loaded), taken(p_kw, loaded), taken(q_kvar, loaded)
         ),
-        shunt=ShuntTable(taken(nodes.bus, shunted), taken(nodes.phase, shunted), taken(capacitor_kvar, shunted)),
+        shunt=ShuntTable(
+            taken(nodes.bus, shunted),
+            taken(nodes.phase, shunted),
+            taken(capacitor_kvar, shunted),
+            () if shunt_kw is None else taken(shunt_kw, shunted),
+            () if shunt_kvar is None else taken(shunt_kvar, shunted),
+        ),
     )
 
 

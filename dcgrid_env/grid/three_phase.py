@@ -17,6 +17,7 @@ from dcgrid_env.grid.three_phase_checks import check_three_phase
 from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
+from dcgrid_env.grid.topology import FeederError
 
 __all__ = ["ThreePhaseFeeder"]
 
@@ -67,7 +68,10 @@ class ThreePhaseFeeder(PhaseNodes):
         FeederError
             Naming the file, the row and the field, or the component, the field and the value.
         """
-        feeder = cls.from_network(read_folder(Path(folder)))
+        try:
+            feeder = cls.from_network(read_folder(Path(folder)))
+        except FeederError as error:
+            raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 
@@ -100,6 +104,15 @@ class ThreePhaseFeeder(PhaseNodes):
     def branches(self) -> Branches:
         """The generalised matrices of the branches, per unit."""
         return _frozen(branches_of(self.network, self._tree, self.base_kv_ln))
+
+    @cached_property
+    def rating_a(self) -> FloatArray | None:
+        """Ampacity of the line that feeds each node, A, shape (n_node,), NaN where unknown; None if no line has one."""
+        of_line = self.network.phase_line.rating_a
+        if not of_line or np.isnan(of_line).all():
+            return None
+        of_bus = [of_line[b.rows[0]] if b.kind == "phase_line" else np.nan for b in self._tree.branches]
+        return read_only(np.array([np.nan, *of_bus])[self.node_bus])
 
     @cached_property
     def load_legs(self) -> Legs:

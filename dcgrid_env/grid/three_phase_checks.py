@@ -164,6 +164,8 @@ def _check_branches(network: Network) -> None:
             matrix = getattr(line, field)[k]
             _check_matrix(network, f"line {one}", field, matrix, line.phases[k], non_negative=field == "r_ohm")
     _numbers(network, "phase_line", ["length_m"], may_be_nan=True)
+    if line.rating_a:
+        _numbers(network, "phase_line", ["rating_a"], positive=True, may_be_nan=True)
     _numbers(network, "switch", ["r_ohm", "x_ohm"], non_negative=True)
     _numbers(network, "transformer", ["kva", "kv_ll_from", "kv_ll_to"], positive=True)
     _numbers(network, "transformer", ["r_percent", "x_percent", "antifloat_ppm"], non_negative=True)

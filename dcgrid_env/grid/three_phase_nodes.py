@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import BusId, Network, bus_text
 from dcgrid_env.grid.three_phase_tree import Tree, three_phase_tree
-from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first
+from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first, listed
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -122,7 +122,9 @@ class PhaseNodes:
         try:
             return self._index[bus_text(bus)]
         except KeyError:
-            raise FeederError(f"feeder {self.name!r} has no bus {bus!r}; its buses are {list(self.bus_ids)}") from None
+            raise FeederError(
+                f"feeder {self.name!r} has no bus {bus!r}; its buses are {listed(self.bus_ids)}"
+            ) from None
 
     def nodes_of(self, bus: BusId, phases: str | None = None) -> tuple[int, ...]:
         """The nodes of a bus, or of some of its phases; FeederError for a bus or a phase that there is not."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dcgrid_env.grid.table import Table
+from dcgrid_env.grid.table import Table, optional_column
 
 Matrix = Sequence[Sequence[float]]
 Legs = Sequence[float]
@@ -35,6 +35,8 @@ class PhaseLineTable(Table):
     x_ohm: Sequence[Matrix] = ()
     b_us: Sequence[Matrix] = ()
     """Shunt susceptance, microsiemens."""
+    rating_a: Sequence[float] = optional_column()
+    """Ampacity of each conductor, A; NaN where it is not known."""
 
 
 @dataclass(frozen=True)

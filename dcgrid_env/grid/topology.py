@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,6 +12,17 @@ from numpy.typing import NDArray
 
 class FeederError(ValueError):
     """A feeder whose data cannot be used; the message names the buses, branches and fields."""
+
+
+_MOST_LISTED = 200
+"""Buses that a message lists; of more it shows the first few."""
+
+
+def listed(buses: Sequence[Any]) -> str:
+    """Buses as a message lists them, of very many the first ten and how many there are."""
+    if len(buses) <= _MOST_LISTED:
+        return str(list(buses))
+    return f"{str(list(buses[:10]))[:-1]}, ..] ({len(buses):,} in all)"
 
 
 class DepthFirst(NamedTuple):
@@ -89,7 +101,7 @@ def orient(
                 loop = _loop(i, j, fed_by)
                 raise FeederError(
                     f"feeder {name!r} is not radial: branch {from_bus[k]}-{to_bus[k]} closes a loop over the buses "
-                    f"{[bus_ids[b] for b in loop]}; open one of its branches"
+                    f"{listed([bus_ids[b] for b in loop])}; open one of its branches"
                 )
             fed_by[j] = (i, k)
             queue.append(j)
@@ -105,10 +117,11 @@ def _index_buses(
 ) -> dict[Any, int]:
     rows = {bus: i for i, bus in enumerate(bus_ids)}
     if len(rows) < len(bus_ids):
-        twice = sorted({str(b) for b in bus_ids if list(bus_ids).count(b) > 1})
-        raise FeederError(f"feeder {name!r}: duplicate bus {', '.join(twice)}; give each bus one row")
+        twice = sorted(str(bus) for bus, times in Counter(bus_ids).items() if times > 1)
+        shown = ", ".join(twice[:_MOST_LISTED]) + (", .." if len(twice) > _MOST_LISTED else "")
+        raise FeederError(f"feeder {name!r}: duplicate bus {shown}; give each bus one row")
     if substation not in rows:
-        raise FeederError(f"feeder {name!r}: substation {substation!r} is not among its buses {list(bus_ids)}")
+        raise FeederError(f"feeder {name!r}: substation {substation!r} is not among its buses {listed(bus_ids)}")
     for i, j in zip(from_bus, to_bus, strict=True):
         for bus in (i, j):
             if bus not in rows:
@@ -127,7 +140,8 @@ def _loop(i: int, j: int, fed_by: dict[int, tuple[int, int]]) -> list[int]:
         return path
 
     up_i, up_j = upstream(i), upstream(j)
-    meet = next(b for b in up_i if b in up_j)
+    on_other = set(up_j)
+    meet = next(b for b in up_i if b in on_other)
     return up_i[: up_i.index(meet) + 1] + up_j[: up_j.index(meet)][::-1]
 
 
@@ -141,9 +155,11 @@ def _check_reached(
     unreached = [i for i in range(len(bus_ids)) if i not in fed_by]
     isolated = [bus_ids[i] for i in unreached if not neighbours[i]]
     if isolated:
-        raise FeederError(f"feeder {name!r}: isolated bus {isolated}: no branch ends there; add one or drop the bus")
+        raise FeederError(
+            f"feeder {name!r}: isolated bus {listed(isolated)}: no branch ends there; add one or drop the bus"
+        )
     if unreached:
         raise FeederError(
-            f"feeder {name!r} has more than one root: the buses {[bus_ids[i] for i in unreached]} are not connected "
-            f"to the substation {substation!r}; add the missing branch"
+            f"feeder {name!r} has more than one root: the buses {listed([bus_ids[i] for i in unreached])} are not "
+            f"connected to the substation {substation!r}; add the missing branch"
         )

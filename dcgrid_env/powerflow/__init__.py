@@ -3,7 +3,8 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
-from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity
+from dcgrid_env.powerflow.loading import branch_loading, rated_nodes
+from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
 from dcgrid_env.powerflow.unbalance import nema_unbalance, three_phase_nodes, unbalance_factor
@@ -22,12 +23,15 @@ __all__ = [
     "Solver",
     "ThreePhaseSolution",
     "branch_flows",
+    "branch_loading",
     "distflow",
     "lindistflow",
     "linearise",
     "nema_unbalance",
     "own_sensitivity",
+    "rated_nodes",
     "sensitivity",
+    "sensitivity_by",
     "solve_unbalanced",
     "solver_for",
     "three_phase_nodes",

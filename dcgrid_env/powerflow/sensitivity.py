@@ -5,11 +5,13 @@ taps and capacitors, since the base taps and the laws of the loads are part of h
 
 For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of r and x over the path that two nodes
 share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
-Trans. Power Delivery 4(1), 1989).
+Trans. Power Delivery 4(1), 1989). Transformers off their nominal ratio raise what a voltage moves as they raise
+the voltage. Shunts are left out, as losses are: what they do to these figures is of second order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +50,38 @@ def sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
         return Sensitivity(*map(_read_only, slopes[:2]))
     path = feeder.path
     r, x = ((path * z_pu) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
+    if feeder.voltage_ratio is not None:
+        r, x = (feeder.voltage_ratio[:, None] * rise for rise in (r, x))
     return Sensitivity(_read_only(r), _read_only(x))
+
+
+def sensitivity_by(feeder: Feeder, buses: Sequence[int]) -> Sensitivity:
+    """Derivative of the voltage at every bus by the power injected at some buses alone, without the whole matrices.
+
+    What is returned grows with the number of buses and is made in as long: the shared path of two buses ends at their
+    lowest common ancestor, so that a row is a prefix sum, in depth-first order, of what each branch of a path adds
+    where its subtree begins and takes back where it ends.
+
+    Returns
+    -------
+    Sensitivity
+        Columns of :func:`sensitivity` up to rounding, shape (len(buses), n_bus): row k is by the power at ``buses[k]``.
+    """
+    index, rows = feeder.depth_first, []
+    for z_pu in (feeder.r_pu, feeder.x_pu):
+        change = np.zeros((len(buses), feeder.n_bus + 1))
+        for row, bus in zip(change, buses, strict=True):
+            path, place = [], int(index.place[bus])
+            while place:
+                path.append(place)
+                place = int(index.parent[place])
+            z = z_pu[index.order[path] - 1]
+            np.add.at(row, path, z)
+            np.subtract.at(row, index.end[path], z)
+        rows.append(np.cumsum(change, axis=1)[:, index.place] * _PU_PER_MVA)
+    if feeder.voltage_ratio is not None:
+        rows = [feeder.voltage_ratio * row for row in rows]
+    return Sensitivity(*rows)
 
 
 @cached_on_owner
@@ -66,6 +99,8 @@ def own_sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
     own = np.zeros((2, feeder.n_node))
     for j in feeder.depth_first.order[1:]:
         own[:, j] = own[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
+    if feeder.voltage_ratio is not None:
+        own *= feeder.voltage_ratio
     return Sensitivity(*map(_read_only, own * _PU_PER_MVA))
 
 

@@ -11,6 +11,12 @@ V_SQ_FLOOR = 1e-4
 """A squared voltage this low is no operating point: the iteration is on its way to collapse."""
 V_SQ_CEILING = 1e4
 """Nor is one this high: an iteration under impossible injections runs away upwards."""
+LINEAR_SWEEPS = 1000
+"""Sweeps after which LinDistFlow gives up a feeder whose shunts' power does not settle."""
+LINEAR_TOLERANCE = 1e-10
+"""Change of a shunt's power, per unit, that a last sweep of LinDistFlow may still make."""
+LINEAR_TOLERANCE_32 = 1e-5
+"""``LINEAR_TOLERANCE`` in float32."""
 
 
 class PowerFlowError(ValueError):
@@ -33,7 +39,7 @@ class Solution(NamedTuple):
     current_sq_pu: Array
     """Squared current of branch k, per unit, shape (..., n_branch)."""
     loss_kw: Array
-    """Active loss of all branches, kW, shape (...)."""
+    """Active loss of all branches, kW, shape (...); the draw of shunts is none of it."""
     converged: Array
     """Whether the residual is within the tolerance, bool, shape (...)."""
     iterations: Array

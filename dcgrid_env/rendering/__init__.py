@@ -7,15 +7,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dcgrid_env.rendering.banded_figure import long_figure
     from dcgrid_env.rendering.bus_positions import positions
+    from dcgrid_env.rendering.envelope import Envelope
     from dcgrid_env.rendering.feeder_map import INK, draw_feeder
     from dcgrid_env.rendering.side_by_side import run_figure
 
-__all__ = ["INK", "draw_feeder", "positions", "run_figure"]
+__all__ = ["INK", "Envelope", "draw_feeder", "long_figure", "positions", "run_figure"]
 
 _MODULES = {
+    "Envelope": "envelope",
     "INK": "feeder_map",
     "draw_feeder": "feeder_map",
+    "long_figure": "banded_figure",
     "positions": "bus_positions",
     "run_figure": "side_by_side",
 }

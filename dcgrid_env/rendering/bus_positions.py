@@ -9,6 +9,8 @@ from dcgrid_env.grid import AnyFeeder
 
 FloatArray = NDArray[np.float64]
 
+MOST_ARRANGED = 2000
+"""Buses of the largest feeder whose branches are arranged to fill the picture; a larger one is drawn as it comes."""
 _WIDTH_TO_HEIGHT = 1.35
 """Shape of the box that a tree should fill."""
 
@@ -25,9 +27,46 @@ def positions(feeder: AnyFeeder) -> FloatArray:
     _, first = np.unique(xy, axis=0, return_index=True)
     xy[np.setdiff1d(np.arange(feeder.n_bus), first)] = np.nan
     placed = np.isfinite(xy[:, 0])
+    is_large = feeder.n_bus > MOST_ARRANGED
     if 2 * placed.sum() < feeder.n_bus or placed.sum() < 2:
-        return _tree(feeder)
-    return xy if placed.all() else _beside(feeder, xy)
+        return _rows_of_paths(feeder) if is_large else _tree(feeder)
+    if placed.all():
+        return xy
+    return _near_the_next_upstream(feeder, xy) if is_large else _beside(feeder, xy)
+
+
+def _rows_of_paths(feeder: AnyFeeder) -> FloatArray:
+    """A tree that grows to the right, each lateral on rows of its own below its path; in time linear in the buses."""
+    order, _, parent, end = feeder.depth_first
+    column = np.zeros(len(order))
+    for k in range(1, len(order)):
+        column[k] = column[parent[k]] + 1.0
+    row, last = np.zeros(len(order)), -1.0
+    for k in range(len(order) - 1, -1, -1):  # a bus stands on the row of the first that it feeds
+        last += end[k] == k + 1
+        row[k] = last if end[k] == k + 1 else row[k + 1]
+    xy = np.empty((len(order), 2))
+    xy[order, 0] = column / max(column.max(), 1.0) * _WIDTH_TO_HEIGHT
+    xy[order, 1] = row / max(row.max(), 1.0)
+    return xy
+
+
+def _near_the_next_upstream(feeder: AnyFeeder, xy: FloatArray) -> FloatArray:
+    """Fill in missing rows around the bus that feeds them, or is fed by them, each in a direction of its own."""
+    size = float(np.nanmax(np.ptp(xy[np.isfinite(xy[:, 0])], axis=0)))
+    order, _, parent, _ = feeder.depth_first
+    golden_angle = np.pi * (3.0 - 5.0**0.5)
+
+    def put(bus: int, beside: int, k: int) -> None:
+        if np.isnan(xy[bus, 0]) and np.isfinite(xy[beside, 0]):
+            reach = 1e-3 * size * (1.0 + k / len(order))
+            xy[bus] = xy[beside] + reach * np.array([np.cos(k * golden_angle), np.sin(k * golden_angle)])
+
+    for k in range(len(order) - 1, 0, -1):
+        put(order[parent[k]], order[k], k)
+    for k in range(1, len(order)):
+        put(order[k], order[parent[k]], k)
+    return xy
 
 
 def _beside(feeder: AnyFeeder, xy: FloatArray) -> FloatArray:

@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.rendering.banded_figure import long_figure
+from dcgrid_env.rendering.envelope import Envelope
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.figure_rows import Row, fit_voltages, phase_rows, storage_rows, voltages
 from dcgrid_env.scenario.scenario import Scenario
@@ -16,6 +18,8 @@ from dcgrid_env.scenario.scenario import Scenario
 MOST_NAMED = 10
 """Data centres up to which a figure names each; beyond, colours have repeated and a legend would hide the curves."""
 
+MOST_STEPS = 6000
+"""Steps up to which a line is drawn through each of them."""
 _REST_IN = 8.2 / 3.0
 """Height of a row of the devices, inches."""
 
@@ -24,8 +28,10 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     """Columns are controllers; rows are voltages, clocks and backlog, each on one scale for all.
 
     The voltages of a three-phase feeder take a row for each phase, and its unbalance and taps one each. What storages
-    hold has a row of its own.
+    hold has a row of its own. Episodes of more than ``MOST_STEPS`` are drawn as ``long_figure`` has it.
     """
+    if scenario.horizon > MOST_STEPS:
+        return long_figure(scenario, {name: Envelope.of(run) for name, run in series.items()}, seed)
     by_phase = isinstance(scenario.feeder, ThreePhaseFeeder)
     rows = [*(phase_rows(scenario) if by_phase else _balanced_rows(scenario)), *storage_rows(scenario)]
     heights = [row.height_in for row in rows] + [2.0 if by_phase else _REST_IN] * 2

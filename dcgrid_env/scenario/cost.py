@@ -33,6 +33,9 @@ class CostWeights(NamedTuple):
     voltage_step_excess: float = 0.0
     """Weighs the mean over buses of what their change of voltage in a step exceeds ``voltage_step_limit_pu`` by, as a
     share of that limit."""
+    overload: float = 0.0
+    """Weighs the mean over rated branches of what their current exceeds the rating by, as a share of it; only a feeder
+    that knows ratings has it."""
 
 
 LIMIT_OF = {"ramp_excess": "ramp_limit_kw_per_s", "voltage_step_excess": "voltage_step_limit_pu"}

@@ -8,7 +8,7 @@ from dcgrid_env.core.checked import FieldError
 
 NAMES_OF_THE_GRID = (
     "v_deviation", "v_change", "p", "q", "q_limit", "r", "x", "voltage", "violation", "effort", "step", "loss",
-    "unbalance", "switching", "ramp_excess", "voltage_step_excess",
+    "unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload", "loading",
 )  # fmt: skip
 """Fields and cost terms that every agent has, which no device may call its own."""
 

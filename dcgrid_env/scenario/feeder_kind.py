@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError, refuse
-from dcgrid_env.grid import AnyFeeder, Feeder
+from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 
 _OF_THREE_PHASES = ("unbalance", "switching")
 """Weights of cost terms that a three-phase feeder alone has."""
@@ -14,9 +15,9 @@ _OF_THREE_PHASES = ("unbalance", "switching")
 def check_feeder_kind(scenario: Any) -> None:
     """Raise FieldError for what is no feeder, another kind's power flow, or a cost term that the kind does not have."""
     feeder, weights = scenario.feeder, scenario.weights
-    if not isinstance(feeder, AnyFeeder):
-        raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder)")
-    balanced = isinstance(feeder, Feeder)
+    if not isinstance(feeder, AnyFeeder | RandomFeeders):
+        raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder), or RandomFeeders")
+    balanced = not isinstance(feeder, ThreePhaseFeeder)
     if balanced == (scenario.power_flow == "sweep"):
         methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
         kind = "balanced" if balanced else "three-phase"

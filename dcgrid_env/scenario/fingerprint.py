@@ -30,6 +30,7 @@ from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.grid import Feeder, bus_numbers
+from dcgrid_env.grid.network import LineTable, NodeTable, PhaseLineTable, ShuntTable
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.flat_names import FLAT
@@ -55,6 +56,7 @@ _SCENARIO = """
 """
 _OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.kind, Inverters.kind)}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
+_PHASE_LINE = "name from_bus to_bus phases length_m r_ohm x_ohm b_us"
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _DATA_CENTERS = """
     count buses p_rated_kw idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases
@@ -98,6 +100,10 @@ SCHEMA_1: dict[type[Any], Kind] = {
     Routing: Kind("Routing", ("movable_share", "move_latency_s", "move_weight")),
     Batching: Kind("Batching", tuple(_BATCHING.split())),
     ServiceLevels: Kind("ServiceLevels", tuple(_SERVICE.split())),
+    NodeTable: Kind("NodeTable", ("bus", "phase", "x", "y", "base_kv_ln")),
+    LineTable: Kind("LineTable", ("from_bus", "to_bus", "r_ohm", "x_ohm")),
+    ShuntTable: Kind("ShuntTable", ("bus", "phase", "capacitor_kvar")),
+    PhaseLineTable: Kind("PhaseLineTable", tuple(_PHASE_LINE.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 
@@ -119,7 +125,9 @@ def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     if isinstance(value, Scenario):
         return kind.name, chain(always, _later_of_parts(value))
     later = {name: default for name, default in _defaults(type(value)).items() if name not in kind.fields}
-    return kind.name, chain(always, ((n, getattr(value, n)) for n, d in later.items() if getattr(value, n) != d))
+    return kind.name, chain(
+        always, ((n, getattr(value, n)) for n, d in later.items() if _is_other(getattr(value, n), d))
+    )
 
 
 def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
@@ -145,8 +153,13 @@ def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     for path, part in parts.items():
         for name, default in _defaults(type(part)).items():
             is_part = not path and name in (*PARTS, "devices")
-            if (path, name) not in listed and not is_part and getattr(part, name) != default:
+            if (path, name) not in listed and not is_part and _is_other(getattr(part, name), default):
                 yield f"{path}.{name}", getattr(part, name)
+
+
+def _is_other(value: Any, default: Any) -> bool:
+    """Whether a field is not at its default; arrays, which cannot be compared so, have none."""
+    return value is not None if default is None else bool(value != default)
 
 
 def _has_two_groups(scenario: Any) -> bool:

@@ -94,6 +94,7 @@ class FlatNames:
     measurement_delay = Flat[int]("sensing", "delay_steps")
     observe = Flat[ObservationScope]("sensing", "observe")
     preview = Flat[bool]("sensing", "preview")
+    observe_loading = Flat[bool]("sensing", "loading")
     r_model_share = Flat[float]("sensing", "r_model_share")
     x_model_share = Flat[float]("sensing", "x_model_share")
 

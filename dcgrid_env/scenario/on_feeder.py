@@ -1,57 +1,75 @@
-"""A scenario for a feeder that has none: data centres and inverters of a size that suits its load."""
+"""A scenario for a feeder that has none: data centres and inverters as asked for, or of a size that suits its load."""
 
 from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env.devices import DataCenters
 from dcgrid_env.grid import AnyFeeder, Feeder
+from dcgrid_env.scenario.device_words import DATA_CENTRES, DRAWN, ENDS, INVERTERS, Kind, Part, read_group
 from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.feeder_ends import feeder_ends
 from dcgrid_env.scenario.placement import free_load_buses
 from dcgrid_env.scenario.scenario import Scenario
 
 SITES, SITES_SHARE = 5, 0.4
 """Data centres, and what they draw together as a share of the feeder's load; both as in the paper's study."""
 S_RATED_SHARE, Q_MAX_SHARE = 1.1, 0.33
-INVERTERS, INVERTERS_SHARE = 7, 0.1
+INVERTERS_COUNT, INVERTERS_SHARE = 7, 0.1
 """Inverters, and their ratings together as a share of the feeder's load; both as in the paper's study."""
 
 
-def scenario_on(feeder: AnyFeeder) -> Scenario:
-    """Choose a scenario for a feeder, in the proportions of the paper's study.
+def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: str | None = None) -> Scenario:
+    """Make a scenario for a feeder.
 
-    Data centres are drawn among the load buses, of three phases where there are phases; inverters stand at load buses
-    spread evenly over the feeder, on all phases of their bus. A small feeder has fewer of both. The source's voltage is
-    the feeder's, regulators follow their own controls, all else is at its default.
+    The source's voltage is the feeder's, regulators follow their own controls, all else is at its default.
+
+    Parameters
+    ----------
+    feeder
+        Any feeder with a load.
+    datacenters, inverters
+        Which there are to be, in words such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``device_words``. By
+        default up to five data centres, 40 % of the load together, drawn among the load buses (of three phases where
+        there are phases); and up to seven inverters, 10 % of it together, spread evenly over the load buses.
 
     Raises
     ------
     ScenarioError
-        For a feeder without a load bus where a data centre could be drawn.
+        For words that cannot be, buses or ends that there are not, or a feeder without a load bus where a data centre
+        could be drawn.
     """
-    drawn = DataCenters(count=1, p_rated_kw=1.0, s_rated_share=S_RATED_SHARE, q_max_share=Q_MAX_SHARE)
-    loads = free_load_buses(feeder, ()).tolist()
-    pool = set(free_load_buses(feeder, (drawn,)).tolist())
-    if not pool:
-        kind = "" if isinstance(feeder, Feeder) else " of three phases"
-        raise ScenarioError(
-            f"feeder {feeder.name!r} has no load bus{kind} where a data centre could be drawn; write a scenario that "
-            "says where devices stand (docs/scenarios.md)"
-        )
-    sites = min(SITES, (len(pool) + 1) // 2)
-    inverters = _spread(loads, pool, min(INVERTERS, len(loads) - sites), sites)
-    load_kw = base_load_kw(feeder)
+    sites = None if datacenters is None else read_group(DATA_CENTRES, datacenters)
+    fed = None if inverters is None else read_group(INVERTERS, inverters)
+    if sites is None:
+        count = min(SITES, (_check_pool(feeder) + 1) // 2)
+        sites = (Part(count, _round(SITES_SHARE * base_load_kw(feeder) / count), DRAWN),)
+    n_sites, drawn = sum(part.count for part in sites), any(part.place == DRAWN for part in sites)
+    kept = n_sites if drawn else 0
+    if kept:
+        _check_pool(feeder)
+    taken = _named(feeder, ((DATA_CENTRES, sites), (INVERTERS, fed or ())))
+    site_buses = None if drawn else _placed(feeder, DATA_CENTRES, sites, taken, 0)
+    if fed is None:
+        spread = _spread(feeder, INVERTERS_COUNT, kept, taken)
+        rating = _round(INVERTERS_SHARE * base_load_kw(feeder) / max(1, len(spread)))
+        fed = (Part(len(spread), rating, tuple(feeder.bus_ids[i] for i in spread)),) if spread else ()
     return Scenario(
         name=f"on-{feeder.name}",
         feeder=feeder,
         source_voltage_pu=feeder.v0_pu,
         power_flow=power_flow_of(feeder),
-        n_datacenters=sites,
-        p_rated_kw=_round(SITES_SHARE * load_kw / sites),
+        n_datacenters=n_sites,
+        datacenter_buses=site_buses if sites else None,
+        p_rated_kw=_ratings(sites),
         s_rated_share=S_RATED_SHARE,
         q_max_share=Q_MAX_SHARE,
-        inverter_buses=tuple(feeder.bus_ids[i] for i in inverters),
-        inverter_s_kva=_round(INVERTERS_SHARE * load_kw / max(1, len(inverters))),
+        inverter_buses=_placed(feeder, INVERTERS, fed, taken, kept),
+        inverter_s_kva=_ratings(fed),
     )
 
 
@@ -65,17 +83,100 @@ def base_load_kw(feeder: AnyFeeder) -> float:
     return float(feeder.p_load_kw.sum())
 
 
-def _spread(loads: list[int], pool: set[int], n: int, kept: int) -> list[int]:
-    """Up to ``n`` load buses spread evenly, which leave ``kept`` of the pool that data centres are drawn from."""
+def _check_pool(feeder: AnyFeeder) -> int:
+    """Number of buses where a data centre could be drawn; ScenarioError where there is none."""
+    pool = len(_pool(feeder))
+    if not pool:
+        kind = "" if isinstance(feeder, Feeder) else " of three phases"
+        raise ScenarioError(
+            f"feeder {feeder.name!r} has no load bus{kind} where a data centre could be drawn; name buses, such as "
+            "--datacenters '2 x 500 kW at BUS,BUS', or write a scenario that says where devices stand "
+            "(docs/scenarios.md)"
+        )
+    return pool
+
+
+def _pool(feeder: AnyFeeder) -> set[int]:
+    """Buses where a data centre can be drawn while none are taken."""
+    drawn = DataCenters(count=1, p_rated_kw=1.0, s_rated_share=S_RATED_SHARE, q_max_share=Q_MAX_SHARE)
+    return set(free_load_buses(feeder, (drawn,)).tolist())
+
+
+def _named(feeder: AnyFeeder, groups: Iterable[tuple[Kind, tuple[Part, ...]]]) -> set[int]:
+    """Buses that are named; ScenarioError for one that there is not, the substation, or one that is named twice."""
+    taken: set[int] = set()
+    position = {bus: i for i, bus in enumerate(feeder.bus_ids)}
+    for kind, parts in groups:
+        for bus in (bus for part in parts if isinstance(part.place, tuple) for bus in part.place):
+            if bus not in position:
+                near = difflib.get_close_matches(bus, feeder.bus_ids) or list(feeder.bus_ids[1:4])
+                raise ScenarioError(
+                    f"{kind.option}: feeder {feeder.name!r} has no bus {bus!r}; it has {', '.join(near)} and "
+                    f"{feeder.n_bus - len(near)} more"
+                )
+            at = position[bus]
+            if at == 0:
+                raise ScenarioError(f"{kind.option}: bus {bus!r} is the substation, where the source is; name another")
+            if at in taken:
+                raise ScenarioError(f"{kind.option}: bus {bus!r} is named twice; give each device a bus of its own")
+            taken.add(at)
+    return taken
+
+
+def _placed(
+    feeder: AnyFeeder, kind: Kind, parts: tuple[Part, ...], taken: set[int], kept: int
+) -> tuple[int | str, ...]:
+    """Buses of the devices of all parts; those that are not named are added to ``taken``."""
+    buses: list[str] = []
+    for part in parts:
+        if isinstance(part.place, tuple):
+            buses += part.place
+            continue
+        if part.place == ENDS:
+            chosen = _ends(feeder, kind, taken)
+            what, remedy = "ends without a device", "ask for fewer, name buses"
+        else:
+            chosen = _spread(feeder, part.count, kept, taken)
+            what, remedy = "load buses left for them", f"ask for fewer, write '{ENDS}', name buses"
+        if len(chosen) < part.count:
+            raise ScenarioError(
+                f"{kind.option}: {part.count} are to stand {part.place}, but feeder {feeder.name!r} has {len(chosen)} "
+                f"{what}; {remedy}"
+            )
+        buses += (feeder.bus_ids[i] for i in chosen[: part.count])
+        taken.update(chosen[: part.count])
+    return tuple(buses)
+
+
+def _ends(feeder: AnyFeeder, kind: Kind, taken: set[int]) -> list[int]:
+    """Ends where a device of a kind can stand, data centres on three phases."""
+    allowed = np.ones(feeder.n_bus, dtype=bool)
+    if kind is DATA_CENTRES and not isinstance(feeder, Feeder):
+        allowed = np.array([phases == "abc" for phases in feeder.bus_phases])
+    allowed[[0, *taken]] = False
+    return feeder_ends(feeder, allowed)
+
+
+def _spread(feeder: AnyFeeder, n: int, kept: int, taken: set[int]) -> list[int]:
+    """Up to ``n`` load buses spread evenly, which leave ``kept`` of those that data centres are drawn from."""
+    loads = [i for i in free_load_buses(feeder, ()).tolist() if i not in taken]
+    pool = _pool(feeder) - taken if kept else set()
     chosen: list[int] = []
     spare = len(pool) - kept
+    n = min(n, len(loads) - kept)
     for i in np.unique(np.linspace(0, len(loads) - 1, max(n, 0)).round().astype(int)):
         if loads[i] in pool:
-            if not spare:
+            if spare <= 0:
                 continue
             spare -= 1
         chosen.append(loads[i])
     return chosen
+
+
+def _ratings(parts: tuple[Part, ...]) -> Any:
+    """One rating where all are alike, else one for each device."""
+    each = tuple(part.rating for part in parts for _ in range(part.count))
+    return each[0] if len(set(each)) == 1 else each or 1.0
 
 
 def _round(value: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.flat_names import FLAT
 
@@ -30,7 +31,7 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
     return np.array([i for i in loaded if i not in taken], dtype=np.int64)
 
 
-def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> None:
+def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple[Any, ...]) -> None:
     """Raise ScenarioError unless every device can have a bus of its own, not the substation; equipment takes none.
 
     A group with a class attribute ``shares_bus`` that is True may stand where devices of other kinds do.
@@ -57,7 +58,7 @@ def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> N
             of_kind = f"{among} " if among else ""
             raise ScenarioError(f"scenario {name!r}: more than one {of_kind}device at bus {bus!r}; give each its own")
         taken.add((among, at))
-    free = len(free_load_buses(feeder, devices))
+    free = _least_free(feeder, devices) if isinstance(feeder, RandomFeeders) else len(free_load_buses(feeder, devices))
     if drawn > free:
         count, buses = _words(next(device for device in devices if device.buses is None))
         raise ScenarioError(
@@ -71,12 +72,17 @@ def check_placement(name: str, feeder: AnyFeeder, devices: tuple[Any, ...]) -> N
         )
 
 
+def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
+    """Load buses without a device that every one of some random feeders has at least."""
+    return max(0, feeders.least_loaded - len({bus for device in devices for bus in device.buses or ()}))
+
+
 def _words(device: Any) -> tuple[str, str]:
     """What the number and the buses of a device are called where a scenario is made."""
     return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
 
 
-def _position(name: str, feeder: AnyFeeder, where: str, bus: Any, phases: str | None) -> int:
+def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any, phases: str | None) -> int:
     """Position of a device's bus; ScenarioError for one that no device can have, or not of these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")

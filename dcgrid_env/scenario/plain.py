@@ -3,6 +3,7 @@
 | field | plain form | object |
 |---|---|---|
 | feeder | a feeder's name (shipped, or of another package), or the path of a folder | Feeder |
+| feeder | a mapping of the fields of random feeders ``{"n_bus": 60, "style": "urban", ..}`` | RandomFeeders |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
 | regulators, capacitor_banks | one of their words, or a mapping from banks to words | pairs of a bank and a word |
@@ -46,6 +47,7 @@ from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ride_through.rules import RideThrough, plain_rule
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
@@ -80,6 +82,8 @@ def to_plain(value: Any) -> Any:
         return value.name.lower()
     if isinstance(value, AnyFeeder):
         return _feeder_to_plain(value)
+    if isinstance(value, RandomFeeders):
+        return _fields_to_plain(value)
     if isinstance(value, PowerTrace):
         return value.asked_by or value
     if type(value) in CLOCK_LAWS.values():
@@ -145,7 +149,12 @@ def reads_files(name: str, value: Any) -> bool:
 
 
 def feeder_from_plain(value: Any) -> Any:
-    """A feeder by its name or folder; any other value as it is. FeederError for one that there is not."""
+    """A feeder by its name or folder, random ones by a mapping of their fields; any other value as it is.
+
+    FeederError for one that there is not, FieldError for a field that cannot be.
+    """
+    if isinstance(value, Mapping):
+        return RandomFeeders.of_plain(value)
     if not isinstance(value, str | Path):
         return value
     if isinstance(value, str) and value in FEEDER_REGISTRY:

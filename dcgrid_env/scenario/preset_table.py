@@ -139,5 +139,11 @@ TABLE = (
         "4 sites of 1 MW under code completion that move half of their work, with a target and a deadline",
         sites.routing,
     ),
+    Preset(
+        "zero-shot",
+        "dcgrid/ZeroShot-v0",
+        "random feeders of 60 buses, another in each batch of training and 64 to be tested on; 4 sites of 1 MW",
+        balanced.zero_shot,
+    ),
 )
 """All presets, in the order in which they are listed."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dcgrid_env.devices import Storages
 from dcgrid_env.devices.faults import Fault
 from dcgrid_env.grid import load_feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -143,6 +144,19 @@ def robust() -> Scenario:
         preview=False,
         r_model_share=0.8,
         x_model_share=1.2,
+    )
+
+
+def zero_shot() -> Scenario:
+    """Make the preset ``zero-shot``."""
+    # Buses are numbered depth first, so that inverters ten apart stand all over any of the feeders.
+    return ieee33().replace(
+        name="zero-shot",
+        feeder=RandomFeeders(n_bus=60, style="us-mv", load_kw=4000.0, ood="rural"),
+        datacenter_buses=None,
+        p_rated_kw=1000.0,
+        inverter_buses=(9, 19, 29, 39, 49, 59),
+        inverter_s_kva=400.0,
     )
 
 

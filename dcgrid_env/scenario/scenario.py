@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,16 +17,19 @@ from dcgrid_env.devices import DataCenterParams, DataCenters, Device, InverterPa
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
-from dcgrid_env.grid import Feeder
+from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.branch_ratings import check_ratings
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.device_groups import check_groups
+from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.feeder_kind import check_feeder_kind
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
+from dcgrid_env.scenario.members import check_random_feeders, member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
 from dcgrid_env.scenario.ramp_limit import check_ramp_limit
 from dcgrid_env.scenario.sensing import Sensing
@@ -46,7 +49,7 @@ class Scenario(PickledByFields, FlatNames):
 
     name: str
     feeder: Any
-    """A Feeder or a ThreePhaseFeeder: of no one type here, as code that works on one kind knows which it has."""
+    """A Feeder, a ThreePhaseFeeder or RandomFeeders: of no one type here, as code for one kind knows which it has."""
     source_voltage_pu: float = number(0.5, 1.5)
     """Voltage at the substation, p.u."""
     devices: tuple[Device, ...]
@@ -87,6 +90,7 @@ class Scenario(PickledByFields, FlatNames):
 
     def _check(self) -> None:
         check_feeder_kind(self)
+        check_random_feeders(self)
         with located(
             self.name, "grid_control", {field: name for name, (part, field) in FLAT.items() if part == "grid_control"}
         ):
@@ -95,6 +99,7 @@ class Scenario(PickledByFields, FlatNames):
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
+        check_ratings(self)
         for device in self.devices:
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):
@@ -122,15 +127,32 @@ class Scenario(PickledByFields, FlatNames):
         other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)
         return other
 
-    def to_toml(self, path: str | Path | None = None, base: Scenario | None = None) -> str:
+    def member(self, seeds: int | Sequence[int]) -> Scenario:
+        """This scenario on the feeder of a seed's first episode, or of several: itself unless on RandomFeeders.
+
+        ScenarioError where the seeds are on different feeders.
+        """
+        return member(self, seeds)
+
+    def members(self, seeds: Sequence[int]) -> list[tuple[Scenario, np.ndarray]]:
+        """This scenario on each of the feeders of the seeds' first episodes, with the positions of these seeds."""
+        return members(self, seeds)
+
+    @property
+    def family(self) -> Scenario:
+        """The scenario on RandomFeeders that this is a member of, else itself."""
+        return self.__dict__.get("_family", self)
+
+    def to_toml(self, path: str | Path | None = None, base: Scenario | None = None, *, brief: bool = False) -> str:
         """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
 
         With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
-        name. ScenarioError for another base, or a recording, a feeder or a clock law that exists in memory alone.
+        name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a
+        clock law that exists in memory alone.
         """
         from dcgrid_env.scenario.toml import to_toml  # for who writes alone
 
-        return to_toml(self, path, base)
+        return to_toml(self, path, base, brief)
 
     @property
     def preset(self) -> str | None:
@@ -152,7 +174,7 @@ class Scenario(PickledByFields, FlatNames):
             names += FLAT
         else:
             names += [*(name for name, (part, _) in FLAT.items() if part in ("", *PARTS)), "devices"]
-        return next((name for name in names if not _alike(getattr(self, name), getattr(other, name))), None)
+        return next((name for name in names if not alike(getattr(self, name), getattr(other, name))), None)
 
     @cached_property
     def follows_day(self) -> bool:
@@ -245,7 +267,7 @@ class Scenario(PickledByFields, FlatNames):
     def capacitor_connected(self) -> np.ndarray:
         """1 where a capacitor is connected at t = 0, by bus, or by bank on a three-phase feeder; 0 elsewhere."""
         feeder = self.feeder
-        there = feeder.capacitor_kvar > 0 if isinstance(feeder, Feeder) else feeder.base_capacitor_on
+        there = feeder.base_capacitor_on if isinstance(feeder, ThreePhaseFeeder) else feeder.capacitor_kvar > 0
         return read_only(np.where(self.capacitors, there, 0.0))
 
     @cached_property
@@ -270,18 +292,3 @@ class Scenario(PickledByFields, FlatNames):
     def candidates(self) -> np.ndarray:
         """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed."""
         return read_only(free_load_buses(self.feeder, self.devices))
-
-
-def _alike(a: Any, b: Any) -> bool:
-    """Equality that looks into arrays, and into feeders and traces, which compare by identity."""
-    if a is b:
-        return True
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, np.ndarray):
-        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-    if isinstance(a, tuple):
-        return len(a) == len(b) and all(map(_alike, a, b))
-    if dataclasses.is_dataclass(a):
-        return all(_alike(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
-    return a == b or (a != a and b != b)  # a figure that is not known is NaN

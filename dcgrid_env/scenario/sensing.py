@@ -22,6 +22,8 @@ class Sensing:
     """Whose figures an agent observes: its own, those of its nearest agents too, or every bus of the feeder."""
     preview: bool = choice(True, False, default=True)
     """Whether a data centre observes its p_ref over the coming interval."""
+    loading: bool = choice(True, False, default=False)
+    """Whether an agent observes how loaded the branch that feeds its bus is; only a feeder with ratings has it."""
     r_model_share: float = number(0.0, 10.0, default=1.0)
     """Resistance of every branch as agents and controllers believe it, as a share of the true one."""
     x_model_share: float = number(0.0, 10.0, default=1.0)

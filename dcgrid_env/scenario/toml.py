@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
+from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.errors import ScenarioError
@@ -79,8 +80,10 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
         raise ScenarioError(f"{path}: {said}") from None
 
 
-def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> str:
+def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, brief: bool = False) -> str:
     """A scenario as TOML, and into a file if a path is given.
+
+    A feeder of one's own is named by its folder: from where the file stands if it is beneath that, else whole.
 
     Parameters
     ----------
@@ -88,6 +91,8 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
         What is written, and where to.
     base
         A preset: only what differs from it is written, with its name as ``base``.
+    brief
+        Whether to leave out what is at its default, where there is no base.
 
     Raises
     ------
@@ -114,6 +119,12 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
             if field.name in PARTS:
                 plain = {name: now for name, now in plain.items() if now != before[name]}
         refuse_objects(scenario.name, field.name, plain)
+        if brief and base is None:
+            plain = _without_defaults(field, plain)
+            if plain is _DEFAULT:
+                continue
+        if field.name == "feeder" and path is not None:
+            plain = _from_there(Path(path).parent, plain)
         if field.name == "devices":
             plain = [{name: item for name, item in device.items() if item is not None} for device in plain]
         (tables if field.name in (*PARTS, "devices", "faults", "sags") else table)[field.name] = _without_none(plain)
@@ -121,6 +132,39 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None) -> 
     if path is not None:
         write_text(Path(path), text)
     return text
+
+
+_DEFAULT = object()
+
+
+def _without_defaults(field: dataclasses.Field[Any], plain: Any) -> Any:
+    """The plain form of a field less what is at its default; ``_DEFAULT`` where nothing is left."""
+    if field.name == "devices":
+        return [{"kind": group["kind"], **_changed(device_kind(group["kind"]), group)} for group in plain]
+    if field.name in PARTS:
+        return _changed(PARTS[field.name], plain)
+    return _DEFAULT if field.default is not dataclasses.MISSING and plain == to_plain(field.default) else plain
+
+
+def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
+    """The plain fields of a part or a group of devices that are not at their defaults."""
+    changed: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):
+        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+        if field.name in plain and plain[field.name] != to_plain(default):
+            changed[field.name] = plain[field.name]
+    return changed
+
+
+def _from_there(folder: Path, feeder: Any) -> Any:
+    """The folder of a feeder as it is from another one that it is beneath; else as it is."""
+    if not isinstance(feeder, str) or feeder in FEEDER_REGISTRY:
+        return feeder
+    there, folder = Path(feeder).absolute(), folder.absolute()
+    if not there.is_relative_to(folder):
+        return feeder
+    below = there.relative_to(folder).as_posix()
+    return f"./{below}" if below in FEEDER_REGISTRY else below  # a folder that bears a shipped feeder's name
 
 
 def _from_here(folder: Path, name: str, value: Any) -> Any:

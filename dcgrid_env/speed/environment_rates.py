@@ -120,15 +120,15 @@ def resident_growth_mib(scenario: str, num_envs: int) -> float:
     for n in (1, 256):  # imports, compiled code and threads are no part of an environment
         stepped(n)
     gc.collect()
-    before = _resident_mib()
+    before = resident_mib()
     env = stepped(num_envs)
     gc.collect()
-    after = _resident_mib()
+    after = resident_mib()
     del env
     return after - before
 
 
-def _resident_mib() -> float:
+def resident_mib() -> float:
     """What this process holds in memory now; where the system does not tell, the most it ever held."""
     import resource  # not on every system
 

@@ -3,7 +3,7 @@
 Steps of the environments with random actions drawn beforehand, resets included; batches of torch tensors on a device,
 with and without the derivative; the power flow alone, with its worst voltage error; the memory of a large batch; other
 libraries on the same feeder and loads. Every rate is the median of several blocks after a warm-up. ``--help`` lists the
-options.
+options. ``python -m dcgrid_env.speed sizes`` measures feeders of growing size instead.
 """
 
 from __future__ import annotations
@@ -104,6 +104,12 @@ def main(args: list[str] | None = None) -> None:
     import tyro
     from rich.console import Console
 
+    args = sys.argv[1:] if args is None else args
+    if args[:1] == ["sizes"]:
+        from dcgrid_env.speed.size_table import main as sizes
+
+        sizes(args[1:])
+        return
     cfg = tyro.cli(Speed, args=args, prog="python -m dcgrid_env.speed", description=__doc__)
     console, rows = Console(), []
     try:

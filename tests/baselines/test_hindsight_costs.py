@@ -74,7 +74,11 @@ def test_a_value_comes_out_again(name):
     assert found.bound == pytest.approx(values.bound[41], rel=1e-4)
 
 
-@pytest.mark.parametrize("name", PRESETS)
+LONG = ("ieee123-3ph-day", "smoothing")
+"""Presets of more than a thousand steps."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PRESETS])
 def test_there_is_headroom(name):
     """No control is bad, hindsight is good, and the tuned droop lies between, with room on both sides."""
     scenario = make_scenario(name, split="test")

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dcgrid_env import load_feeder
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.cli import main
 from helpers.places import ROOT
@@ -35,6 +36,8 @@ TRAINING = {"--updates": "1", "--num-envs": "2", "--validation-episodes": "2"}
 STEPS = {"--steps": "240", "--num-envs": "2", "--validation-episodes": "2"}
 SHORTER = {
     "dcgrid run": {"--episodes": "2"},
+    "dcgrid run --scenario ieee33-weak --horizon 86400": {"--horizon": "40"},
+    "dcgrid run --scenario ieee33-weak --horizon 1440": {"--horizon": "4"},
     "dcgrid benchmark": {"--episodes": "2", "--jobs": "1"},
     "dcgrid benchmark --controllers all": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
     "dcgrid benchmark --scenarios ieee33-weak,mixed": {"--episodes": "2", "--jobs": "1", "--scenarios": "toy6"},
@@ -44,8 +47,12 @@ SHORTER = {
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
-    "dcgrid dev tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
+    "dcgrid check": {"--episodes": "1", "--seconds": "1", "--jobs": "1"},
+    "dcgrid import matpower": {},
+    "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
     "dcgrid dev hindsight": {"--episodes": "2", "--jobs": "1"},
+    "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--jobs": "1"},
+    "dcgrid dev random-feeders": {"--draws": "2", "--n-bus": "20"},
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
@@ -60,9 +67,15 @@ ELSEWHERE = {
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
+    "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
+    "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
+    "python docs/import_differences.py": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
+    "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
+    "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
@@ -72,6 +85,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.speed sizes": "tests/dcgrid_env/speed/test_size_table.py",
     "python -m dcgrid_env.speed": "tests/dcgrid_env/speed/test_rates.py",
     "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",
@@ -173,7 +187,7 @@ def read(arguments):
 def check_read(command):
     """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
     if command[0] == "dcgrid":
-        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid dev tune`: what it is about
+        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid tune`: what it is about
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(command[2]) is not None, command
@@ -229,6 +243,28 @@ def write_files(folder):
         shutil.copy(FOLDER / f"ieee33-weak-analytic.{ending}", folder / "results" / f"cleanrl.{ending}")
 
 
+def write_case(folder):
+    """A MATPOWER case under the name of the one that docs/own-feeder.md begins with: a feeder that ships, as one."""
+    feeder, base_mva = load_feeder("khodr141"), 10.0
+    z_ohm = feeder.base_kv**2 / base_mva
+    loads = zip(feeder.p_load_kw / 1000.0, feeder.q_load_kvar / 1000.0, strict=True)
+    kinds = [3] + [1] * feeder.n_branch
+    buses = [
+        f"{i + 1} {kind} {p:.9g} {q:.9g} 0 0 1 1 0 {feeder.base_kv} 1 1.1 0.9;"
+        for i, (kind, (p, q)) in enumerate(zip(kinds, loads, strict=True))
+    ]
+    lines = zip(feeder.parent, feeder.r_ohm / z_ohm, feeder.x_ohm / z_ohm, strict=True)
+    branches = [
+        f"{parent + 1} {k + 2} {r:.9g} {x:.9g} 0 0 0 0 0 0 1 -360 360;" for k, (parent, r, x) in enumerate(lines)
+    ]
+    text = [
+        "function mpc = case118zh", "mpc.version = '2';", f"mpc.baseMVA = {base_mva};",
+        "mpc.bus = [", *buses, "];", f"mpc.gen = [1 0 0 99 -99 1 {base_mva} 1 99 0{' 0' * 11}];",
+        "mpc.branch = [", *branches, "];",
+    ]  # fmt: skip
+    (folder / "case118zh.m").write_text("\n".join(text) + "\n", encoding="utf-8")
+
+
 def test_there_are_documents_with_commands_and_code():
     assert {"README.md", "CONTRIBUTING.md", "traces/README.md", "docs/examples/README.md"} <= set(READ)
     assert sum(len(document.python) for document in READ.values()) >= 7
@@ -270,6 +306,7 @@ def test_commands_run(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DCGRID_NUM_THREADS", "1")
     write_files(tmp_path)
+    write_case(tmp_path)
     done = set()
     for command in READ[name].commands():
         if listed(ELSEWHERE, command) is None and alike(command) not in done:

@@ -31,7 +31,11 @@ def test_every_preset_and_shipped_policy_is_held():
     assert all(len(held["random_actions"]["rewards"]) == published.STEPS for held in GOLDEN.values())
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+LONG = ("ieee123-3ph-day", "smoothing")
+"""Presets of more than a thousand steps."""
+
+
+@pytest.mark.parametrize("preset", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PRESETS])
 def test_published_figures_come_out_again(preset):
     held, found = GOLDEN[preset], json.loads(json.dumps(published.of_preset(preset)))
     apart = np.abs(np.subtract(found["random_actions"]["rewards"], held["random_actions"]["rewards"])).max()

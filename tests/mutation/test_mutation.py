@@ -158,6 +158,7 @@ def test_a_sample_is_that_of_its_seed(tool, toy):
     assert len(set(sample(0))) == 6
 
 
+@pytest.mark.slow
 def test_every_change_listed_as_equivalent_is_there(tool):
     rooms = tool("rooms")
     assert rooms.stale(ROOT, rooms.read_equivalents(HERE / "equivalents.toml")) == []

@@ -6,6 +6,7 @@ what that is beyond its slack. Work that is not served by the end counts as if i
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,11 @@ def lateness(
         for arrived, moved, served in zip(arrived_kw.T, moved_kw.T, served_kw.T, strict=True)
     ]
     by_kind = [tuple(np.concatenate([of[what][kind] for of in of_sites]) for what in (0, 1)) for kind in (0, 1)]
+    return late_figures(by_kind, dt_s)
+
+
+def late_figures(by_kind: Sequence[tuple[np.ndarray, ...]], dt_s: float) -> dict[str, float]:
+    """Figures from steps late and work, (n,) each, of interactive and of deferrable work."""
     steps, weight = (np.concatenate(both) for both in zip(*by_kind, strict=True))
     mean, p95 = _mean_and_p95(steps, weight)
     return {
@@ -58,30 +64,40 @@ def _of_site(
     by_deadline: bool,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Steps late and work, of what was served together or never, for interactive and for deferrable work."""
-    line = _line(parts, slack, share, by_deadline)
+    line = line_up(parts, slack, share, by_deadline)
     rounding = 1e-9 * line.amount.sum()
     late: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     work: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
 
     def note(step: int, taken: np.ndarray) -> None:
-        there = taken > 0.0
-        for kind in (0, 1):
-            late[kind].append(np.maximum(step - line.due[kind, there], 0).astype(np.float64))
-            work[kind].append(line.of_kind[kind, there] * taken[there])
+        for kind, (steps_late, own) in enumerate(line.lateness(step, taken)):
+            late[kind].append(steps_late)
+            work[kind].append(own)
 
-    left = line.amount.copy()
-    for step, capacity in enumerate(served):
-        here = np.where(line.came <= step, left, 0.0)
-        before = np.cumsum(here) - here
-        taken = np.clip(capacity + rounding - before, 0.0, here)
-        left = left - taken
-        note(step, taken)
+    left = serve_in_line(line, served, 0, rounding, note)
     left[left <= rounding] = 0.0
     note(len(served), left)
     return [np.concatenate(x) for x in late], [np.concatenate(x) for x in work]
 
 
-class _Line(NamedTuple):
+def serve_in_line(
+    line: Line, served: np.ndarray, first: int, rounding: float, note: Callable[[int, np.ndarray], None]
+) -> np.ndarray:
+    """What is left of each in line after some steps, the first of which is ``first``.
+
+    ``note`` is given each step and what it took of each.
+    """
+    left = line.amount.copy()
+    for step, capacity in enumerate(served, first):
+        here = np.where(line.came <= step, left, 0.0)
+        before = np.cumsum(here) - here
+        taken = np.clip(capacity + rounding - before, 0.0, here)
+        left = left - taken
+        note(step, taken)
+    return left
+
+
+class Line(NamedTuple):
     """What arrived, in the order in which it is served, (n,) or by kind of work, interactive first, (2, n)."""
 
     amount: np.ndarray
@@ -91,11 +107,26 @@ class _Line(NamedTuple):
     """Share of it that is of either kind."""
     due: np.ndarray
     """Last step in which it is in time."""
+    place: np.ndarray
+    """What it stands in line by: the lower, the earlier it is served."""
+
+    def lateness(self, step: int, taken: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Steps late and work, by kind, of what a step takes."""
+        there = taken > 0.0
+        return [
+            (np.maximum(step - self.due[kind, there], 0).astype(np.float64), self.of_kind[kind, there] * taken[there])
+            for kind in (0, 1)
+        ]
 
 
-def _line(parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: float, by_deadline: bool) -> _Line:
-    """All work in line: of the earliest deadline first each kind by itself, else both mixed as they arrive."""
-    steps, shares = np.arange(len(parts[0])), (share, 1.0 - share)
+def line_up(
+    parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: float, by_deadline: bool, first: int = 0
+) -> Line:
+    """All work in line: of the earliest deadline first each kind by itself, else both mixed as they arrive.
+
+    ``parts`` is what was kept and what was moved in each step, (n_step,), the first of which is ``first``.
+    """
+    steps, shares = first + np.arange(len(parts[0])), (share, 1.0 - share)
     amounts, places, came, of_kind, due = [], [], [], [], []
     for less, part in enumerate(parts):  # what was kept, and what was moved
         last = np.stack([steps + max(its - less, 0) for its in slack])
@@ -108,8 +139,8 @@ def _line(parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: f
             of_kind.append(np.tile(kinds[:, None], len(steps)))
             due.append(last)
     order = np.argsort(np.concatenate(places), kind="stable")
-    flat = (np.concatenate(amounts), np.concatenate(came), np.hstack(of_kind), np.hstack(due))
-    return _Line(*(of[..., order] for of in flat))
+    flat = (np.concatenate(amounts), np.concatenate(came), np.hstack(of_kind), np.hstack(due), np.concatenate(places))
+    return Line(*(of[..., order] for of in flat))
 
 
 def _in_time(steps: np.ndarray, weight: np.ndarray) -> float:

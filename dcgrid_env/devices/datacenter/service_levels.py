@@ -23,6 +23,7 @@ from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, positive_
 from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
+from dcgrid_env.devices.datacenter.lateness_by_parts import LatenessByParts
 from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState, kernels
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -158,6 +159,28 @@ class ServedSites(PassesBy):
         slack = self.rule.slack(dt_s)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
         return lateness(history.arrived_kw[1:], moved[1:], history.served_kw[1:], slack, share, first, dt_s)
+
+    def by_parts(self, params: DataCenterParams, dt_s: float) -> _LatenessOfSites:
+        """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
+        return _LatenessOfSites(self, dt_s)
+
+
+class _LatenessOfSites:
+    """Accumulates the figures of ``ServedSites`` over a course that comes in parts."""
+
+    def __init__(self, sites: ServedSites, dt_s: float):
+        self.moves_late = sites.moves_late
+        rule = sites.rule
+        self._late = LatenessByParts(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
+
+    def add(self, history: SiteState, own: ServiceState) -> None:
+        """Take a part."""
+        moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
+        self._late.add(history.arrived_kw[1:], moved[1:], history.served_kw[1:])
+
+    def figures(self) -> dict[str, float]:
+        """Those of all parts so far."""
+        return self._late.figures()
 
 
 def serve_by_slack(

@@ -6,8 +6,8 @@ from typing import Any
 
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, speed_share
 from dcgrid_env.devices.datacenter.moved_requests import by_site
-from dcgrid_env.devices.datacenter.request_delay import RequestDelays, request_delays, serve_requests
-from dcgrid_env.devices.datacenter.waiting_time import fcfs_delays
+from dcgrid_env.devices.datacenter.request_delay import request_delays, serve_requests
+from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
 from dcgrid_env.devices.ratings import DataCenterParams
 
 
@@ -17,26 +17,34 @@ def site_metrics(
     """Figures by name, see ``Device.metrics``; ``history`` has the fields of ``DataCenterState`` over time, and
     ``latency_s`` is that of a move between sites."""
     arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
-    delays = fcfs_delays(arrived, served, dt_s)
-    clock = history.f_mhz[1:].mean() / params.f_max_mhz[0] if len(params.f_max_mhz) else 1.0  # one top clock for all
-    figures = {
+    figures = delay_figures(fcfs_delays(arrived, served, dt_s)) | {"clock_mean_pct": mean_clock_pct(params, history)}
+    if requests:
+        figures |= figures_of_requests(params, clock_law, history, dt_s, requests, latency_s)
+    return figures
+
+
+def delay_figures(delays: Delays) -> dict[str, float]:
+    """Figures of waiting times, by name."""
+    return {
         "delay_mean_s": delays.mean_s,
         "delay_p50_s": delays.p50_s,
         "delay_p95_s": delays.p95_s,
         "delay_p99_s": delays.p99_s,
         "arrived_kws": delays.arrived_kws,
         "unserved_kws": delays.unserved_kws,
-        "clock_mean_pct": 100.0 * clock,
     }
-    if requests:
-        figures |= _request_delays(params, clock_law, history, dt_s, requests, latency_s)._asdict()
-    return figures
 
 
-def _request_delays(
+def mean_clock_pct(params: DataCenterParams, history: Any) -> float:
+    """Mean clock of all sites as a share of the top clock, which is one for all."""
+    clock = history.f_mhz[1:].mean() / params.f_max_mhz[0] if len(params.f_max_mhz) else 1.0
+    return 100.0 * clock
+
+
+def figures_of_requests(
     params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any, latency_s: float
-) -> RequestDelays:
-    """Figures over the requests of all sites."""
+) -> dict[str, float]:
+    """Figures over the requests of all sites, see ``site_metrics``."""
     parts = (history.class_arrived_kw[1:], history.class_served_kw[1:])
     arrived, served = (w.reshape(*w.shape[:2], -1) for w in parts)
     speed = speed_share(clock_law, params, history.f_mhz[1:])
@@ -46,4 +54,4 @@ def _request_delays(
             times, begin_s, arrived[:, i], served[:, i], speed[:, i], dt_s, wait_s[:, i] + latency_s * (i != came_to)
         )
         for times, begin_s, i, came_to in by_site(requests, history, dt_s)
-    )
+    )._asdict()

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.devices.by_parts import Combined
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
@@ -171,3 +172,34 @@ class UpsSite:
             "battery_energy_kws": battery.battery_kw[1:].sum() * dt_s,
             "battery_missing_kws": np.maximum(full_kws - battery.stored_kws[-1], 0.0).sum(),
         }
+
+    def by_parts(self, params: DataCenterParams, dt_s: float) -> _UpsByParts:
+        """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
+        return _UpsByParts(self, params, dt_s)
+
+
+class _UpsByParts:
+    """Accumulates the figures of ``UpsSite`` over a course that comes in parts."""
+
+    def __init__(self, sites: UpsSite, params: DataCenterParams, dt_s: float):
+        self.sites, self.params, self.dt_s = sites, params, dt_s
+        self._combined = Combined()
+        self._steps = 0
+        self._away: tuple[int, int] | None = None
+        """The first and the last step with a site away."""
+
+    def add(self, history: SiteState, own: UpsState) -> None:
+        """Take a part."""
+        figures = self.sites.metrics(self.params, history, own, self.dt_s)
+        del figures["ups_all_back_s"]
+        steps = len(own.ups.share) - 1
+        self._combined.add(figures, steps)
+        gone = np.flatnonzero((own.ups.share[1:] < 1.0).any(axis=1)) + self._steps
+        if len(gone):
+            self._away = int(gone[0]) if self._away is None else self._away[0], int(gone[-1])
+        self._steps += steps
+
+    def figures(self) -> dict[str, float]:
+        """Those of all parts so far."""
+        away_s = 0.0 if self._away is None else (self._away[1] - self._away[0] + 1) * self.dt_s
+        return self._combined.figures() | {"ups_all_back_s": away_s}

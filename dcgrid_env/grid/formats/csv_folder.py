@@ -1,10 +1,11 @@
 """A balanced feeder as a folder of three files, read and written: feeder.toml, buses.csv, branches.csv.
 
 ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu, and about, source, licence as texts for readers.
-``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y.
-``branches.csv``: from_bus, to_bus, r_ohm, x_ohm.
+``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio, base_kv.
+``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a.
 
-Other keys and columns are refused: a misspelt one would be left out unnoticed.
+An empty cell of an optional column is no capacitor or shunt, a ratio of 1, the feeder's base voltage, an unknown
+coordinate or rating. Other keys and columns are refused: a misspelt one would be left out unnoticed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import io
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from dcgrid_env.grid.network_checks import check_balanced
 from dcgrid_env.grid.topology import FeederError
 
 _KEYS = ("name", "base_kv", "substation", "v0_pu")
+_SHUNTS = {"shunt_kw": 0.0, "shunt_kvar": 0.0}
+_OF_NODES = {"base_kv": math.nan, "voltage_ratio": math.nan}
 _TEXTS = ("about", "source", "licence")
 """Keys of feeder.toml that are for readers."""
 
@@ -55,18 +58,28 @@ def read_csv(folder: Path) -> Network:
         folder / "buses.csv",
         ["bus"],
         {"p_kw": None, "q_kvar": None, "capacitor_kvar": 0.0, "x": math.nan, "y": math.nan},
+        _SHUNTS | _OF_NODES,
     )
-    branches = _columns(folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None})
+    branches = _columns(
+        folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None}, {"rating_a": math.nan}
+    )
     return balanced_network(
         str(head["name"]),
         base_kv=head["base_kv"],
         substation=str(head["substation"]),
         v0_pu=head["v0_pu"],
-        nodes=NodeTable(buses["bus"], [0] * len(buses["bus"]), buses["x"], buses["y"]),
+        nodes=NodeTable(
+            buses["bus"],
+            [0] * len(buses["bus"]),
+            buses["x"],
+            buses["y"],
+            **{column: buses.get(column, ()) for column in _OF_NODES},
+        ),
         p_kw=buses["p_kw"],
         q_kvar=buses["q_kvar"],
         capacitor_kvar=buses["capacitor_kvar"],
         lines=LineTable(**branches),
+        **{column: buses.get(column) for column in _SHUNTS},
     )
 
 
@@ -91,10 +104,17 @@ def write_csv(network: Network, folder: Path) -> None:
         summed_at_nodes(node, buses, values)
         for buses, values in ((load.bus, load.p_kw), (load.bus, load.q_kvar), (shunt.bus, shunt.capacitor_kvar))
     )
-    rows = zip(node.bus, p_kw, q_kvar, capacitor_kvar, node.x, node.y, strict=True)
-    write_text(folder / "buses.csv", _csv("bus p_kw q_kvar capacitor_kvar x y", rows))
-    rows = zip(line.from_bus, line.to_bus, line.r_ohm, line.x_ohm, strict=True)
-    write_text(folder / "branches.csv", _csv("from_bus to_bus r_ohm x_ohm", rows))
+    buses = {"bus": node.bus, "p_kw": p_kw, "q_kvar": q_kvar, "capacitor_kvar": capacitor_kvar, "x": node.x}
+    buses |= {"y": node.y}
+    for column in _SHUNTS:
+        if getattr(shunt, column):
+            buses[column] = summed_at_nodes(node, shunt.bus, getattr(shunt, column))
+    buses |= {column: getattr(node, column) for column in _OF_NODES if getattr(node, column)}
+    branches = {column: getattr(line, column) for column in ("from_bus", "to_bus", "r_ohm", "x_ohm", "rating_a")}
+    if not line.rating_a:
+        del branches["rating_a"]
+    write_text(folder / "buses.csv", _csv(buses))
+    write_text(folder / "branches.csv", _csv(branches))
     source = network.source
     head = {"name": network.name, "base_kv": float(source.base_kv[0])}
     head |= {"substation": source.bus[0], "v0_pu": float(source.v_pu[0])}
@@ -103,10 +123,11 @@ def write_csv(network: Network, folder: Path) -> None:
     write_text(folder / "feeder.toml", "".join(lines).replace("\x7f", "\\u007f"))
 
 
-def _csv(header: str, rows: Iterable[Sequence[Any]]) -> str:
+def _csv(columns: dict[str, Iterable[Any]]) -> str:
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
-    writer.writerow(header.split())
+    writer.writerow(columns)
+    rows = zip(*columns.values(), strict=True)
     writer.writerows([v if isinstance(v, str) else _figure(float(v)) for v in row] for row in rows)
     return written.getvalue()
 
@@ -126,18 +147,25 @@ def _text(path: Path) -> str:
         raise FeederError(f"{path} cannot be read ({error.strerror}); give a file") from None
 
 
-def _columns(path: Path, names: list[str], numbers: dict[str, float | None]) -> dict[str, list[Any]]:
-    """Columns of a CSV file; ``numbers`` maps a numeric column to its default, None where it must be given."""
+def _columns(
+    path: Path, names: list[str], numbers: dict[str, float | None], optional: dict[str, float]
+) -> dict[str, list[Any]]:
+    """Columns of a CSV file; ``numbers`` maps a numeric column to its default, None where it must be given.
+
+    ``optional`` columns, with the default of an empty cell, are in the result only where the file has them.
+    """
     reader = csv.DictReader(_text(path).splitlines())
     header = reader.fieldnames or []
     missing = [c for c in [*names, *(n for n, default in numbers.items() if default is None)] if c not in header]
     if missing:
         raise FeederError(f"{path}: the column {missing[0]!r} is missing; the file has {list(header)}")
     for i, c in enumerate(header):
-        if c not in (*names, *numbers):
-            raise FeederError(f"{path}: {c!r} is no column of it; there are {', '.join((*names, *numbers))}")
+        if c not in (*names, *numbers, *optional):
+            there = ", ".join((*names, *numbers, *optional))
+            raise FeederError(f"{path}: {c!r} is no column of it; there are {there}")
         if c in header[:i]:
             raise FeederError(f"{path}: the column {c!r} is there twice; leave one out")
+    numbers = numbers | {c: default for c, default in optional.items() if c in header}
     columns: dict[str, list[Any]] = {c: [] for c in [*names, *numbers]}
     for row in reader:
         if None in row:

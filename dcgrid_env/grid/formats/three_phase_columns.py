@@ -20,6 +20,7 @@ from dcgrid_env.grid.network import (
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TEXTS = ("name", "bank", "bus", "from_bus", "to_bus", "phases", "state", "connection", "connection_from")
 _TEXTS += ("connection_to", "model", "sensed_phase")
+_UNKNOWN = ("length_m", "rating_a")
 _WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
 
 
@@ -45,12 +46,12 @@ class Column:
     @property
     def may_be_empty(self) -> bool:
         """Whether a cell may be empty: a phase that does not exist, an unknown length, a model without shares."""
-        return self.shape in ("matrix", "zip") or self.field == "length_m"
+        return self.shape in ("matrix", "zip") or self.field in _UNKNOWN
 
     @property
     def may_be_missing(self) -> bool:
         """Whether the file may lack the column."""
-        return self.shape == "zip" or self.field == "length_m"
+        return self.shape == "zip" or self.field in _UNKNOWN
 
     def joined(self, cells: Sequence[Any]) -> Any:
         """The value that cells make."""

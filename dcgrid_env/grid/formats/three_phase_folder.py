@@ -64,8 +64,10 @@ def write_folder(network: Network, folder: Path) -> None:
     for kind, file in FILES.items():
         table = getattr(network, kind)
         columns = [(column, getattr(table, column.field)) for column in file.columns]
+        unused = {"rating_a"} if all(map(math.isnan, getattr(table, "rating_a", ()))) else set()
         if not any(any(shares) for shares in getattr(table, "zip", ())):
-            columns = [(column, values) for column, values in columns if column.field != "zip"]
+            unused.add("zip")
+        columns = [(column, values) for column, values in columns if column.field not in unused]
         rows = ([cell for column, values in columns for cell in column.cells(values[k])] for k in range(len(table)))
         texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows)
     for name, text in texts.items():
@@ -107,13 +109,15 @@ def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _read_buses(path: Path) -> NodeTable:
     rows: list[tuple] = []
+    before: set[str] = set()
     for line, row in _rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"], ()):
         figures = [_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
         base_kv = _number(path, line, "base_kv_ln", row["base_kv_ln"], None)
         if row["phases"] not in PHASES:
             raise FeederError(f"{path}, line {line}: phases is {row['phases']!r}; choose {', '.join(PHASES)}")
-        if not row["bus"] or any(row["bus"] == bus for bus, *_ in rows):
+        if not row["bus"] or row["bus"] in before:
             raise FeederError(f"{path}, line {line}: bus is {row['bus']!r}; give each bus one row and its own text")
+        before.add(row["bus"])
         rows += [(row["bus"], NUMBER[phase], *figures, base_kv) for phase in row["phases"]]
     return NodeTable(*zip(*rows, strict=True)) if rows else NodeTable()
 
@@ -137,6 +141,8 @@ def _read_table(folder: Path, file: File) -> Any:
     for line, row in _rows(path, needed, more, RESULTS.get(file.name, ())):
         for column in file.columns:
             found[column.field].append(_read_cells(path, line, row, column))
+    if all(map(math.isnan, found.get("rating_a", ()))):  # as before there were ratings
+        found.pop("rating_a", None)
     return file.table(**found)
 
 

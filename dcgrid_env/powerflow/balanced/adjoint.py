@@ -7,8 +7,9 @@ weighted sum with respect to a variable, branch k from i:
     lbar_k = weight of l + r Pbar_k + x Qbar_k + (r^2 + x^2) wbar_k
     Pbar_k = weight of P + Pbar_i - 2 r wbar_k + 2 P_k / w_i lbar_k             and dp_k = Pbar_k, dq_k = Qbar_k
     Qbar_k = weight of Q + Qbar_i - 2 x wbar_k + 2 Q_k / w_i lbar_k
-    wbar_k = weight of w + sum over what k feeds: wbar_c - l_c / w_k lbar_c
+    wbar_k = weight of w + sum over what k feeds: wbar_c - l_c / w_k lbar_c + g_k Pbar_k - b_k Qbar_k
 
+The last two terms are those of a shunt, which draws g_k w_k and injects b_k w_k.
 The sweeps go up the tree for w, down it for the rest, until lbar stands still; blocks of lanes are innermost, as in
 ``compiled``.
 """
@@ -28,12 +29,12 @@ TOLERANCE = {8: 1e-10, 4: 1e-5}
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def distflow_adjoint_lanes(order, parent, r, x, solved, weights, converged, tolerance, out):
+def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
     """Fill ``out``: derivatives by p_kw and q_kvar (lane, bus) and by v0_pu (lane,) of sum(weights * solved).
 
     ``solved`` and ``weights`` hold v_pu (lane, bus), p_branch_kw, q_branch_kvar, current_sq_pu (lane, branch) and the
-    weights loss_kw (lane,) besides; ``order, parent, r, x`` are as in ``distflow_lanes``. A lane without a solution
-    has no derivative and gets 0.
+    weights loss_kw (lane,) besides; what comes before them is as in ``distflow_lanes``. A lane without a solution has
+    no derivative and gets 0.
     """
     v_pu, p_branch, q_branch, current = solved
     g_v, g_p, g_q, g_l, g_loss = weights
@@ -43,6 +44,7 @@ def distflow_adjoint_lanes(order, parent, r, x, solved, weights, converged, tole
     w, P, Q, l, gw, gP, gQ, gl, Pb, Qb, lb, wb = (
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10], work[11],
     )  # fmt: skip
+    before = np.empty((shunt_g.shape[0], BLOCK), v_pu.dtype)
     off = np.empty(BLOCK, v_pu.dtype)
     size = np.empty(BLOCK, v_pu.dtype)
     for first in range(0, n_lanes, BLOCK):
@@ -64,10 +66,19 @@ def distflow_adjoint_lanes(order, parent, r, x, solved, weights, converged, tole
                 gQ[k, b] = on * g_q[lane, i - 1] * S_BASE_KVA
                 gl[k, b] = on * (g_l[lane, i - 1] + g_loss[lane] * S_BASE_KVA * r[k])
                 lb[k, b] = 0.0
+            for k in range(ratio.shape[0]):
+                w[k, b] /= ratio[k] * ratio[k]
+                gw[k, b] *= ratio[k] * ratio[k]
+            for k in range(1, shunt_g.shape[0]):
+                Pb[k, b] = Qb[k, b] = 0.0
         for _ in range(SWEEPS):
             for k in range(n):
                 for b in range(BLOCK):
                     wb[k, b] = gw[k, b]
+            for k in range(1, shunt_g.shape[0]):
+                for b in range(BLOCK):
+                    before[k, b] = shunt_g[k] * Pb[k, b] - shunt_b[k] * Qb[k, b]
+                    wb[k, b] += before[k, b]
             for k in range(n - 1, 0, -1):
                 i = parent[k]
                 for b in range(BLOCK):
@@ -91,6 +102,10 @@ def distflow_adjoint_lanes(order, parent, r, x, solved, weights, converged, tole
                     lb[k, b] = new
                     Pb[k, b] = to_p + by_p * new
                     Qb[k, b] = to_q + by_q * new
+            for k in range(1, shunt_g.shape[0]):
+                for b in range(BLOCK):
+                    change = shunt_g[k] * Pb[k, b] - shunt_b[k] * Qb[k, b] - before[k, b]
+                    off[b] = max(off[b], abs(change))
             settled = True
             for b in range(BLOCK):
                 settled = settled and off[b] <= tolerance * size[b]

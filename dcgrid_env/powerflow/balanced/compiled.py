@@ -6,6 +6,11 @@ operations and a lane's figures are taken at its own last sweep, so a feeder's s
 lane of any batch and on any number of threads.
 
 Scratch arrays are (n_bus, width) in depth-first order and per unit; ``l`` is squared current, ``v`` squared voltage.
+
+A feeder's constants are ``order``, its depth-first order, and in that order ``parent``, ``r``, ``x``, ``shunt_g`` and
+``shunt_b`` (draw and injection at 1 p.u.) and ``ratio`` (of the reported voltage to the referred one). The last three
+have no rows where the feeder has no shunts, or no ratios other than 1: then nothing of theirs is computed. A shunt's
+power is that of the last sweep's voltage, and what the sweep changes of it is part of the residual.
 """
 
 from __future__ import annotations
@@ -14,10 +19,17 @@ import numba
 import numpy as np
 
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
+from dcgrid_env.powerflow.solution import (
+    LINEAR_SWEEPS,
+    LINEAR_TOLERANCE,
+    LINEAR_TOLERANCE_32,
+    V_SQ_CEILING,
+    V_SQ_FLOOR,
+)
 
 BLOCK = 32  # lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123
 FEW = 10  # up to this many lanes one at a time beats a mostly empty block
+MOST_IN_BLOCKS = 800  # buses: the blocks of a larger feeder do not fit into the cache, and one lane at a time is faster
 PER_KVA = 1.0 / S_BASE_KVA
 BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
 
@@ -52,7 +64,27 @@ def _clear(scratch):
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _store(b, lane, order, r, scratch, sweeps, residual, converged, out):
+def _add_shunts(shunt_g, shunt_b, scratch, before):
+    """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
+    _, _, P, Q, v, _ = scratch
+    for k in range(shunt_g.shape[0]):
+        for b in range(v.shape[1]):
+            P[k, b] += shunt_g[k] * v[k, b]
+            Q[k, b] -= shunt_b[k] * v[k, b]
+            before[k, b] = v[k, b]
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _add_change(shunt_g, shunt_b, v, before, off):
+    """Raise the residual of each column to the largest change of a shunt's power in this sweep."""
+    for k in range(shunt_g.shape[0]):
+        size = max(abs(shunt_g[k]), abs(shunt_b[k]))
+        for b in range(v.shape[1]):
+            off[b] = max(off[b], abs(v[k, b] - before[k, b]) * size)
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     _, _, P, Q, v, l = scratch
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
     loss = 0.0
@@ -64,6 +96,8 @@ def _store(b, lane, order, r, scratch, sweeps, residual, converged, out):
         q_branch_kvar[lane, i - 1] = Q[k, b] * S_BASE_KVA
         current_sq_pu[lane, i - 1] = l[k, b]
         loss += r[k] * l[k, b]
+    for k in range(ratio.shape[0]):
+        v_pu[lane, order[k]] *= ratio[k]
     loss_kw[lane] = loss * S_BASE_KVA
     ok[lane] = converged
     iterations[lane] = sweeps
@@ -71,7 +105,7 @@ def _store(b, lane, order, r, scratch, sweeps, residual, converged, out):
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _lane(parent, r, x, scratch, tolerance, max_sweeps):
+def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch
     n = parent.shape[0]
@@ -80,6 +114,7 @@ def _lane(parent, r, x, scratch, tolerance, max_sweeps):
         for k in range(n):
             P[k, 0] = p[k, 0] + r[k] * l[k, 0]
             Q[k, 0] = q[k, 0] + x[k] * l[k, 0]
+        _add_shunts(shunt_g, shunt_b, scratch, before)
         for k in range(n - 1, 0, -1):
             P[parent[k], 0] += P[k, 0]
             Q[parent[k], 0] += Q[k, 0]
@@ -93,13 +128,17 @@ def _lane(parent, r, x, scratch, tolerance, max_sweeps):
             residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
             l[k, 0] = l_new
             v[k, 0] = v_j
+        if shunt_g.shape[0] > 0:
+            off[0] = residual
+            _add_change(shunt_g, shunt_b, v, before, off)
+            residual = off[0]
         if residual <= tolerance:
             return sweep, residual
     return max_sweeps, residual
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _block(parent, r, x, scratch, off, collapsed):
+def _block(parent, r, x, shunt_g, shunt_b, scratch, before, off, collapsed):
     """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive."""
     p, q, P, Q, v, l = scratch
     n = parent.shape[0]
@@ -107,6 +146,7 @@ def _block(parent, r, x, scratch, off, collapsed):
         for b in range(BLOCK):
             P[k, b] = p[k, b] + r[k] * l[k, b]
             Q[k, b] = q[k, b] + x[k] * l[k, b]
+    _add_shunts(shunt_g, shunt_b, scratch, before)
     for k in range(n - 1, 0, -1):
         i = parent[k]
         for b in range(BLOCK):
@@ -128,14 +168,16 @@ def _block(parent, r, x, scratch, off, collapsed):
             off[b] = max(off[b], abs(l_new - l[k, b]) * z_max)
             l[k, b] = l_new
             v[k, b] = v_j
+    _add_change(shunt_g, shunt_b, v, before, off)
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
+def _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
     n_lanes, n = p_kw.shape
     work = np.empty((6, n, BLOCK), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
+    before = np.empty((shunt_g.shape[0], BLOCK), p_kw.dtype)
     off = np.empty(BLOCK, p_kw.dtype)
     finite = np.empty(BLOCK, np.bool_)
     collapsed = np.empty(BLOCK, p_kw.dtype)
@@ -150,14 +192,14 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
             _start(b, lane, order, warm, scratch[5])
         left = count
         for sweep in range(1, most + 1):
-            _block(parent, r, x, scratch, off, collapsed)
+            _block(parent, r, x, shunt_g, shunt_b, scratch, before, off, collapsed)
             for b in range(count):
                 if done[b]:
                     continue
                 if collapsed[b] > 0.0 or not finite[b]:
                     out[6][first + b] = 0
                 elif off[b] <= tolerance:
-                    _store(b, first + b, order, r, scratch, sweep, off[b], True, out)
+                    _store(b, first + b, order, r, ratio, scratch, sweep, off[b], True, out)
                 elif sweep == most:
                     out[6][first + b] = 0
                 else:
@@ -169,19 +211,21 @@ def _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweep
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
+def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
-    ``order`` is the feeder's depth-first order; ``parent, r, x`` follow it. ``warm`` (lane, branch) holds squared
+    ``warm`` (lane, branch) holds squared
     currents to start from, or has no rows. A lane that does not settle from there starts again from no current, with
     ``max_sweeps``. Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
-    few = n_lanes <= FEW
+    few = n_lanes <= FEW or n > MOST_IN_BLOCKS
     if not few:
-        _blocks(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out)
+        _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out)
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
+    before = np.empty((shunt_g.shape[0], 1), p_kw.dtype)
+    off = np.empty(1, p_kw.dtype)
     cold = warm[:0]
     failed = 0
     for lane in range(n_lanes):
@@ -191,41 +235,53 @@ def distflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, warm, tolerance, ma
         finite = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
         if few and finite:
             _start(0, lane, order, warm, scratch[5])
-            sweeps, residual = _lane(parent, r, x, scratch, tolerance, min(BLOCK_SWEEPS, max_sweeps))
+            most = min(BLOCK_SWEEPS, max_sweeps)
+            sweeps, residual = _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, most)
         if finite and not residual <= tolerance:
             _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
             _start(0, lane, order, cold, scratch[5])
-            sweeps, residual = _lane(parent, r, x, scratch, tolerance, max_sweeps)
+            sweeps, residual = _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps)
         settled = residual <= tolerance
         failed += not settled
         if residual == np.inf:
             _clear(scratch)
-        _store(0, lane, order, r, scratch, sweeps, residual, settled, out)
+        _store(0, lane, order, r, ratio, scratch, sweeps, residual, settled, out)
     return failed
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def lindistflow_lanes(order, parent, r, x, p_kw, q_kvar, v0_pu, out):
-    """Solve what ``distflow_lanes`` solves without its loss terms: one pass, no iteration."""
+def lindistflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, out):
+    """Solve what ``distflow_lanes`` solves without its loss terms: one pass, and more only for the shunts' power."""
     n_lanes, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     p, q, P, Q, v, l = scratch
+    before = np.empty((shunt_g.shape[0], 1), p_kw.dtype)
+    off = np.empty(1, p_kw.dtype)
+    tolerance = LINEAR_TOLERANCE if p_kw.itemsize == 8 else LINEAR_TOLERANCE_32
     failed = 0
     for lane in range(n_lanes):
         settled = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
-        for k in range(n):
-            P[k, 0] = p[k, 0]
-            Q[k, 0] = q[k, 0]
-            l[k, 0] = 0.0
-        for k in range(n - 1, 0, -1):
-            P[parent[k], 0] += P[k, 0]
-            Q[parent[k], 0] += Q[k, 0]
-        for k in range(1, n):
-            v[k, 0] = v[parent[k], 0] - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0])
-            settled = settled and v[k, 0] > V_SQ_FLOOR and v[k, 0] < V_SQ_CEILING
+        sweeps = 0
+        off[0] = np.inf
+        while settled and off[0] > tolerance and sweeps < LINEAR_SWEEPS:
+            sweeps += 1
+            off[0] = 0.0
+            for k in range(n):
+                P[k, 0] = p[k, 0]
+                Q[k, 0] = q[k, 0]
+                l[k, 0] = 0.0
+            _add_shunts(shunt_g, shunt_b, scratch, before)
+            for k in range(n - 1, 0, -1):
+                P[parent[k], 0] += P[k, 0]
+                Q[parent[k], 0] += Q[k, 0]
+            for k in range(1, n):
+                v[k, 0] = v[parent[k], 0] - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0])
+                settled = settled and v[k, 0] > V_SQ_FLOOR and v[k, 0] < V_SQ_CEILING
+            _add_change(shunt_g, shunt_b, v, before, off)
+        settled = settled and off[0] <= tolerance
         failed += not settled
         if not settled:
             _clear(scratch)
-        _store(0, lane, order, r, scratch, 1, 0.0 if settled else np.inf, settled, out)
+        _store(0, lane, order, r, ratio, scratch, max(sweeps, 1), off[0] if settled else np.inf, settled, out)
     return failed

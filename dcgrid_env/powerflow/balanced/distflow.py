@@ -10,6 +10,10 @@ IEEE Trans. Power Delivery 4(2), 1989. Solved by backward sums of flow and forwa
 without impedance is exact. The residual is the mismatch of the first two equations; the others hold at every sweep.
 The sweeps find the solution of high voltage for loads up to the feeder's limit, and for injections that raise the
 voltage up to some 1.4 times the substation's; beyond that they may not settle, which ``converged`` tells.
+
+Shunts of the feeder draw shunt_kw v_j and inject shunt_kvar v_j at bus j, beside its load; the residual is then also
+the change of their power in the last sweep. All quantities are referred to the substation's base voltage, and only the
+reported voltage of a bus is multiplied by its ``voltage_ratio``.
 """
 
 from __future__ import annotations
@@ -46,7 +50,8 @@ def distflow(
     Parameters
     ----------
     feeder
-        The feeder. Its own load and capacitors are not added: ``p_kw`` and ``q_kvar`` are all there is.
+        The feeder. Its own load and capacitors are not added: beside its shunts, which are part of the grid,
+        ``p_kw`` and ``q_kvar`` are all there is.
     p_kw, q_kvar
         Net load at each bus (consumption positive), shape (..., n_bus), in the order of ``feeder.bus_ids``: NumPy
         arrays (or lists) or torch tensors on one device, of real numbers. Two of float32 are solved in float32,

@@ -21,6 +21,7 @@ def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Any = None) -
     """Solve the lossless linearised power flow; arguments, result and errors as for :func:`distflow`.
 
     Currents and losses are zero; ``converged`` is False where the load drives a squared voltage to zero.
+    A shunt's power goes with the voltage, so that a feeder with shunts takes several passes, until it settles.
     """
     check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)

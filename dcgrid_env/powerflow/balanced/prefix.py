@@ -15,7 +15,15 @@ from dcgrid_env.core.arrays import namespace, requires_grad, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.feeder import Feeder
-from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, Array, Solution
+from dcgrid_env.powerflow.solution import (
+    LINEAR_SWEEPS,
+    LINEAR_TOLERANCE,
+    LINEAR_TOLERANCE_32,
+    V_SQ_CEILING,
+    V_SQ_FLOOR,
+    Array,
+    Solution,
+)
 
 
 class Tree(NamedTuple):
@@ -29,6 +37,8 @@ class Tree(NamedTuple):
     enter: Array  # where in the tour each position's own drop stands
     r: Array
     x: Array
+    shunt: Array | None  # draw of active and of reactive power by the shunt at each position at 1 p.u., (2, n)
+    ratio: Array | None  # of each bus, not position: reported voltage over referred voltage
 
 
 @cached_on_owner
@@ -47,9 +57,16 @@ def tree(feeder: Feeder, xp: Any, dtype: Any, device: Any) -> Tree:
         tour.append(k)
     indices = [order, place, parent, end, np.array(tour), enter]
     z = [np.concatenate(([0.0], z_pu[order[1:] - 1])) for z_pu in (feeder.r_pu, feeder.x_pu)]
+    shunts, ratio = feeder.shunts_pu, feeder.voltage_ratio
+    if shunts is not None:
+        shunts = shunts[:, order] * np.array([[1.0], [-1.0]])
+
+    def figures(values: np.ndarray | None) -> Any:
+        return None if values is None else xp.asarray(values.copy(), dtype=dtype, device=device)
+
     return Tree(
         *(xp.asarray(np.array(i, dtype=np.int64), device=device) for i in indices),
-        *(xp.asarray(z_pu, dtype=dtype, device=device) for z_pu in z),
+        *map(figures, (*z, shunts, ratio)),
     )
 
 
@@ -78,11 +95,21 @@ def lindistflow_arrays(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array)
     xp = namespace(p_kw)
     t = tree(feeder, xp, p_kw.dtype, p_kw.device)
     load, z = _load_and_impedance(t, p_kw, q_kvar)
-    flow = _subtree_sums(t, load)
-    v_sq = (v0_pu * v0_pu)[..., None] - _path_sums(t, 2.0 * xp.sum(z * flow, axis=0))
-    good = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
-    residual = xp.where(good, 0.0 * v0_pu, xp.inf)
-    iterations = xp.ones_like(good, dtype=xp.int64)
+    tolerance = LINEAR_TOLERANCE if p_kw.dtype == xp.float64 else LINEAR_TOLERANCE_32
+    v0_sq = (v0_pu * v0_pu)[..., None]
+    v_sq = v0_sq + 0.0 * load[0]
+    iterations = xp.zeros_like(v0_pu, dtype=xp.int64)
+    for _ in range(LINEAR_SWEEPS):
+        iterations = iterations + 1
+        flow = _subtree_sums(t, load if t.shunt is None else load + _drawn_by_shunts(t, v_sq))
+        new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * flow, axis=0))
+        off = 0.0 * v0_pu if t.shunt is None else _change_of_shunts(t, new_v_sq, v_sq)
+        v_sq = new_v_sq
+        alive = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
+        if not bool(xp.any(alive & (off > tolerance))):
+            break
+    good = alive & (off <= tolerance)
+    residual = xp.where(good, off, xp.inf)
     return _solution(t, xp.clip(v_sq, V_SQ_FLOOR, V_SQ_CEILING), flow, 0.0 * load[0], good, iterations, residual)
 
 
@@ -92,6 +119,18 @@ def _load_and_impedance(t: Tree, p_kw: Array, q_kvar: Array) -> tuple[Array, Arr
     load = xp.stack((take_last(p_kw, t.order), take_last(q_kvar, t.order))) / S_BASE_KVA
     z = xp.reshape(xp.stack((t.r, t.x)), (2,) + (1,) * (p_kw.ndim - 1) + (p_kw.shape[-1],))
     return load, z
+
+
+def _drawn_by_shunts(t: Tree, v_sq: Array) -> Array:
+    """Power drawn by the shunts, per unit, (2, ..., n) in depth-first order."""
+    shunt: Any = t.shunt
+    return namespace(v_sq).stack((shunt[0] * v_sq, shunt[1] * v_sq))
+
+
+def _change_of_shunts(t: Tree, v_sq: Array, before: Array) -> Array:
+    """Largest change of a shunt's active or reactive power between two voltages, per unit, (...)."""
+    xp, shunt = namespace(v_sq), t.shunt
+    return xp.max(xp.abs(v_sq - before) * xp.max(xp.abs(shunt), axis=0), axis=-1)
 
 
 def _subtree_sums(t: Tree, values: Array) -> Array:
@@ -124,13 +163,17 @@ def _sweeps(
     iterations = xp.zeros_like(v0_pu, dtype=xp.int64)
     residual = 0.0 * v0_pu
     for _ in range(max_sweeps):
-        new_flow = _subtree_sums(t, load + z * current_sq)
+        drawn = load if t.shunt is None else load + _drawn_by_shunts(t, v_sq)
+        new_flow = _subtree_sums(t, drawn + z * current_sq)
         new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * new_flow, axis=0) - z_sq * current_sq)
         alive = (xp.min(new_v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(new_v_sq, axis=-1) < V_SQ_CEILING)
         # The floor keeps lanes without a solution finite, so that they spoil neither values nor derivatives.
         new_v_sq = xp.clip(new_v_sq, V_SQ_FLOOR, V_SQ_CEILING)
         new_current_sq = xp.sum(new_flow * new_flow, axis=0) / take_last(new_v_sq, t.parent)
-        off = xp.where(alive, xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1), xp.inf)
+        off = xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1)
+        if t.shunt is not None:
+            off = xp.maximum(off, _change_of_shunts(t, new_v_sq, v_sq))
+        off = xp.where(alive, off, xp.inf)
         if bool((active & alive).all()):
             flow, v_sq, current_sq = new_flow, new_v_sq, new_current_sq
         else:
@@ -152,8 +195,9 @@ def _solution(
     xp = namespace(v_sq)
     branch = t.place[1:]
     current_sq_pu = take_last(current_sq, branch)
+    v_pu = xp.sqrt(take_last(v_sq, t.place))
     return Solution(
-        v_pu=xp.sqrt(take_last(v_sq, t.place)),
+        v_pu=v_pu if t.ratio is None else v_pu * t.ratio,
         p_branch_kw=take_last(flow[0], branch) * S_BASE_KVA,
         q_branch_kvar=take_last(flow[1], branch) * S_BASE_KVA,
         current_sq_pu=current_sq_pu,

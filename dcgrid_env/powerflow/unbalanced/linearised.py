@@ -5,6 +5,7 @@ Figures are signed and go across phases: a load on one phase lowers its own volt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ def linearise(
     q_kvar: Any,
     source_voltage_pu: float | None = None,
     control: Control | None = None,
+    at: Sequence[int] | None = None,
 ) -> Linearised:
     """Linearise one power flow, by the compiled derivative for the weight of each node.
 
@@ -46,6 +48,9 @@ def linearise(
     ----------
     feeder, p_kw, q_kvar, source_voltage_pu, control
         One power flow as :func:`solve_unbalanced` takes it, powers of shape (n_leg,), NumPy arrays.
+    at
+        Nodes whose voltages are wanted, which are then the rows; all nodes for None. Time and memory go with their
+        number.
 
     Raises
     ------
@@ -63,12 +68,13 @@ def linearise(
         )
     source_pu = source_voltage(feeder, p_kw, source_voltage_pu)
     q_kvar, ratio, state = control_inputs(feeder, q_kvar, control)
-    n, n_load = feeder.n_node, feeder.first_device_leg
+    rows = np.eye(feeder.n_node) if at is None else np.zeros((len(at), feeder.n_node))
+    if at is not None:
+        rows[np.arange(len(at)), at] = 1.0
+    n, n_load = len(rows), feeder.first_device_leg
     given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
     amperes = np.concatenate((solution.i_re_a, solution.i_im_a))
-    solved = (np.broadcast_to(solution.restart, (n, 2 * n)), np.broadcast_to(amperes, (n, 2 * n)))
-    d_p, d_q, _, d_ratio, d_state = derivatives(
-        feeder, given, solved, (np.eye(n), None, None, ()), np.ones(n, np.bool_)
-    )
+    solved = tuple(np.broadcast_to(a, (n, 2 * feeder.n_node)) for a in (solution.restart, amperes))
+    d_p, d_q, _, d_ratio, d_state = derivatives(feeder, given, solved, (rows, None, None, ()), np.ones(n, np.bool_))
     step = np.array(feeder.network.regulator.tap_step)
     return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:], d_ratio * step, d_state)

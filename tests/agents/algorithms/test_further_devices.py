@@ -21,8 +21,18 @@ given = pytest.mark.parametrize("name", SCENARIOS)
 views = pytest.mark.parametrize("view", ["shared", "centralised"])
 
 
-@given
-@views
+SLOW = ("shared", "riding")
+"""A view and a scenario whose derivative takes longest."""
+
+
+@pytest.mark.parametrize(
+    ("view", "name"),
+    [
+        pytest.param(view, name, marks=pytest.mark.slow) if (view, name) == SLOW else (view, name)
+        for view in ("shared", "centralised")
+        for name in SCENARIOS
+    ],
+)
 def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
     learner = Learner(Analytic(num_envs=4, window=10, hidden=(8,), view=view), [SCENARIOS[name]])
     before = [weight.detach().clone() for weight in learner.networks.parameters()]

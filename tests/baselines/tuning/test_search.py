@@ -85,10 +85,10 @@ def test_every_preset_ships_every_law():
         assert set(of_scenario) == {name for name in PRESETS if TUNABLE[law].fits(make_scenario(name))}, law
         for name, record in of_scenario.items():
             if name in SHORTENED:
-                assert record["command"].startswith(f"dcgrid dev tune --laws {law} --scenarios {name} --set horizon=")
+                assert record["command"].startswith(f"dcgrid tune --laws {law} --scenarios {name} --set horizon=")
                 continue
             options = f"--laws {law} --scenarios {name} --episodes {EPISODES}"
-            assert record["command"] in (f"dcgrid tune {options}", f"dcgrid dev tune {options}")
+            assert record["command"] in (f"dcgrid tune {options}", f"dcgrid tune {options}")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,11 @@ def test_what_ships_scores_here_as_it_did_when_found(law, preset):
     assert mean_cost(scenario, make_controller(f"{law}-tuned", scenario), EPISODES) == pytest.approx(shipped["J"])
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+LONG = ("ieee123-3ph-day", "smoothing")
+"""Presets of more than a thousand steps."""
+
+
+@pytest.mark.parametrize("preset", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PRESETS])
 def test_tuning_did_no_harm(preset):
     """On the episodes it was tuned on, a tuned law costs no more than as it stands."""
     scenario = make_scenario(preset, split="validation", **SHORTENED.get(preset, {}))
@@ -117,7 +121,7 @@ def test_tuning_did_no_harm(preset):
 def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
     own = make_scenario("toy6", name="mine")
     with pytest.raises(
-        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid dev tune --laws droop"
+        ValueError, match=r"no tuned parameters of 'droop' for scenario 'mine'.*dcgrid tune --laws droop"
     ):
         make_controller("droop-tuned", own)
     with pytest.raises(ValueError, match="'droop-tuned' depends on the scenario; say which"):

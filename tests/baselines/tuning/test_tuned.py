@@ -50,7 +50,7 @@ def test_a_preset_whose_grid_differs_does_not_get_its_gains(field, overrides):
     assert field in GRID
     own = make_scenario("ieee33-weak", **overrides)
     with pytest.raises(
-        ValueError, match=rf"from which this one differs in {field}; find its own with `dcgrid dev tune --laws"
+        ValueError, match=rf"from which this one differs in {field}; find its own with `dcgrid tune --laws"
     ):
         make_controller("droop-tuned", own)
     assert grid_hash(own) != grid_hash(make_scenario("ieee33-weak"))
@@ -135,7 +135,7 @@ def test_the_hash_of_a_file_is_that_of_the_validation_split():
 def test_a_damaged_file_is_named():
     OWN.parent.mkdir()
     OWN.write_text("{")
-    with pytest.raises(ValueError, match=r"results/tuned\.json is no file that dcgrid dev tune wrote; name another"):
+    with pytest.raises(ValueError, match=r"results/tuned\.json is no file that dcgrid tune wrote; name another"):
         make_controller("droop-tuned", make_scenario("toy6", name="mine"))
 
 

@@ -297,7 +297,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     results = benchmark(tmp_path / "out", "none", scenarios="mine.py:make", episodes=2)
     printed = capsys.readouterr().out
     first, second = (line for line in printed.splitlines() if line.startswith("[/] will have no score: "))
-    assert "`dcgrid dev tune --laws droop --scenarios mine.py:make`" in first
+    assert "`dcgrid tune --laws droop --scenarios mine.py:make`" in first
     assert second.endswith(
         "of the 2 episodes; solve them with `dcgrid dev hindsight --scenarios mine.py:make --episodes 2`"
     )

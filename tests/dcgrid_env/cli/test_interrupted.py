@@ -20,7 +20,7 @@ WRITING = {
     "benchmark": (("benchmark", "--scenarios", "toy6", "--controllers", "none", *SHORT, "--out", "out"), "about.json"),
     "hindsight": (("dev", "hindsight", "--scenarios", "toy6", *SHORT, "--out", "out/deep"), "toy6.json"),
     "tune": (
-        ("dev", "tune", "--scenarios", "toy6", "--laws", "droop-q", *SHORT, "--out", "out/tuned.json"),
+        ("tune", "--scenarios", "toy6", "--laws", "droop-q", *SHORT, "--out", "out/tuned.json"),
         "tuned.json",
     ),
     "reproduce": (("reproduce", "--trace", "generated", "--out", "out"), "reproduction.json"),
@@ -119,7 +119,7 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
         (("traces", "fetch", "no-such", "--cache", "new"), "new"),
         (("dev", "curves", "nowhere", "--out", "new/curves.png"), "new"),
         (("dev", "ship", "nowhere", "--name", "toy6-x", "--out", "new"), "new"),
-        (("dev", "tune", "--laws", "none", "--out", "new/tuned.json"), "new"),
+        (("tune", "--laws", "none", "--out", "new/tuned.json"), "new"),
         (("dev", "hindsight", "--split", "exam", "--out", "new"), "new"),
     ],
 )

@@ -35,8 +35,9 @@ def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
     ("arguments", "message"),
     [
         (["show"], "there is no `dcgrid show`; it is `dcgrid traces show`"),
-        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, benchmark, train, "),
-        (["dev", "nothing"], "`dcgrid dev` has no command 'nothing'; there are tune, hindsight, "),
+        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, check, benchmark, train, "),
+        (["dev", "nothing"], "`dcgrid dev` has no command 'nothing'; there are hindsight, "),
+        (["dev", "tune", "--laws", "droop"], "there is no `dcgrid dev tune`; it is `dcgrid tune`"),
     ],
 )
 def test_a_command_that_there_is_not_is_one_line(capsys, arguments, message):
@@ -72,7 +73,7 @@ def test_a_command_is_a_dataclass_that_runs(prog):
 def test_what_goes_on_after_an_interruption():
     words = {
         "run": "", "benchmark": "", "evaluate none": "", "evaluate none --hindsight": "the same command",
-        "dev tune": "the same command", "dev tune --again": "", "dev hindsight": "the same command",
+        "tune": "the same command", "tune --again": "", "dev hindsight": "the same command",
         "traces fetch x": "the same command", "traces show x": "", "train analytic": "the same command with --resume",
     }  # fmt: skip
     for line, start in words.items():
@@ -88,7 +89,7 @@ def test_the_version_is_shown_and_loads_nothing_heavy(capsys):
 
 
 @pytest.mark.parametrize(
-    "line", ["train ppo", "train analytic", "run", "evaluate", "benchmark", "dev tune", "dev hindsight"]
+    "line", ["train ppo", "train analytic", "run", "evaluate", "benchmark", "tune", "dev hindsight"]
 )
 def test_help_names_scenario_files(line, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "500")

@@ -63,9 +63,64 @@ def test_a_feeder_takes_the_place_of_the_scenarios(folders, capsys):
     assert "power flow sweep" in capsys.readouterr().out
 
 
+def test_devices_in_words_are_placed_printed_and_written_as_a_file_for_all_commands(folders, capsys):
+    load_feeder("das69").scaled(1.01, 1.0).to_csv("changed")
+    words = ("--datacenters", "3 x 250 kW at ends", "--inverters", "2 x 200 kvar", "--save-scenario", "mine.toml")
+    results = run("--feeder", "changed/", *words)
+    printed = capsys.readouterr().out
+    assert "3 data centres of 250 kW at buses 27, 65, 35; 2 inverters of 200 kVA at buses " in printed
+    assert "source at 1.04375 p.u. (the feeder's own is 1)" in printed
+    assert printed.endswith("`dcgrid check mine.toml` says whether it is worth learning on\n")
+    assert not (folders / "out" / "scenario.toml").exists()
+    mine = make_scenario("mine.toml", split="test")
+    assert scenario_hash(mine) == results["meta"]["scenario_hash"]
+    assert 'feeder = "changed"' in (folders / "mine.toml").read_text(encoding="utf-8")
+    shown = printed[printed.index("name = ") : printed.index("on-das69, test")]
+    (folders / "shown.toml").write_text(shown, encoding="utf-8")
+    assert make_scenario("shown.toml", split="test").difference(mine) is None
+
+
+@pytest.mark.slow
+def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_preset(folders, capsys):
+    pytest.importorskip("torch")
+    load_feeder("das69").scaled(1.01, 1.0).to_csv("files/changed")
+    run("--feeder", "files/changed", "--datacenters", "2 x 250 kW", "--save-scenario", "files/mine.toml")
+    file, few = ("--scenario", "files/mine.toml"), ("--episodes", "2")
+    main(["tune", "--laws", "droop-q", *file, "--episodes", "1", "--jobs", "1"])
+    tuned = json.loads((folders / "results/tuned.json").read_text())["laws"]
+    tuned["droop"] = tuned["droop-q"]  # a search of three parameters takes longer and shows no more
+    (folders / "results/tuned.json").write_text(json.dumps({"laws": tuned}))
+    main(["evaluate", "droop-q-tuned", *file, *few, "--hindsight", "--jobs", "1"])
+    said = capsys.readouterr().out
+    assert "droop-q-tuned: gains of on-das69 from results/tuned.json" in said
+    assert "score" in said
+    assert "no score" not in said
+    short = ("--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--out", "trained")
+    main(["train", "analytic", *file, *short])
+    main(["evaluate", "trained", *few])  # the file is in the run's configuration
+    assert "no score" not in capsys.readouterr().out
+    main(["run", *file, "--controllers", "none,droop-tuned", "--episodes", "1", "--out", "again"])
+    main(["benchmark", *file, "--controllers", "none", *few, "--jobs", "1", "--out", "bench"])
+    assert "no score" not in capsys.readouterr().out
+    main(["dev", "hindsight", *file, *few, "--jobs", "1"])
+    assert "2 episodes, mean J" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--datacenters", "3 x 1 MW"], "datacenters says what stands on a feeder; give it with --feeder"),
+        (["--save-scenario", "a.toml"], "save_scenario says what stands on a feeder; give it with --feeder"),
+        (["--feeder", "balanced", "--save-scenario", "a.txt"], "save_scenario is 'a.txt'; give a file that"),
+        (["--feeder", "balanced", "--datacenters", "3 x 1 kvar"], "datacenters: '3 x 1 kvar' is in 'kvar'; give kW"),
+        (
+            ["--feeder", "balanced", "--inverters", "1 kvar at 700"],
+            "inverters: feeder 'das69' has no bus '700'; it has",
+        ),
+        (
+            ["--feeder", "das69", "--scenario", "ieee33", "--inverters", "none"],
+            "inverters is given beside --scenario ieee33, which has its own; leave one of them out",
+        ),
         (["--feeder", "no-folder"], "unknown feeder 'no-folder'; there are toy6, ieee33"),
         (["--feeder", "no-folder"], "or give a folder of your own"),
         (["--feeder", "."], "feeder .: feeder.toml is missing"),

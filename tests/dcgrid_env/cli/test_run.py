@@ -3,9 +3,11 @@
 import json
 import math
 import os
+import sys
 
 import pytest
 
+import dcgrid_env
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.baselines import CONTROLLERS, Droop
 from dcgrid_env.cli.main import main
@@ -61,7 +63,7 @@ def test_the_same_command_gives_the_same_records(tmp_path):
         ),
         (
             ["--controllers", "droop-tuned", "--set", "v0_pu=1.0"],
-            "differs in v0_pu; find its own with `dcgrid dev tune",
+            "differs in v0_pu; find its own with `dcgrid tune",
         ),
         (["--controllers", "droop-tuned", "--tuned", "none.json"], "tuned is 'none.json', which is no file"),
         (["--controllers", "own.py:Law(", "--scenario", "toy6"], "opens a bracket and does not close it"),
@@ -184,3 +186,46 @@ def test_a_controller_that_fails_is_one_line_and_whole_where_that_is_asked_for(w
     assert 'return {}["k"]' in error
     assert "Traceback (most recent call last):" in error
     assert not (tmp_path / "results").exists()
+
+
+def test_a_run_too_long_to_be_kept_sums_up_and_writes_its_course(tmp_path, monkeypatch, capsys):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    options = ("--scenario", "toy6", "--horizon", "60", "--episodes", "2", "--controllers", "none,droop")
+    kept = run(tmp_path / "kept", *options)
+    assert "are summed up" not in capsys.readouterr().out
+    assert not (tmp_path / "kept" / "course").exists()
+    monkeypatch.setattr(dcgrid_env, "WHOLE_COURSE_BYTES", 0)
+    parts = run(tmp_path / "parts", *options)
+    said = capsys.readouterr().out
+    assert "2 x 60 steps would take" in said
+    assert f"the course goes to {tmp_path / 'parts' / 'course'}" in said
+    for one, other in zip(kept["episodes"], parts["episodes"], strict=True):
+        assert other == pytest.approx(one)
+    for name in ("none", "droop"):
+        assert parquet.read_table(tmp_path / "parts" / "course" / name).num_rows == 2 * 60
+    assert (tmp_path / "parts" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    run(tmp_path / "none", *options, "--course", "none")
+    assert "the course is not written" in capsys.readouterr().out
+    assert not (tmp_path / "none" / "course").exists()
+
+
+def test_the_course_of_a_short_run_is_written_on_request(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    results = run(tmp_path, "--scenario", "toy6", "--episodes", "1", "--controllers", "none", "--course", "parquet")
+    cost_j = parquet.read_table(tmp_path / "course" / "none")["cost_j"].to_numpy()
+    assert cost_j.sum() / 100 == pytest.approx(results["episodes"][0]["J"])
+
+
+def test_a_long_run_without_pyarrow_is_one_line_before_anything_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(SystemExit):
+        run(tmp_path / "out", "--scenario", "toy6", "--controllers", "none", "--course", "parquet")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("which is missing; pip install 'dcgrid-env[parquet]', or add --course none")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_horizon_given_twice_is_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run(tmp_path / "out", "--scenario", "toy6", "--horizon", "5", "--set", "horizon=6")
+    assert "horizon is given by --horizon 5 and by --set; leave one of them out" in capsys.readouterr().err

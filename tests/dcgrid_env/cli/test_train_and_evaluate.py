@@ -232,7 +232,7 @@ def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, 
     )
     assert re.search(said + r"about \S+ s to \S+ s \(one linear program took \S+ s, an episode takes 2 to 6", printed)
     assert "constant-q-tuned is left out: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
-    assert "dcgrid dev tune --laws constant-q --scenarios own.py:make" in printed
+    assert "dcgrid tune --laws constant-q --scenarios own.py:make" in printed
     assert "droop-tuned: gains of [/] from results/tuned.json" in printed
     assert not (here / "results" / "hindsight").exists()
     main([*command, "--hindsight"])
@@ -302,7 +302,7 @@ def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
     for algorithm in ("ppo", "analytic"):
         code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "v0_pu=1.0")
         assert (code, len(said.splitlines())) == (2, 1)
-        assert "find its own with `dcgrid dev tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
+        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
     assert not (here / "results" / "train").exists()
 
 
@@ -310,7 +310,7 @@ def test_training_takes_devices_in_any_order(here):
     turned = "from dcgrid_env import make_scenario\n\ntoy6 = make_scenario('toy6', horizon=4)\n"
     (here / "turned.py").write_text(turned + "scenario = toy6.replace(name='turned', devices=toy6.devices[::-1])\n")
     main([
-        "dev", "tune", "--laws", "droop", "--scenarios", "turned.py:scenario", "--episodes", "1", "--out",
+        "tune", "--laws", "droop", "--scenarios", "turned.py:scenario", "--episodes", "1", "--out",
         "results/tuned.json",
     ])  # fmt: skip
     main(["train", "analytic", "--scenario", "turned.py:scenario", "--updates", "1", "--num-envs", "2", "--out", "run"])

@@ -73,7 +73,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     out = tmp_path / "tuned.json"
     other = {"droop-q": {"mine": {"parameters": {}}}, "droop": {"toy6": {"parameters": {}}}}
     out.write_text(json.dumps({"laws": other}))
-    command = "dcgrid dev tune --laws droop-q --scenarios toy6 --episodes 1"
+    command = "dcgrid tune --laws droop-q --scenarios toy6 --episodes 1"
     main([*command.split()[1:], "--jobs", "1", "--out", str(out)])
     laws = json.loads(out.read_text())["laws"]
     found = tune("droop-q", [make_scenario("toy6", split="validation")], episodes=1)
@@ -84,7 +84,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
 
 def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, capsys, monkeypatch):
     out = tmp_path / "made" / "tuned.json"
-    arguments = ["dev", "tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
+    arguments = ["tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
     arguments += ["--jobs", "1", "--out", str(out)]
     searched = _searches(monkeypatch, stop_at=3)
     with pytest.raises(SystemExit) as stopped:
@@ -110,7 +110,6 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
 def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_again(tmp_path, monkeypatch, capsys):
     out = tmp_path / "tuned.json"
     arguments = [
-        "dev",
         "tune",
         "--laws",
         "droop-q",
@@ -157,9 +156,9 @@ def _interrupted(*_, **__):
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "a folder; give a file"),
-        (lambda path: path.write_text("{"), "is no file that dcgrid dev tune wrote; name another"),
-        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid dev tune wrote"),
-        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid dev tune wrote"),
+        (lambda path: path.write_text("{"), "is no file that dcgrid tune wrote; name another"),
+        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid tune wrote"),
+        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid tune wrote"),
         (lambda path: path.parent.write_text(""), "no folder"),
     ],
 )
@@ -170,7 +169,7 @@ def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, messag
         out.parent.mkdir()
     make(out)
     with pytest.raises(SystemExit) as stopped:
-        main(["dev", "tune", "--laws", "droop-q", "--scenarios", "toy6", "--out", str(out)])
+        main(["tune", "--laws", "droop-q", "--scenarios", "toy6", "--out", str(out)])
     _is_one_line(stopped, capsys, message)
     assert not searched
 
@@ -289,11 +288,11 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["dev", "tune", "--laws", "pid"], "laws is 'pid'; choose among droop, droop-q"),
-        (["dev", "tune", "--laws", ","], "laws is ','; choose among"),
-        (["dev", "tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
-        (["dev", "tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["dev", "tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
+        (["tune", "--laws", "pid"], "laws is 'pid'; choose among droop, droop-q"),
+        (["tune", "--laws", ","], "laws is ','; choose among"),
+        (["tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
+        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
         (["dev", "hindsight", "--scenarios", "toy6", "--jobs", "-1"], "jobs is -1; give at least 1"),
         (["dev", "hindsight", "--scenarios", " , "], "name at least one, or all"),
         (["dev", "hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
@@ -324,10 +323,10 @@ def here(tmp_path, monkeypatch):
 
 
 def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
-    with pytest.raises(ValueError, match="find its own with `dcgrid dev tune") as raised:
+    with pytest.raises(ValueError, match="find its own with `dcgrid tune") as raised:
         make_controller("droop-q-tuned", ScenarioSpec("own.py:make").make("test"))
     advised = str(raised.value).partition("`")[2].rstrip("`")
-    assert advised == "dcgrid dev tune --laws droop-q --scenarios own.py:make"
+    assert advised == "dcgrid tune --laws droop-q --scenarios own.py:make"
     command = [*advised.split()[1:], "--episodes", "1", "--jobs", "1"]
     main(command)
     entry = json.loads((here / "results" / "tuned.json").read_text())["laws"]["droop-q"]["mine"]
@@ -348,7 +347,7 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
 
 def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
     searched = _searches(monkeypatch)
-    arguments = ["dev", "tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
+    arguments = ["tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
     for more in (["--set", "horizon=9"], ["--set", "horizon=9"], ["--set", "horizon=8"], []):
         main([*arguments, *more])
     assert len(searched) == 3
@@ -358,7 +357,7 @@ def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
 
 def test_two_scenarios_of_one_name_are_refused(here, capsys):
     with pytest.raises(SystemExit) as stopped:
-        main(["dev", "tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
+        main(["tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
     _is_one_line(stopped, capsys, "own.py:make and ./own.py:make are both called 'mine'; give each a name of its own")
     assert not (here / "results").exists()
 
@@ -391,7 +390,7 @@ def test_other_processes_rebuild_ones_own_scenario(here):
     for jobs in ("1", "2"):
         common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--jobs", jobs]
         main(["dev", "hindsight", *common, "--out", f"h{jobs}"])
-        main(["dev", "tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
+        main(["tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
     for one, two in (("h1/mine.json", "h2/mine.json"), ("t1.json", "t2.json")):
         assert json.loads((here / one).read_text()) == json.loads((here / two).read_text())
 
@@ -399,7 +398,7 @@ def test_other_processes_rebuild_ones_own_scenario(here):
 def test_what_ships_stands_though_the_command_had_another_name(tmp_path, capsys):
     shipped = files("dcgrid_env.baselines.data") / "tuned.json"
     (tmp_path / "tuned.json").write_bytes(shipped.read_bytes())
-    main(["dev", "tune", "--laws", "droop", "--scenarios", "toy6,robust", "--out", str(tmp_path / "tuned.json")])
+    main(["tune", "--laws", "droop", "--scenarios", "toy6,robust", "--out", str(tmp_path / "tuned.json")])
     printed = " ".join(capsys.readouterr().out.split())
     assert "2 of 2 stand in" in printed
     assert "nothing to search" in printed

@@ -1,5 +1,6 @@
 """Names that other packages add through entry points: good ones, broken ones, and names that are taken."""
 
+import json
 import os
 import subprocess
 import sys
@@ -71,6 +72,25 @@ def printed(folder, code):
     return done.stdout.split()
 
 
+def commands(folder, *lines):
+    """Run command lines one after the other where a folder's distributions are installed, in one process.
+
+    The status, the output and the errors of each.
+    """
+    code = (
+        "import contextlib, io, json, sys\nfrom dcgrid_env.cli.main import main\nended = []\n"
+        "for line in json.loads(sys.argv[1]):\n"
+        "    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:\n"
+        "        try: main(line.split()); status = 0\n"
+        "        except SystemExit as end: status = end.code\n"
+        "    ended.append([status, out.getvalue(), err.getvalue()])\n"
+        "print(json.dumps(ended))"
+    )
+    done = python(folder, "-c", code, json.dumps(lines))
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
 def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
     folder = site("good-toy", GOOD, GOOD_POINTS)
     code = (
@@ -129,9 +149,13 @@ def test_a_scenario_file_names_another_packages_kind_of_device(site):
     points = "[dcgrid.devices]\nall = stores_toy:DEVICES\n"
     folder = site("stores-toy", BATTERY.read_text() + DEVICES, points)
     (folder / "a.toml").write_text(WITH_BATTERY)
-    ran = python(folder, "-m", "dcgrid_env.cli", "run", "--scenario", "a.toml", "--controllers", "none")
-    assert (ran.returncode, ran.stderr) == (0, ""), ran.stderr
-    listed = python(folder, "-m", "dcgrid_env.cli", "list").stdout
+    slips = {"no-class": "is no class; give a class of devices", "dynamo": "its kind is 'battery'"}
+    for slip in slips:
+        (folder / f"{slip}.toml").write_text(WITH_BATTERY.replace('"battery"', f'"{slip}"'))
+    ran, (_, listed, _), *refused = commands(
+        folder, "run --scenario a.toml --controllers none", "list", *(f"run --scenario {slip}.toml" for slip in slips)
+    )
+    assert (ran[0], ran[2]) == (0, ""), ran[2]
     assert "battery batteries (stores-toy 1.0)" in [" ".join(text.split()) for text in listed.splitlines()]
     code = (
         "import sys\nfrom dcgrid_env import make_scenario\nmake_scenario('toy6')\nprint('stores_toy' in sys.modules)\n"
@@ -139,13 +163,11 @@ def test_a_scenario_file_names_another_packages_kind_of_device(site):
         "s.to_toml('b.toml')\nprint(make_scenario('b.toml', name='a').difference(s))"
     )
     assert printed(folder, code) == ["False", "bat_0", "2", "None"]
-    for slip, why in (("no-class", "is no class; give a class of devices"), ("dynamo", "its kind is 'battery'")):
-        (folder / "slip.toml").write_text(WITH_BATTERY.replace('"battery"', f'"{slip}"'))
-        ran = python(folder, "-m", "dcgrid_env.cli", "run", "--scenario", "slip.toml")
-        assert ran.returncode == 2
-        assert f"kind of device {slip!r} of stores-toy 1.0 cannot be used: " in ran.stderr
-        assert why in ran.stderr
-        assert len(ran.stderr.splitlines()) == 1
+    for (slip, why), (status, _, error) in zip(slips.items(), refused, strict=True):
+        assert status == 2
+        assert f"kind of device {slip!r} of stores-toy 1.0 cannot be used: " in error
+        assert why in error
+        assert len(error.splitlines()) == 1
 
 
 def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_missed(site):

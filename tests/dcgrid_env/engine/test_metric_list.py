@@ -1,8 +1,11 @@
 """How metrics are shown: every one of an episode has its entry, its digits and the way that is better."""
 
+import dataclasses
+
+import numpy as np
 import pytest
 
-from dcgrid_env import METRICS, Metric, make_scenario
+from dcgrid_env import METRICS, Metric, load_feeder, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
 from helpers.riding import riding
 from helpers.storages import toy6_storage
@@ -18,6 +21,7 @@ LIMITED = {
     "voltage_step_limit_pu": 0.02,
     "weights": {"ramp_excess": 1.0, "voltage_step_excess": 1.0},
 }
+RATED = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, 100.0))
 SITES = {f"datacenter_{name}": {} for name in ("smoothing", "cooling", "routing", "batching", "service")} | {
     "datacenter_storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}
 }
@@ -25,6 +29,7 @@ GROUPS = {
     "requests": named("requests", "ttft", "e2e"),
     "phases": named("unbalance", "nema", "tap_moves", "capacitor_switchings", "cost_unbalance", "cost_switching"),
     "limits": named("ramp", "voltage_step_max", "voltage_step_excess", "cost_ramp", "cost_voltage_step"),
+    "ratings": named("loading_max", "overloaded", "cost_overload"),
     "tenths": named("pst", "swing"),
     "storage": named("stor") | {"cost_ageing", "cost_missing"},
     "leaving": named("ups", "inverter", "battery", "voltage_after_loss")
@@ -45,6 +50,7 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
     [
         (make_scenario("toy6", horizon=3), set()),
         (make_scenario("toy6", horizon=3, **LIMITED), {"limits"}),
+        (make_scenario("toy6", horizon=3, feeder=RATED, weights={"overload": 1.0}), {"ratings"}),
         (make_scenario("toy6", horizon=6000, dt_s=0.1), {"tenths"}),
         (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), {"requests"}),
         (ieee13().replace(horizon=3), {"phases"}),
@@ -52,7 +58,17 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
         (riding(horizon=3), {"leaving"}),
         (make_scenario("toy6", horizon=3, **SITES), OF_SITES),
     ],
-    ids=["balanced", "limits", "tenths of a second", "requests", "three phases", "storage", "leaving", "sites"],
+    ids=[
+        "balanced",
+        "limits",
+        "ratings",
+        "tenths of a second",
+        "requests",
+        "three phases",
+        "storage",
+        "leaving",
+        "sites",
+    ],
 )
 def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, has):
     own = rollout(scenario, NoControl(), [0]).metrics()[0]

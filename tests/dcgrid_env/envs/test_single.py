@@ -16,10 +16,20 @@ from stable_baselines3.common.env_checker import check_env as check_sb3_env
 import dcgrid_env
 from dcgrid_env import ActionError, CostWeights, DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs, ScenarioError
 from dcgrid_env.traces import PowerTrace, TraceError
+from helpers.in_other_processes import first_rewards
+
+DRAWN = ("dcgrid/Toy6-v0", "dcgrid/IEEE13ThreePhase-v0")
+"""A balanced and a three-phase preset: drawing is most of what the checker takes."""
 
 
 @pytest.mark.parametrize("name", dcgrid_env.IDS)
 def test_gymnasium_checker(name):
+    check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped, skip_render_check=name not in DRAWN)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in dcgrid_env.IDS if name not in DRAWN])
+def test_gymnasium_checker_of_pictures(name):
     check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)
 
 
@@ -141,16 +151,9 @@ def test_restore_refuses_what_is_none():
         env.restore(batch.save())
 
 
-def _play(seed):
-    env = gymnasium.make("dcgrid/IEEE123-v0")
-    env.reset(seed=seed)
-    env.action_space.seed(seed)
-    return [env.step(env.action_space.sample())[1] for _ in range(10)]
-
-
 def test_same_episode_in_another_process():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(_play, (4,)) == _play(4)
+        assert pool.apply(first_rewards, (4,)) == first_rewards(4)
 
 
 @pytest.mark.parametrize(

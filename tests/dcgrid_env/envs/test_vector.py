@@ -12,6 +12,7 @@ import dcgrid_env
 from dcgrid_env import DcgridEnv, DcgridVectorEnv
 from dcgrid_env.traces import PowerTrace
 from helpers.forms import WORK_CLASSES
+from helpers.in_other_processes import toy
 
 CLASSES = WORK_CLASSES | {"site_correlation": 0.5}
 
@@ -288,15 +289,11 @@ def test_errors_of_use():
         env.step(bad)
 
 
-def _make():
-    return gymnasium.make("dcgrid_env:dcgrid/Toy6-v0", horizon=3)
-
-
 @pytest.mark.parametrize("kind", ["fork", "spawn"])
 def test_async_vector_env(kind):
     if kind == "fork":
         DcgridVectorEnv(256, "ieee123").reset(seed=0)  # threads of this process must not matter to a forked child
-    env = AsyncVectorEnv([_make] * 2, context=kind, autoreset_mode=AutoresetMode.SAME_STEP)
+    env = AsyncVectorEnv([toy] * 2, context=kind, autoreset_mode=AutoresetMode.SAME_STEP)
     try:
         seen, _ = env.reset(seed=3)
         native = DcgridVectorEnv(2, "toy6", horizon=3)
@@ -309,8 +306,9 @@ def test_async_vector_env(kind):
         env.close()
 
 
+@pytest.mark.slow
 def test_subproc_vec_env():
-    env = SubprocVecEnv([_make, _make], start_method="spawn")
+    env = SubprocVecEnv([toy, toy], start_method="spawn")
     try:
         env.seed(3)
         seen = env.reset()

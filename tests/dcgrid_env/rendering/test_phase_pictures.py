@@ -156,7 +156,7 @@ def test_an_agent_s_voltage_stands_in_the_axes_of_its_phases():
     ("scenario", "overrides"),
     [
         ("ieee34-3ph", {"regulators": "agent", "capacitor_banks": "agent"}),
-        ("ieee123-3ph", {"regulators": "agent"}),
+        pytest.param("ieee123-3ph", {"regulators": "agent"}, marks=pytest.mark.slow),
     ],
 )
 def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides):

@@ -43,7 +43,7 @@ def test_the_paper_s_feeder_gets_the_paper_s_sizes():
 def test_a_feeder_without_a_load_says_what_to_do():
     feeder = load_feeder("toy6")
     bare = dataclasses.replace(feeder, p_load_kw=np.zeros(feeder.n_bus))
-    with pytest.raises(ScenarioError, match="feeder 'toy6' has no load bus where a data centre could be drawn; write"):
+    with pytest.raises(ScenarioError, match="feeder 'toy6' has no load bus where a data centre could be drawn; name"):
         scenario_on(bare)
 
 
@@ -65,3 +65,44 @@ def test_inverters_leave_buses_to_the_sites_and_spread():
     at = [feeder.index(bus) for bus in made.inverter_buses]
     assert at == sorted(set(at))
     assert max(np.diff(at)) <= feeder.n_bus / 4
+
+
+def test_named_buses_ends_and_spread_ones_are_each_device_s_own():
+    feeder = load_feeder("ieee33")
+    made = scenario_on(feeder, "2 x 500 kW at ends + 1 MW at 25", "2 x 300 kvar at ends + 3 x 100 kVA")
+    assert made.datacenter_buses == ("18", "33", "25")
+    assert made.p_rated_kw == (500.0, 500.0, 1000.0)
+    assert made.inverter_s_kva == (300.0, 300.0, 100.0, 100.0, 100.0)
+    assert len({*(made.datacenter_buses or ()), *made.inverter_buses}) == 8
+    assert made.inverter_buses[:2] == ("17", "32")  # before which the data centres stand
+    assert scenario_on(feeder, "none", "1 Mvar at 18").n_agents == 1
+    assert scenario_on(feeder, "3 x 1 MW", "none").agents == ("dc_0", "dc_1", "dc_2")
+
+
+def test_data_centres_at_the_ends_of_a_three_phase_feeder_have_three_phases():
+    feeder = load_feeder("ieee34-3ph")
+    made = scenario_on(feeder, "4 x 100 kW at ends", "4 x 50 kvar at ends")
+    assert {feeder.bus_phases[feeder.index(bus)] for bus in made.datacenter_buses or ()} == {"abc"}
+    assert {len(feeder.bus_phases[feeder.index(bus)]) for bus in made.inverter_buses} == {1, 3}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("1 MW at 181", None), "datacenters: feeder 'ieee33' has no bus '181'; it has 18, 11 and 31 more"),
+        ((None, "1 kvar at x"), "inverters: feeder 'ieee33' has no bus 'x'; it has 2, 3, 4 and 30 more"),
+        (("1 MW at 1", None), "datacenters: bus '1' is the substation, where the source is; name another"),
+        (("1 MW at 18", "1 kvar at 18"), "inverters: bus '18' is named twice; give each device a bus of its own"),
+        (
+            ("9 x 1 MW at ends", None),
+            "9 are to stand at ends, but feeder 'ieee33' has 4 ends without a device; ask",
+        ),
+        ((None, "30 x 1 kvar"), "30 are to stand spread, but feeder 'ieee33' has 27 load buses left for them; ask"),
+        (("40 x 1 MW", None), "n_datacenters is 40, but only 32 load buses have no device"),
+        (("none", "none"), "no data centre and no inverter, hence no agent"),
+    ],
+)
+def test_what_a_feeder_has_no_room_for_is_refused(words, message):
+    with pytest.raises(ScenarioError) as refused:
+        scenario_on(load_feeder("ieee33"), *words)
+    assert message in str(refused.value)

@@ -82,6 +82,7 @@ PLAIN = {
     "voltage_step_limit_pu": 0.02,
     "observe": "neighbours",
     "preview": False,
+    "observe_loading": True,
     "r_model_share": 0.9,
     "x_model_share": 1.1,
 }
@@ -100,6 +101,7 @@ WITH = {
     "recording_split": {},
     "ramp_window_s": {"ramp_limit_kw_per_s": 100.0},
     "sags": {"datacenter_ride_through": "itic"},
+    "observe_loading": {"feeder": str(Path(__file__).parent / "rated_feeder")},
 }
 """What a field's value needs besides."""
 

@@ -12,6 +12,7 @@ from dcgrid_env import (
     Fault,
     FeederError,
     PowerSmoothing,
+    RandomFeeders,
     Routing,
     Scenario,
     ScenarioError,
@@ -25,6 +26,7 @@ from dcgrid_env import (
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import virginia_2024
+from dcgrid_env.engine.family_simulation import simulation as simulation_of
 from dcgrid_env.engine.simulation import Simulation
 
 WEAK, ENDS = (7, 14, 20, 30), (18, 33, 25, 22)
@@ -69,6 +71,10 @@ TABLE = {
     ),
     "smoothing": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 6000),
     "routing": ("ieee33", 1.05, 4, 1000.0, 1.02, (18, 33, 25, 12), WEAK, 100.0, "code", 0.05, 60),
+    "zero-shot": (
+        RandomFeeders(n_bus=60, style="us-mv", load_kw=4000.0, ood="rural", batch=128), 1.05, 4, 1000.0, 1.02, None,
+        (9, 19, 29, 39, 49, 59), 400.0, "inference", 0.05, 120,
+    ),
 }  # fmt: skip
 # What a preset has beyond that; all else is the same in all.
 BEYOND = {
@@ -163,7 +169,7 @@ def test_constants_of_a_preset(name):
     s = make_scenario(name)
     buses = None if buses is None else tuple(map(str, buses))
     assert s.name == name
-    assert s.feeder is load_feeder(feeder)
+    assert s.feeder == (load_feeder(feeder) if isinstance(feeder, str) else feeder)
     assert s.v0_pu == v0
     assert (s.n_datacenters, s.p_rated_kw, s.datacenter_buses) == (n, rating, buses)
     assert (s.inverter_buses, s.inverter_s_kva) == (tuple(map(str, inverters)), kvar)
@@ -232,7 +238,7 @@ def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("split", ["train", "validation", "test"])
 def test_every_preset_and_split_plays(name, split):
-    simulation = Simulation(make_scenario(name, split=split, horizon=3), 2)
+    simulation = simulation_of(make_scenario(name, split=split, horizon=3), 2)
     simulation.reset([0, 1])
     n = len(action_layout(simulation.scenario).names)
     transition = [simulation.step(np.zeros((2, n))) for _ in range(3)][-1]

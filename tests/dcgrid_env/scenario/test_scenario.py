@@ -49,11 +49,11 @@ def test_defaults_are_the_designs():
     assert (s.load_sigma, s.load_rho, s.band_pu) == (0.05, 0.9, 0.05)
     assert (s.voltage_cost, s.reward, s.observe, s.preview) == ("l1", "shared", "local", True)
     assert (s.voltage_noise_pu, s.measurement_delay, s.capacitors) == (0.0, 0, True)
-    assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, *[0.0] * 7)
+    assert s.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, *[0.0] * 8)
     assert (s.ramp_limit_kw_per_s, s.ramp_window_s, s.voltage_step_limit_pu) == (None, None, None)
     assert s.weights._fields[:5] == ("voltage", "violation", "backlog", "effort", "leftover")
     assert s.weights._fields[5:10] == ("clock", "step", "loss", "unbalance", "switching")
-    assert s.weights._fields[10:] == ("ramp_excess", "voltage_step_excess")
+    assert s.weights._fields[10:] == ("ramp_excess", "voltage_step_excess", "overload")
     assert (s.datacenter_phases, s.inverter_phases) == (None, None)
     assert isinstance(s.dvfs, LinearDvfs)
     assert s.work_classes == 1

@@ -1,8 +1,6 @@
 """Scenario files: written, read again the same, and refused with file, field, value and remedy."""
 
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -13,9 +11,11 @@ from dcgrid_env import (
     PrefillDecodeDvfs,
     ScenarioError,
     episode_hash,
+    load_feeder,
     make_scenario,
     scenario_hash,
 )
+from dcgrid_env.cli.main import main
 from dcgrid_env.scenario import toml
 from dcgrid_env.traces import PowerTrace
 
@@ -167,14 +167,41 @@ def test_what_stands_in_no_file_is_refused():
         make_scenario("ieee33", trace=(trace,)).to_toml()
 
 
-def test_the_command_line_takes_a_file(tmp_path):
+def test_the_command_line_takes_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 5\n')
-    line = [sys.executable, "-m", "dcgrid_env.cli", "run", "--scenario", "mine.toml", "--episodes", "1"]
-    done = subprocess.run([*line, "--controllers", "none"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "mine, " in done.stdout
+    line = ["run", "--scenario", "mine.toml", "--episodes", "1"]
+    main([*line, "--controllers", "none"])
+    assert "mine, " in capsys.readouterr().out
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = -5\n')
-    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in done.stderr
+    with pytest.raises(SystemExit) as stopped:
+        main(line)
+    assert stopped.value.code == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "mine.toml: scenario 'mine': horizon is -5; give a whole number of at least 1" in error
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_is_at_its_default_may_be_left_out(preset, tmp_path):
+    scenario = make_scenario(preset)
+    brief = scenario.to_toml(tmp_path / "a.toml", brief=True)
+    assert scenario_hash(make_scenario(tmp_path / "a.toml")) == scenario_hash(scenario)
+    assert "idle_share" not in brief
+    assert len(brief) < 0.8 * len(scenario.to_toml())
+
+
+@pytest.mark.parametrize("folder", ["my-feeder", "feeders/das69", "das69"])
+def test_a_feeder_beneath_the_file_is_named_from_there(folder, tmp_path, monkeypatch):
+    changed = load_feeder("ieee33").scaled(1.1, 1.0)
+    changed.to_csv(tmp_path / "a" / folder)
+    scenario = make_scenario("ieee33", name="mine", feeder=str(tmp_path / "a" / folder))
+    (tmp_path / "a" / "deeper").mkdir()
+    inside = scenario.to_toml(tmp_path / "a" / "mine.toml")
+    assert str(tmp_path) not in inside
+    beside = scenario.to_toml(tmp_path / "a" / "deeper" / "mine.toml")
+    assert str(tmp_path / "a" / folder) in beside
+    for where in ("mine.toml", "deeper/mine.toml"):
+        assert scenario_hash(make_scenario(tmp_path / "a" / where)) == scenario_hash(scenario)
+    (tmp_path / "a").rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    assert scenario_hash(make_scenario("moved/mine.toml")) == scenario_hash(scenario)

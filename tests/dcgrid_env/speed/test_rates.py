@@ -29,6 +29,7 @@ def check(rows: list[Row], worst_pu: float) -> None:
         assert row.error_pu is None or 0.0 <= row.error_pu < worst_pu
 
 
+@pytest.mark.slow
 def test_every_row_is_a_positive_finite_figure(monkeypatch):
     monkeypatch.setattr(tensors, "NUM_ENVS", {"cpu": (3,)})
     rows = list(rates.measure(QUICK))
@@ -90,6 +91,7 @@ def test_tensors_step_through_the_same_window_of_many_copies(monkeypatch):
     assert stepped == [(k, 512) for k in range(20)] * 4
 
 
+@pytest.mark.slow
 def test_a_batch_that_does_not_fit_is_a_row_without_a_figure(monkeypatch):
     import torch
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
-from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import Matrix
 
@@ -18,6 +18,8 @@ _ROUNDING = 1e-12  # relative, of what an inverse leaves in place of 0
 _SWITCH_B_US = 1e-3
 """Charging that a switch is not thought to have: OpenDSS's own default is 2e-4 microsiemens."""
 _NO_PHASE = math.nan
+_DEFAULT_AMPS = 400.0
+"""OpenDSS's NormAmps of a line for which none is given."""
 _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 
 
@@ -59,7 +61,8 @@ def _line(circuit: DssCircuit, report: Report, kind: str, name: str) -> Joint | 
     z, b_us = z[np.ix_(turned, turned)], b_us[np.ix_(turned, turned)]
     ends = (first.bus, second.bus)
     length_m = _length_m(circuit) if kind == "line" else math.nan
-    joint = Joint("phase_line", name, ends, phases, not any(opened), _columns(length_m, z, b_us, phases))
+    values = _columns(length_m, z, b_us, phases) | {"rating_a": _rating_a(circuit) if kind == "line" else math.nan}
+    joint = Joint("phase_line", name, ends, phases, not any(opened), values)
     return _as_switch(circuit, report, kind, joint, z, b_us)
 
 
@@ -75,6 +78,12 @@ def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
 
 def _length_m(circuit: DssCircuit) -> float:
     return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
+
+
+def _rating_a(circuit: DssCircuit) -> float:
+    """Normal ampacity of a line; unknown where it is OpenDSS's own default, which says nothing of the line."""
+    rating_a = circuit.figure("normamps")
+    return rating_a if rating_a > 0.0 and rating_a != _DEFAULT_AMPS else math.nan
 
 
 def _columns(length_m: float, z: Any, b_us: Any, phases: str) -> dict[str, Any]:
@@ -140,6 +149,7 @@ def _joined(first: Joint, second: Joint) -> Joint:
         b_us[np.ix_(own, own)] += own_b_us
     z = np.linalg.inv(y[np.ix_(at, at)])
     values = _columns(first.values.get("length_m", math.nan), z, b_us[np.ix_(at, at)], phases)
+    values |= {"rating_a": math.nan}  # how currents divide between the two is not known here
     return replace(first, kind="phase_line", name=name, phases=phases, values=values)
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit
-from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.formats.opendss.joints import Supply
 
 _LAWS = {1: "PQ", 2: "Z", 3: "ZIP", 4: "CVR", 5: "I", 8: "ZIP"}

@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit
-from dcgrid_env.grid.formats.opendss.import_report import Report
 
 _SAME = 1e-9  # relative
 _WHOLE = 1e-6  # of a tap

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import in_series, matrix_of
-from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 

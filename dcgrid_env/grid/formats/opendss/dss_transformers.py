@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
-from dcgrid_env.grid.formats.opendss.import_report import Report
 from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import WINDINGS
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, core_rows, read_capacitors, read_loads
@@ -20,7 +21,6 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
 )
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, merged, oriented, read_units, transformer_joint
-from dcgrid_env.grid.formats.opendss.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.joints import Joint, Supply, supply_of
 from dcgrid_env.grid.network import (
     CapacitorTable,
@@ -233,6 +233,8 @@ def _rows(joints: Iterable[Joint], kind: str) -> list[Row]:
 
 
 def _table(table: type[Any], rows: Sequence[Row]) -> Any:
-    """A table out of its rows; each has every column."""
-    fields = [field.name for field in dataclasses.fields(table)]
-    return table(**{name: tuple(row[name] for row in rows) for name in fields})
+    """A table out of its rows; each has every column. Ratings that are all unknown are left out."""
+    columns = {field.name: tuple(row[field.name] for row in rows) for field in dataclasses.fields(table)}
+    if all(map(math.isnan, columns.get("rating_a", ()))):
+        columns.pop("rating_a", None)
+    return table(**columns)

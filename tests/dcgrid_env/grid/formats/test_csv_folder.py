@@ -158,7 +158,7 @@ def test_missing_column(folder, name, column):
     ("buses", "bus,p_kw,q_kvar,capacitors_kvar\n3,30,3,9\n7,0,0,0\n5,5,5,0\n",
      r"buses\.csv: 'capacitors_kvar' is no column of it; there are bus, p_kw, q_kvar, capacitor_kvar, x, y"),
     ("branches", "from_bus,to_bus,r_ohm,x_ohm,length\n3,5,1,1,2\n7,3,1,1,2\n",
-     r"branches\.csv: 'length' is no column of it; there are from_bus, to_bus, r_ohm, x_ohm$"),
+     r"branches\.csv: 'length' is no column of it; there are from_bus, to_bus, r_ohm, x_ohm, rating_a$"),
     ("buses", "bus,p_kw,q_kvar,p_kw\n3,30,3,9\n7,0,0,0\n5,5,5,0\n", r"the column 'p_kw' is there twice; leave one out"),
     ("branches", "from_bus,to_bus,r_ohm,x_ohm\n3,5,1,1\n7,3,1,1,2\n", r"line 3: more cells than 4 columns; take"),
     ("feeder", 'name = "t"\nbase_kv = 10\nsubstation = 7\nv0_pu = 1\nv_pu = 1.04\n',

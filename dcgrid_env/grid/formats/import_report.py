@@ -1,4 +1,4 @@
-"""What becomes of each element that an OpenDSS circuit holds: taken, of no account, lost, or in the way."""
+"""What becomes of each element that another program's grid holds: taken, of no account, lost, or in the way."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Finding:
     ----------
     kind
         Class of the elements in lower case, such as ``"line"`` or ``"capcontrol"``; ``"isolated"`` for what has no
-        supply.
+        supply in OpenDSS.
     names
         Their names.
     fate
@@ -46,6 +46,8 @@ class Finding:
 class Report:
     """Findings as they are made; those of one kind, fate and text become one."""
 
+    what: str = "circuit"
+    """What the source calls a grid."""
     _found: dict[tuple[str, Fate, str], list[str]] = field(default_factory=dict)
 
     def add(self, fate: Fate, kind: str, name: str, text: str) -> None:
@@ -59,6 +61,12 @@ class Report:
         rows = [Finding(kind, tuple(names), fate, text) for (kind, fate, text), names in self._found.items()]
         return tuple(sorted(rows, key=lambda row: order.index(row.fate)))
 
+    def add_all(self, fate: Fate, kind: str, names: Iterable[str], text: str) -> None:
+        """Note what becomes of several elements; none leave no trace."""
+        names = list(names)
+        if names:
+            self._found.setdefault((kind, fate, text), []).extend(names)
+
     def refuse_unless(self, name: str, allow: Iterable[str]) -> None:
         """FeederError where something cannot be represented, or is lost and not of an allowed kind."""
         allowed = {kind.lower() for kind in allow}
@@ -66,9 +74,9 @@ class Report:
         lost = [row for row in self.findings if row.fate == "lost" and row.kind not in allowed]
         texts = [f"{row.kind} {row.shown}: {row.text}" for row in refused or lost]
         if refused:
-            raise FeederError(f"circuit {name!r} cannot be represented: {'; '.join(texts)}")
+            raise FeederError(f"{self.what} {name!r} cannot be represented: {'; '.join(texts)}")
         if lost:
             kinds = ",".join(dict.fromkeys([*sorted(allowed), *(row.kind for row in lost)]))
             raise FeederError(
-                f"circuit {name!r} has what would be lost: {'; '.join(texts)}; --allow {kinds} accepts that"
+                f"{self.what} {name!r} has what would be lost: {'; '.join(texts)}; --allow {kinds} accepts that"
             )

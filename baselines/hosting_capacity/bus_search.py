@@ -1,0 +1,160 @@
+"""The search for the largest size that one bus carries: which size to try next, and in which samples.
+
+Sizes are whole numbers of steps. A size carries if it breaks limits in no more seconds than are allowed, over all
+samples. It surely does not as soon as it breaks them in more seconds of some samples: between the largest size that is
+known to carry and the smallest that does not, sizes are therefore tried in the *critical* samples alone, those that
+came nearest to a limit before, and what is then the largest is tried in the others too. The next size is where the
+first straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end
+that stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a
+margin with a kink cannot hold it up. Under a controller it need not be so that larger sizes break limits and smaller
+ones do not: at the end a size of a coarse scan below and one above are tried too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.baselines.hosting_capacity.trial import UNLIMITED, Trial
+
+CRITICAL = 6
+"""Samples that are critical as the nearest to each limit."""
+
+
+class Request(NamedTuple):
+    """What is to be tried."""
+
+    size: int
+    samples: np.ndarray
+    """Numbers of the samples, (n,)."""
+
+
+class BusSearch:
+    """The search at one bus; ``next`` says what to try and ``take`` what it came to.
+
+    Parameters
+    ----------
+    empty
+        What size 0 comes to in all samples, which carries.
+    critical
+        Numbers of the samples that are critical at first.
+    guess, top
+        The size to try first, and the largest.
+    allowed
+        Steps in which limits may be broken, over all samples.
+    scan
+        Sizes, ascending, of which the nearest below and the nearest above the result are tried at the end.
+    """
+
+    def __init__(
+        self, empty: Trial, critical: np.ndarray, guess: int, top: int, allowed: int, scan: tuple[int, ...] = ()
+    ):
+        self._every = np.arange(len(empty.outside))
+        self._top, self._allowed = top, allowed
+        self._guess: int | None = min(max(guess, 1), top)
+        self._low, self._high = 0, top + 1
+        self._at_low, self._at_high = empty.margins.min(axis=0), None
+        self._moved = 0
+        """Which end moved last, -1 the lower one, 1 the upper one."""
+        self._tries = 0
+        self.size = 0
+        """The largest size that is known to carry in all samples."""
+        self.at_size = empty
+        """What it came to."""
+        self.beyond: Trial | None = None
+        """What the smallest size that does not carry came to, in the samples in which it was tried; None if all do."""
+        self.smaller_fails: tuple[int, ...] = ()
+        """Sizes of the scan below the result that do not carry."""
+        self.larger_carries: tuple[int, ...] = ()
+        """Sizes of the scan above the result that carry."""
+        self._empty = empty
+        self._critical = np.unique(critical)
+        self._at_low_trial: tuple[Request, Trial] | None = None
+        """What the largest size that may carry came to in the critical samples."""
+        self._scan, self._whole_scan = scan, False
+        self._to_scan: list[int] | None = None
+
+    def next(self) -> Request | None:
+        """What to try next; None when all is known."""
+        if self._guess is not None:
+            return Request(self._guess, self._critical)
+        if self._high - self._low > 1:
+            return Request(self._between(), self._critical)
+        if self._low > self.size:
+            assert self._at_low_trial is not None
+            return Request(self._low, np.setdiff1d(self._every, self._at_low_trial[0].samples))
+        if self._to_scan is None:
+            below = [size for size in self._scan if 0 < size < self.size]
+            above = [size for size in self._scan if self._high < size <= self._top]
+            self._to_scan = below[-1:] + above[:1]
+        if self._to_scan:
+            return Request(self._to_scan[0], self._every if self._whole_scan else self._critical)
+        return None
+
+    def take(self, request: Request, trial: Trial) -> None:
+        """Heed what a request came to."""
+        if self._to_scan is not None:
+            fails = int(trial.outside.sum()) > self._allowed
+            self._take_scanned(request.size, fails, len(request.samples) == len(self._every))
+            return
+        before = self._at_low_trial
+        if before is not None and request.size == before[0].size:  # the others of its samples
+            request = Request(request.size, np.concatenate((before[0].samples, request.samples)))
+            trial = Trial.joined([before[1], trial])
+        fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
+        self._guess, self._tries = None, self._tries + 1
+        at = trial.margins.min(axis=0)
+        if fails:
+            self.beyond = trial
+            if self._low >= request.size:  # what carried in the critical samples does not in all
+                self._low, self._at_low = self.size, self.at_size.margins.min(axis=0)
+                self._at_low_trial = None
+            elif self._moved == 1:
+                self._at_low = 0.5 * self._at_low
+            self._high, self._at_high, self._moved = request.size, at, 1
+        else:
+            if self._moved == -1 and self._at_high is not None:
+                self._at_high = 0.5 * self._at_high
+            self._low, self._at_low, self._moved = request.size, at, -1
+            self._at_low_trial = (request, trial)
+            if whole:
+                self.size, self.at_size = request.size, trial
+        if whole:
+            worst = request.samples[worst_samples(trial)]
+            self._critical = np.union1d(self._critical, worst) if fails else worst
+
+    def _take_scanned(self, size: int, fails: bool, whole: bool) -> None:
+        assert self._to_scan is not None
+        if not fails and not whole and size > self.size:
+            self._whole_scan = True  # all samples decide
+            return
+        self._to_scan, self._whole_scan = self._to_scan[1:], False
+        if fails and size < self.size:
+            self.smaller_fails += (size,)
+        if not fails and size > self.size:
+            self.larger_carries += (size,)
+
+    def _between(self) -> int:
+        """The next size between the largest that may carry and the smallest that does not, or beyond the former."""
+        low, high = self._low, self._high
+        if self._at_high is None:  # none has failed: as far as the margins' fall since size 0 lets expect, and a little
+            fall = (self._empty.margins.min(axis=0) - self._at_low) / max(low, 1)
+            reach = min(2.0 * low, float(_lengths(self._at_low, fall).min()))
+            return min(max(low + 1 + int(1.05 * reach), low + 1), self._top)
+        if self._allowed or self._tries % 4 == 3:
+            return (low + high) // 2
+        share = float(_lengths(self._at_low, self._at_low - self._at_high).min())
+        return min(max(low + int((high - low) * share), low + 1), high - 1) if share < 1.0 else (low + high) // 2
+
+
+def worst_samples(trial: Trial) -> np.ndarray:
+    """Positions of the samples that came nearest to each limit in a trial at one bus, (n,)."""
+    order = np.argsort(trial.margins, axis=0, kind="stable")[:CRITICAL]
+    return np.unique(order[:, (trial.margins < UNLIMITED).any(axis=0)])
+
+
+def _lengths(margins: np.ndarray, falls: np.ndarray) -> np.ndarray:
+    """Along which length each margin is used up if it falls so much in a unit; infinite where it does not fall."""
+    falling = falls > 1e-12
+    return np.where(falling, np.maximum(margins, 0.0) / np.where(falling, falls, 1.0), np.inf)

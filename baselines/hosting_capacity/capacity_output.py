@@ -1,0 +1,139 @@
+"""The answers of a study as a table for the terminal, as CSV and as plain data."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Iterator
+from typing import Any
+
+from dcgrid_env import scenario_hash
+from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.hosting_capacity.capacity_study import has_ratings
+from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
+
+COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
+"""Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
+_NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "asked_max_pct", "margin")
+_LISTS = ("smaller_fails_mw", "larger_carries_mw")
+
+
+def capacity_csv(found: Capacities) -> str:
+    """All answers, those of the snapshot first."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for capacity in _all(found):
+        row = dataclasses.asdict(capacity)
+        row |= {name: repr(row[name]) for name in _NUMBERS} | {"at_most": str(row["at_most"]).lower()}
+        writer.writerow(row | {name: ";".join(map(repr, row[name])) for name in _LISTS})
+    return text.getvalue()
+
+
+def read_capacity_csv(text: str) -> list[BusCapacity]:
+    """What ``capacity_csv`` wrote; ValueError for a text that it did not, naming the row and the column."""
+    reader = csv.DictReader(io.StringIO(text))
+    if tuple(reader.fieldnames or ()) != COLUMNS:
+        raise ValueError(f"capacity.csv: its columns are {reader.fieldnames}; they must be {', '.join(COLUMNS)}")
+    found = []
+    for number, row in enumerate(reader, 2):
+        values: dict[str, Any] = dict(row)
+        for name in COLUMNS:
+            try:
+                if name in _NUMBERS:
+                    values[name] = float(row[name])
+                elif name in _LISTS:
+                    values[name] = tuple(float(size) for size in row[name].split(";") if size)
+                elif name == "at_most":
+                    values[name] = {"true": True, "false": False}[row[name]]
+            except (ValueError, KeyError, TypeError, AttributeError):
+                raise ValueError(f"capacity.csv: line {number}: {name} is {row[name]!r}") from None
+        found.append(BusCapacity(**values))
+    return found
+
+
+def capacity_table(found: Capacities) -> Table:
+    """A row for each bus: what it carries in a snapshot and under each controller, and at which delay."""
+    study = found.study
+    window = f"{study.samples} windows of {study.window_s:g} s, {study.load} load"
+    limits = f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u."
+    title = f"{study.scenario.feeder.name}: largest data centre at a bus, MW, within {limits} ({window})"
+    header = ["bus", SNAPSHOT]
+    for name in found.controllers:
+        header += [name, "delay mean s", "p95 s", "unserved %"]
+    rows = []
+    for i, bus in enumerate(found.buses):
+        row = [bus, _mw(found.snapshot[i])]
+        for name in found.controllers:
+            capacity = found.by_controller[name][i]
+            row += [
+                _mw(capacity), f"{capacity.delay_mean_s:.2f}", f"{capacity.delay_p95_s:.0f}",
+                f"{capacity.unserved_pct:.1f}",
+            ]  # fmt: skip
+        rows.append(tuple(row))
+    return Table(title, tuple(header), tuple(rows), tuple(_notes(found)))
+
+
+def record(found: Capacities) -> dict[str, Any]:
+    """The study and its answers as JSON takes them."""
+    study = found.study
+    asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
+    return {
+        "study": asked
+        | {
+            "feeder": study.scenario.feeder.name,
+            "scenario": study.scenario.name,
+            "scenario_hash": scenario_hash(study.scenario),
+            "split": study.scenario.split,
+            "trace": study.scenario.trace if isinstance(study.scenario.trace, str) else "recordings",
+            "tolerance_mw": study.step_mw,
+            "max_mw": study.largest_mw,
+            "buses": list(found.buses),
+        },
+        "notes": list(found.notes),
+        "capacities": [dataclasses.asdict(capacity) for capacity in _all(found)],
+    }
+
+
+def _all(found: Capacities) -> Iterator[BusCapacity]:
+    yield from found.snapshot
+    for name in found.controllers:
+        yield from found.by_controller[name]
+
+
+def _mw(capacity: BusCapacity) -> str:
+    """The size; more may fit where it is the largest that was tried, and where sizes of the scan say so."""
+    more = ">=" if capacity.at_most else ""
+    return f"{more}{capacity.capacity_mw:g}{'*' * bool(capacity.smaller_fails_mw or capacity.larger_carries_mw)}"
+
+
+def _notes(found: Capacities) -> Iterator[str]:
+    study = found.study
+    yield (
+        f"Source at {study.scenario.source_voltage_pu:.5g} p.u.; snapshot: one power flow at peak load, without "
+        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where "
+        f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
+        f"broken in {study.allowed_pct:g} % of the seconds."
+    )
+    everyone = list(_all(found))
+    asked = max((c.asked_max_pct for name in found.controllers for c in found.by_controller[name]), default=0.0)
+    if asked:
+        yield f"In these windows a site's work asks for at most {asked:.0f} % of its rating; more samples may ask more."
+    tops = [capacity for capacity in everyone if capacity.at_most]
+    if not has_ratings(study.scenario.feeder):
+        beside = ", which is what would limit those at >=" if tops else ""
+        yield f"No rating of a branch is known: no size is too large for a line or transformer{beside}."
+    for name in found.controllers:
+        broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
+        if len(broken) == len(found.buses):
+            yield f"{name}: limits are broken without any site: {broken[0].limit}; --set v0_pu may help, or --limits."
+    for capacity in everyone:
+        if capacity.smaller_fails_mw:
+            sizes = ", ".join(f"{mw:g}" for mw in capacity.smaller_fails_mw)
+            yield f"* {capacity.controller}, bus {capacity.bus}: smaller sites of {sizes} MW break limits"
+        if capacity.larger_carries_mw:
+            sizes = ", ".join(f"{mw:g}" for mw in capacity.larger_carries_mw)
+            yield f"* {capacity.controller}, bus {capacity.bus}: larger sites of {sizes} MW keep within them"
+    yield from found.notes

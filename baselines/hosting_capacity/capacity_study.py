@@ -1,0 +1,181 @@
+"""What a study of hosting capacity asks: of which buses, within which limits, over which sampled load.
+
+*Hosting capacity* of a bus is the most that can be connected there before a limit of the feeder is broken. It is found
+by iteration, sizes being tried until one breaks a limit, as California's integration capacity analysis does, and not by
+the streamlined estimates of EPRI's DRIVE, since a controlled load has no closed form ("Lessons learned from performing
+an integration capacity analysis", POWER Engineers, CIGRE US National Committee 2018, compares both; EPRI report
+1026640, 2012, is the stochastic method). Load levels run from the least to the peak of a day, as studies take hours of
+minimum and of peak load; each sample is a window of seconds with its own trace of the site and noise of the other
+loads, so that what a controller does in time counts (A. K. Jain, K. Horowitz, F. Ding and others, "Dynamic hosting
+capacity analysis for distributed photovoltaic resources", Applied Energy 2020: time series let limits be about how
+long, where a snapshot must take the strictest). With a controller that may slow work down the size alone says little,
+and the delay stands beside it (G. C. Sarker and N. Dahlin, arXiv 2604.20185, do so for flexible connections).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from dcgrid_env import Feeder, Scenario
+from dcgrid_env.traces.day_course import LOAD_PERCENT
+
+Load = Literal["day", "peak"]
+SAMPLES = 64
+WINDOW_S, SETTLE_S = 60.0, 20.0
+MAX_BUSES = 64
+"""Candidates at most unless buses are named."""
+LARGEST_SHARE = 3.0
+"""The largest size that is tried, as a share of the feeder's base load, unless one is given."""
+_STEPS = 1000
+"""About how many sizes there are up to the largest, unless the distance between them is given."""
+PEAK_HOUR = float(np.argmax(LOAD_PERCENT)) + 0.5
+"""Hour of the day at which the other loads are at their peak."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What is asked.
+
+    Raises
+    ------
+    ValueError
+        For a value that cannot be, naming it and what would do.
+    """
+
+    scenario: Scenario
+    """Gives the feeder, its source voltage and loads, the trace and kind of the site that is added, and the devices
+    that are there already."""
+    others: bool = True
+    """Whether the scenario's devices stand beside the added site; if not, it is alone on the feeder."""
+    buses: tuple[str, ...] | None = None
+    """Candidate buses; None for load buses, of three phases where there are phases, at most ``MAX_BUSES`` of them
+    spread evenly in the order of the feeder."""
+    samples: int = SAMPLES
+    """Windows of sampled load, those of seeds 0, 1, ..; the same for every bus, size and controller."""
+    load: Load = "day"
+    """``day``: sample i begins at 24 i / samples hours from the peak hour on, and other loads and PV follow the hour.
+    ``peak``: all stand at nominal load and noon."""
+    window_s: float = WINDOW_S
+    """Length of a window, s."""
+    settle_s: float = SETTLE_S
+    """Seconds at its beginning in which limits do not count: controllers begin without reactive power and with all
+    clocks at their top, as no controller that has been running would be."""
+    v_min_pu: float = 0.95
+    v_max_pu: float = 1.05
+    """Limits of the voltage at every bus, p.u.; those of ANSI C84.1, range A, for service voltages."""
+    loading_max_pct: float = 100.0
+    """Limit of a branch's current as a share of its rating, where a rating is known, %."""
+    allowed_pct: float = 0.0
+    """Share of the sampled seconds in which some bus or branch may be outside its limits, %."""
+    tolerance_mw: float | None = None
+    """Distance between sizes: a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
+    max_mw: float | None = None
+    """The largest size that is tried; None: three times the feeder's base load, rounded."""
+
+    def __post_init__(self) -> None:
+        self._require("samples", isinstance(self.samples, int) and self.samples >= 1, "give a whole number >= 1")
+        self._require("load", self.load in get_args(Load), f"choose one of {', '.join(get_args(Load))}")
+        least_s = 2.0 * self.scenario.dt_s
+        self._require("window_s", _finite(self.window_s) and self.window_s >= least_s, f"give at least {least_s:g} s")
+        self._require("window_s", self.window_s <= 3600.0, "give at most 3600 s")
+        settles = _finite(self.settle_s) and 0.0 <= self.settle_s <= self.window_s - self.scenario.dt_s
+        self._require("settle_s", settles, f"give 0 to less than the window's {self.window_s:g} s")
+        self._require("v_min_pu", _finite(self.v_min_pu) and self.v_min_pu > 0.0, "give a voltage > 0 p.u.")
+        above = _finite(self.v_max_pu) and self.v_max_pu > self.v_min_pu
+        self._require("v_max_pu", above, f"give a voltage above the lowest, {self.v_min_pu:g} p.u.")
+        self._require("loading_max_pct", _finite(self.loading_max_pct) and self.loading_max_pct > 0.0, "give > 0 %")
+        allowed = _finite(self.allowed_pct) and 0.0 <= self.allowed_pct < 100.0
+        self._require("allowed_pct", allowed, "give a share from 0 to less than 100 %")
+        for name in ("tolerance_mw", "max_mw"):
+            value = getattr(self, name)
+            self._require(name, value is None or (_finite(value) and value > 0.0), "give a size > 0 MW")
+        self._require("tolerance_mw", self.step_mw <= self.largest_mw, f"give at most {self.largest_mw:g} MW")
+        self._require("tolerance_mw", self.largest_mw / self.step_mw < 1e6, "give fewer than a million sizes")
+
+    def _require(self, field: str, holds: bool, remedy: str) -> None:
+        if not holds:
+            raise ValueError(f"{field} is {getattr(self, field)!r}; {remedy}")
+
+    @property
+    def largest_mw(self) -> float:
+        """The largest size that is tried."""
+        if self.max_mw is not None:
+            return self.max_mw
+        load_mw = float(np.abs(self.scenario.feeder.p_load_kw).sum()) / 1000.0
+        return _round_up(LARGEST_SHARE * load_mw) if load_mw > 0.0 else 10.0
+
+    @property
+    def step_mw(self) -> float:
+        """Distance between sizes."""
+        return _round_up(self.largest_mw / _STEPS) if self.tolerance_mw is None else self.tolerance_mw
+
+    @property
+    def top(self) -> int:
+        """How many sizes there are: the largest is ``top`` steps."""
+        return math.floor(self.largest_mw / self.step_mw + 1e-9)
+
+    @property
+    def horizon(self) -> int:
+        """Steps of a window."""
+        return round(self.window_s / self.scenario.dt_s)
+
+    @property
+    def settled(self) -> int:
+        """Steps of a window that do not count."""
+        return round(self.settle_s / self.scenario.dt_s)
+
+    @property
+    def allowed_seconds(self) -> int:
+        """Steps of all windows together in which limits may be broken."""
+        return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
+
+    @property
+    def hours(self) -> np.ndarray:
+        """Time of day at which each sample begins, h, (sample,)."""
+        return (PEAK_HOUR + 24.0 * np.arange(self.samples) / self.samples) % 24.0
+
+    def candidates(self) -> np.ndarray:
+        """Positions in ``bus_ids`` of the candidate buses; ValueError for one that cannot be a site's."""
+        feeder = self.scenario.feeder
+        if self.buses is not None:
+            return self._named(self.buses)
+        if isinstance(feeder, Feeder):
+            loaded = np.flatnonzero(feeder.p_load_kw > 0)
+        else:
+            with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
+            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= set("abc")], dtype=np.int64)
+        loaded = loaded[loaded > 0]
+        if not len(loaded):
+            kind = "" if isinstance(feeder, Feeder) else " of three phases"
+            raise ValueError(f"feeder {feeder.name!r} has no load bus{kind}; name the candidates as buses")
+        at = np.linspace(0, len(loaded) - 1, min(MAX_BUSES, len(loaded))).round().astype(int)
+        return loaded[at]
+
+    def _named(self, buses: Sequence[str]) -> np.ndarray:
+        feeder = self.scenario.feeder
+        if not buses:
+            raise ValueError("buses is empty; name at least one, or leave it out for the load buses")
+        at = [feeder.index(bus) for bus in buses]
+        if 0 in at:
+            raise ValueError(f"buses has the substation {buses[at.index(0)]!r}, where the source is; choose another")
+        return np.array(list(dict.fromkeys(at)), dtype=np.int64)
+
+
+def has_ratings(feeder: Any) -> bool:
+    """Whether the rating of some branch of a feeder is known."""
+    return feeder.rating_a is not None and not bool(np.isnan(feeder.rating_a).all())
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _round_up(value: float) -> float:
+    """The next number of the series 1, 2, 5, 10, .."""
+    scale = 10.0 ** math.floor(math.log10(value))
+    return next(float(f"{step * scale:.6g}") for step in (1.0, 2.0, 5.0, 10.0) if step * scale >= value * (1 - 1e-9))

@@ -1,0 +1,179 @@
+"""Hosting capacity of all candidate buses under several controllers, over processes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
+from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
+from dcgrid_env.baselines.hosting_capacity.trial import trials
+from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.core.processes import Died, each
+from dcgrid_env.traces import PowerTrace
+
+SNAPSHOT = "snapshot"
+"""What the capacity of a moment is called where controllers stand."""
+_SLOW = ("mpc",)
+"""Beginnings of the names of controllers whose tasks are handed out first."""
+_PARTS = 2
+"""Tasks of each controller and process: a task of few buses wastes batches, few tasks leave processes idle."""
+
+
+@dataclass(frozen=True)
+class Capacities:
+    """The answers of a study."""
+
+    study: Study
+    buses: tuple[str, ...]
+    """The candidates, in the order of the feeder."""
+    controllers: tuple[str, ...]
+    by_controller: dict[str, tuple[BusCapacity, ...]]
+    """In the order of the buses."""
+    snapshot: tuple[BusCapacity, ...]
+    """What they carry in one power flow: peak load, the site at its rating, nobody controls anything."""
+    notes: tuple[str, ...]
+    """What is to be said of the controllers."""
+
+
+class _Asked(NamedTuple):
+    """A bus, and the size and the samples to try first there."""
+
+    bus: int
+    guess: int
+    critical: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Task:
+    study: Study
+    controller: str
+    tuned: Path | None
+    asked: tuple[_Asked, ...]
+
+
+def hosting_capacity(
+    study: Study,
+    controllers: Sequence[str],
+    jobs: int = 1,
+    tuned: Path | None = None,
+    on_buses: Callable[[str, int], None] | None = None,
+) -> Capacities:
+    """Find the largest data centre that each candidate bus carries under each controller.
+
+    One data centre is added at one bus at a time. A size carries if, in all sampled windows behind their settling time,
+    every bus keeps within the limits of voltage and every branch of known rating within its own, but for the share of
+    seconds that is allowed. Sizes are multiples of a step; the search is that of ``bus_search``.
+
+    Parameters
+    ----------
+    study
+        Buses, limits and sampled load.
+    controllers
+        What names them on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class
+        of one's own.
+    jobs
+        Processes, over which controllers and buses are shared out. The answers do not depend on them.
+    tuned
+        A file of ``dcgrid tune`` that the gains of tuned laws must come from.
+    on_buses
+        Called with a controller and the number of buses that were done under it (for progress).
+
+    Returns
+    -------
+    Capacities
+        MW, the limit that the next size breaks, and mean and 95th percentile of the delay of the site's work in s and
+        its unserved share in %, for each controller and bus.
+
+    Raises
+    ------
+    ValueError
+        For a study that cannot be, a controller that cannot be found or cannot drive such a scenario, naming it.
+    RuntimeError
+        Where a process died.
+    """
+    names = tuple(dict.fromkeys(controllers))
+    if not names:
+        raise ValueError("controllers is empty; name at least one")
+    notes = tuple(note for name in names if (note := study_controller(name, study.scenario, tuned)[1]))
+    buses = study.candidates()
+    snapshot = snapshot_capacity(study, buses)
+    guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
+    critical = critical_samples(study, buses, guesses)
+    parts = _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
+    tasks = [
+        _Task(study, name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
+        for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
+        for part in parts
+    ]
+    found: dict[tuple[str, str], BusCapacity] = {}
+    for task, result in each(_work, tasks, jobs):
+        if isinstance(result, Died):
+            raise RuntimeError(
+                f"the process of {task.controller} died with exit code {result.exit_code}; try again with fewer --jobs"
+            )
+        found |= {(task.controller, capacity.bus): capacity for capacity in result}
+        if on_buses is not None:
+            on_buses(task.controller, len(result))
+    ids = tuple(study.scenario.feeder.bus_ids[bus] for bus in buses)
+    by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
+    return Capacities(study, ids, names, by_controller, tuple(snapshot), notes)
+
+
+def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
+    """What buses (positions in ``bus_ids``, (n,)) carry in one power flow, for orientation and to begin from.
+
+    Other loads are at their peak, data centres draw their rating at a power factor of one, inverters give what they do
+    at noon, and nobody controls anything.
+    """
+    dt_s = float(study.scenario.dt_s)
+    full = PowerTrace([0.0, 60.0 * dt_s], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
+    still = study.scenario.replace(trace=(full,), load_sigma=0.0, site_correlation=0.0)
+    moment = dataclasses.replace(
+        study, scenario=still, samples=1, load="peak", window_s=2.0 * dt_s, settle_s=0.0, allowed_pct=0.0,
+        tolerance_mw=study.step_mw, max_mw=study.largest_mw,
+    )  # fmt: skip
+    guesses = np.full(len(buses), max(1, math.isqrt(study.top)))
+    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
+
+
+def critical_samples(study: Study, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
+    """The samples in which buses come nearest to a limit with a site of these sizes, in steps, that nobody controls.
+
+    They are found at the price of no control, and are what every controller is tried in first.
+    """
+    site, by_size = AddedSite(study), dict[int, list[int]]()
+    for i, size in enumerate(sizes):
+        by_size.setdefault(size, []).append(i)
+    found: list[tuple[int, ...]] = [()] * len(buses)
+    for size, at in by_size.items():
+        asked = [(int(buses[i]), np.arange(study.samples)) for i in at]
+        for i, trial in zip(at, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
+            found[i] = tuple(worst_samples(trial).tolist())
+    return found
+
+
+def _shared_out(n: int, parts: int) -> list[np.ndarray]:
+    return [part for part in np.array_split(np.arange(n), min(parts, n)) if len(part)]
+
+
+def _work(task: _Task) -> list[BusCapacity]:
+    controller, _ = study_controller(task.controller, task.study.scenario, task.tuned)
+    buses, guesses, critical = zip(*task.asked, strict=True)
+    return search_buses(
+        AddedSite(task.study),
+        controller,
+        task.controller,
+        np.array(buses),
+        np.array(guesses),
+        [np.array(samples) for samples in critical],
+    )

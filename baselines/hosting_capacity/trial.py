@@ -1,0 +1,122 @@
+"""Sites of one size at several buses, in several samples, as one batch: how near they bring a feeder to its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.rollout import as_driven, transitions
+
+COLLAPSED = -10.0
+"""Margin where the power flow has no solution."""
+UNLIMITED = 1e6
+"""Margin where there is no limit, as of branches without a known rating."""
+_ROUNDING = 1e-9
+_VALUES = 4_000_000
+"""Voltages of a batch that are kept at a time: larger ones run in parts."""
+LIMITS = ("undervoltage", "overvoltage", "overload")
+OVERLOAD = LIMITS.index("overload")
+
+
+class Trial(NamedTuple):
+    """What a batch came to, by lane."""
+
+    margins: np.ndarray
+    """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (lane, limit): of a voltage
+    as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
+    without a power-flow solution."""
+    at: np.ndarray
+    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (lane, limit)."""
+    outside: np.ndarray
+    """Steps that count in which some limit was broken, int, (lane,)."""
+    arrived_kw: np.ndarray
+    """Dynamic power that the added site's arriving work asked for in each step, kW, (lane, step)."""
+    served_kw: np.ndarray
+    """What the work that was served drew of it, kW, (lane, step)."""
+
+    @property
+    def margin(self) -> float:
+        """Least distance of any lane to any limit."""
+        return float(self.margins.min())
+
+    def of(self, lanes: Any) -> Trial:
+        """Some of the lanes."""
+        return Trial(*(part[lanes] for part in self))
+
+    @classmethod
+    def joined(cls, parts: list[Trial]) -> Trial:
+        """The lanes of several, one after the other."""
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def run_trial(
+    site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
+) -> Trial:
+    """Run sites of a size; ``buses`` are positions in ``bus_ids`` and ``samples`` numbers, (lane,) each.
+
+    A lane comes to the same whatever stands beside it. ControllerError where the controller fails or refuses.
+    """
+    at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
+    parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
+    return Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+
+
+def trials(
+    site: AddedSite, controller: Controller, size: int, asked: Sequence[tuple[int, np.ndarray]], name: str
+) -> list[Trial]:
+    """What a size comes to at several buses, each in samples of its own, as one batch."""
+    buses = np.concatenate([np.full(len(samples), bus) for bus, samples in asked])
+    trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in asked]), name)
+    ends = np.cumsum([0, *(len(samples) for _, samples in asked)])
+    return [trial.of(slice(a, b)) for a, b in pairwise(ends)]
+
+
+def _run(
+    site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
+) -> Trial:
+    study, lanes = site.study, len(buses)
+    scenario = as_driven(site.scenario(size), controller)
+    seeds, options = site.lanes(buses, samples)
+    steps = transitions(scenario, controller, seeds, name, options)
+    next(steps)
+    margins, at = np.full((lanes, len(LIMITS)), UNLIMITED), np.zeros((lanes, len(LIMITS)), np.int64)
+    outside, goes_on = np.zeros(lanes, np.int64), np.ones(lanes, bool)
+    arrived, served = (np.zeros((lanes, study.horizon)) for _ in range(2))
+    for k in range(study.horizon):
+        now = next(steps)
+        arrived[:, k], served[:, k] = now.state.arrived_kw[:, site.slot], now.state.served_kw[:, site.slot]
+        if k >= study.settled:
+            here, where = _distances(site, now)
+            outside += (here < -_ROUNDING).any(axis=1)
+            nearer = here < margins
+            margins, at = np.where(nearer, here, margins), np.where(nearer, where, at)
+        lost = goes_on & ~np.asarray(now.converged)
+        if lost.any():
+            goes_on &= ~lost
+            if not goes_on.any():
+                break
+    steps.close()
+    # What follows a power flow without a solution is another episode, and does not count.
+    margins[~goes_on] = COLLAPSED
+    outside[~goes_on] = study.horizon - study.settled
+    return Trial(margins, at, outside, arrived, served)
+
+
+def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Each lane's distance to each limit now, and where, (lane, limit) each."""
+    study, nodes = site.study, site.study.scenario.feeder.load_slice
+    v = now.state.v_pu[:, nodes]
+    lane, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)
+    lowest, highest = v.argmin(axis=1), v.argmax(axis=1)
+    below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
+    first = nodes.start or 0
+    loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    if now.state.loading is not None:  # 0 where no rating is known
+        branch = now.state.loading.argmax(axis=1)
+        loaded = 1.0 - now.state.loading[lane, branch] / (study.loading_max_pct / 100.0)
+    return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

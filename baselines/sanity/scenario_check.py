@@ -1,0 +1,194 @@
+"""What no control, the droop, the best constant and perfect foresight reach in a few episodes of a scenario."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Recorder, Scenario
+from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.laws import stability
+from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.sanity.lane_search import fitted
+from dcgrid_env.baselines.sanity.verdicts import (
+    BARE,
+    CONSTANT,
+    DROOP,
+    HINDSIGHT,
+    NONE,
+    PAPER,
+    PINNED,
+    Figures,
+    Reached,
+    Verdict,
+    verdicts,
+)
+from dcgrid_env.core.processes import Died, each
+
+ROWS = (
+    "J", "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "voltage_min_pu", "voltage_max_pu", "delay_mean_s",
+)  # fmt: skip
+"""Metrics of the table, row by row."""
+OVER_EPISODES = {"mean": np.mean, "min": np.min, "max": np.max}
+SECONDS = 40.0
+_OF_DROOP, _OF_HINDSIGHT, _OF_PINNED = 0.15, 0.7, 0.75
+"""Shares of the time after which these begin nothing further; the best constant is looked for until its end."""
+_GAP = 1e-3
+"""Gap between the replay and the program at which an episode of hindsight is near enough, as a share of J."""
+_PINNED = 3
+"""Episodes of hindsight at the top clock."""
+_SLOW_S = 6.0
+"""Time that an episode of hindsight takes from which it pays to start processes, s."""
+_PLACEMENTS = 8
+"""Placements that the droop's gain is looked at in, where a scenario draws them."""
+_NEXT_TO_NOTHING_KW = 1e-3
+_STEEP = 1e6
+"""A reactive gain beyond every bound, from which the bound is read, Mvar per p.u. and s."""
+
+
+@dataclass(frozen=True)
+class ScenarioCheck:
+    """What was reached, and what it says."""
+
+    scenario: Scenario
+    figures: Figures
+    seconds: float
+    """How long it took."""
+
+    @cached_property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What the figures say, each with a remedy where there is need of one; the last one sums up."""
+        return verdicts(self.scenario, self.figures)
+
+    @property
+    def is_worth_learning(self) -> bool:
+        """Whether there is something to learn that simple rules do not do."""
+        return not any(verdict.is_bar for verdict in self.verdicts)
+
+    @property
+    def table(self) -> Table:
+        """Who reaches what, side by side."""
+        from dcgrid_env import METRICS
+
+        reached = self.figures.reached
+        shown = {name: reached[name] for name in (NONE, PAPER, DROOP, CONSTANT, HINDSIGHT) if name in reached}
+        rows = []
+        for metric in (METRICS[name] for name in ROWS):
+            each = (OVER_EPISODES[metric.over_episodes](one.metrics[metric.name]) for one in shown.values())
+            rows.append((metric.heading, *(metric.text(float(value)) for value in each)))
+        rows.append(("episodes", *(str(one.n) for one in shown.values())))
+        title = f"{self.scenario.name}, {self.scenario.split} split, found in {self.seconds:.0f} s"
+        return Table(title, ("mean over episodes", *shown), tuple(rows))
+
+
+def check_scenario(
+    scenario: Scenario,
+    episodes: int = 8,
+    seconds: float = SECONDS,
+    jobs: int = 1,
+    on_stage: Callable[[str], None] = lambda _: None,
+) -> ScenarioCheck:
+    """Look whether a scenario is worth learning on.
+
+    The best constant and the best droop are fitted to the very episodes that they are judged on, so that what hindsight
+    is ahead of them is there to be learned and no luck of a draw.
+
+    Parameters
+    ----------
+    scenario
+        With its split; the validation split leaves the test episodes alone.
+    episodes
+        How many: those of seeds 0, 1, ..
+    seconds
+        Time after which nothing further is begun; then hindsight is of fewer episodes, one at the least.
+    jobs
+        Number of processes that solve episodes where these take long.
+    on_stage
+        Called with what is done next (for progress).
+
+    Raises
+    ------
+    ValueError
+        For fewer than one episode, or a time that is not above 0.
+    """
+    if episodes < 1 or not 0.0 < seconds < float("inf"):
+        raise ValueError(f"episodes is {episodes} and seconds {seconds:g}; give at least 1 and more than 0")
+    began_s, seeds = time.monotonic(), range(episodes)
+    reached: dict[str, Reached] = {}
+    on_stage(NONE)
+    recorder = rollout(scenario, NoControl(), seeds, name=NONE)
+    reached[NONE], lowest_bus = Reached.of(recorder.metrics()), _lowest_bus(recorder, episodes)
+    reached[PAPER] = Reached.of(rollout(scenario, Droop(), seeds, name=PAPER).metrics())
+    on_stage(DROOP)
+    reached[DROOP] = _fitted("droop", scenario, seeds, began_s + _OF_DROOP * seconds)
+    on_stage(HINDSIGHT)
+    refused = ""
+    try:
+        reached[HINDSIGHT] = _hindsight(scenario, seeds, began_s + _OF_HINDSIGHT * seconds, jobs)
+    except ValueError as error:
+        refused = str(error)
+    has_clock, until_s = scenario.n_datacenters > 0, began_s + _OF_PINNED * seconds
+    if HINDSIGHT in reached and has_clock and time.monotonic() < until_s:
+        on_stage(PINNED)
+        pinned = scenario.replace(f_min_mhz=scenario.f_max_mhz)
+        reached[PINNED] = _hindsight(pinned, range(min(_PINNED, reached[HINDSIGHT].n)), until_s, jobs)
+    on_stage(CONSTANT)
+    reached[CONSTANT] = _fitted("constant-q", scenario, seeds, began_s + seconds)
+    if scenario.n_datacenters:
+        bare = scenario.replace(p_rated_kw=_NEXT_TO_NOTHING_KW)
+        reached[BARE] = Reached.of(rollout(bare, NoControl(), seeds, name=BARE).metrics())
+    bound = min(_largest_k_q(member) for member in {scenario.member(seed): None for seed in seeds})
+    figures = Figures(reached, lowest_bus, refused, bound)
+    return ScenarioCheck(scenario, figures, time.monotonic() - began_s)
+
+
+def _largest_k_q(scenario: Scenario) -> float:
+    """The largest reactive gain of the droop that is stable by itself, Mvar per p.u. and s."""
+    steep = Droop(k_p_mw_per_pu=0.0, k_q_mvar_per_pu_s=_STEEP, alpha_per_s=0.0)
+    return 2.0 * _STEEP / (stability.worst_radius(scenario, steep, _PLACEMENTS) + 1.0)
+
+
+def _lowest_bus(recorder: Recorder, lanes: int) -> str:
+    """The bus with the lowest voltage on average over an episode."""
+    each = []
+    for series in map(recorder.lane, range(lanes)):
+        feeder = series.scenario.feeder
+        v_pu = series.v_pu[:, feeder.load_slice].mean(axis=0)
+        node = np.arange(feeder.n_node)[feeder.load_slice][np.argmin(v_pu)]
+        each.append((float(v_pu.min()), feeder.bus_ids[feeder.node_bus[node]]))
+    return min(each)[1]
+
+
+def _fitted(law: str, scenario: Scenario, seeds: Sequence[int], until_s: float) -> Reached:
+    """What a law reaches with the best parameters that are found for the episodes."""
+    best = fitted(law, scenario, seeds, until_s)
+    return Reached.of(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
+
+
+def _hindsight(scenario: Scenario, seeds: Sequence[int], until_s: float, jobs: int) -> Reached:
+    """Hindsight of the first of the episodes, and of as many more as there is time for."""
+    began_s = time.monotonic()
+    found = {seeds[0]: _solved(scenario, seeds[0])}
+    took_s = time.monotonic() - began_s
+    jobs = jobs if took_s > _SLOW_S else 1
+    if time.monotonic() + took_s < until_s:
+        for seed, metrics in each(partial(_solved, scenario), seeds[1:], jobs):
+            if not isinstance(metrics, Died):
+                found[seed] = metrics
+            if time.monotonic() + took_s > until_s:
+                break
+    n = next(i for i, seed in enumerate([*seeds, -1]) if seed not in found)
+    return Reached.of([found[seed] for seed in seeds[:n]])
+
+
+def _solved(scenario: Scenario, seed: int) -> dict[str, Any]:
+    """Metrics of an episode under hindsight."""
+    return hindsight(scenario, seed, tolerance=_GAP).recorder.metrics()[0]

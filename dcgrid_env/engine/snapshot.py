@@ -1,0 +1,143 @@
+"""What a batch of lanes stands at after a step, as tuples of arrays, and how lanes of it are put together and taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.engine import episode, reward
+from dcgrid_env.engine.observation import Placement
+from dcgrid_env.engine.state import State
+from dcgrid_env.scenario.scenario import Scenario
+
+
+class Transition(NamedTuple):
+    """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
+
+    observation: np.ndarray
+    """Joint observation, float32, (lane, n_observation)."""
+    reward: np.ndarray
+    """(lane,), or (lane, n_agent) where the scenario's reward is local."""
+    terminated: np.ndarray
+    """The power flow has no solution, bool, (lane,)."""
+    truncated: np.ndarray
+    """The horizon is reached, bool, (lane,)."""
+    costs: reward.Costs
+    """Weighted terms of the team's cost, (lane,) each."""
+    cost_j: np.ndarray
+    """The step's share of J times T, (lane,): minus the team's reward."""
+    j_so_far: np.ndarray
+    """Sum of ``cost_j`` since the reset over T, (lane,): J of the episode once it is over."""
+    state: State
+    loss_kw: np.ndarray
+    """(lane,)"""
+    converged: np.ndarray
+    """Whether the power flow has a solution, bool, (lane,)."""
+    trace_start: np.ndarray
+    """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
+
+
+class Snapshot(NamedTuple):
+    """All that a simulation needs to go on from where it was; made by ``save``. Its arrays are never written to."""
+
+    scenario: Scenario
+    seeds: np.ndarray
+    numbers: np.ndarray
+    episode: episode.Episode
+    step: np.ndarray
+    noise: np.ndarray
+    p_ref_next_kw: np.ndarray
+    state: State
+    measured: tuple[np.ndarray, ...]
+    transition: Transition
+
+    @property
+    def over(self) -> np.ndarray:
+        """Whether a lane's episode has ended, bool, (lane,)."""
+        return self.transition.terminated | self.transition.truncated
+
+
+_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag")
+"""Fields of an episode that ``episode.assemble`` takes."""
+
+
+def put_in(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
+    """``now`` with the lanes of ``drawn`` put in."""
+
+    def put(old: Any, new: Any) -> Any:
+        if old is None:
+            return None
+        if isinstance(old, np.ndarray):
+            merged = old.copy()
+            merged[lanes] = new
+            return merged
+        merged = [put(a, b) for a, b in zip(old, new, strict=True)]
+        return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
+
+    old_episode, new_episode = now.episode, drawn.episode
+    drawn_in = (put(getattr(old_episode, name), getattr(new_episode, name)) for name in _DRAWN)
+    state = put(now.state, drawn.state)
+    return Snapshot(
+        scenario=scenario,
+        seeds=put(now.seeds, drawn.seeds),
+        numbers=put(now.numbers, drawn.numbers),
+        episode=episode.assemble(scenario, *drawn_in),
+        step=put(now.step, drawn.step),
+        noise=put(now.noise, drawn.noise),
+        p_ref_next_kw=put(now.p_ref_next_kw, drawn.p_ref_next_kw),
+        state=state,
+        measured=put(now.measured, drawn.measured),
+        transition=put(now.transition, drawn.transition)._replace(state=state),
+    )
+
+
+def taken(now: Snapshot, lanes: np.ndarray, scenario: Scenario) -> Snapshot:
+    """Some lanes of a snapshot as one of their own, of another scenario with as many nodes and the same agents."""
+    return _placed_anew(_over_lanes(lambda array: array[lanes], scenario, now), lanes, np.arange(len(lanes)))
+
+
+def joined(scenario: Scenario, parts: Sequence[tuple[np.ndarray, Snapshot]]) -> Snapshot:
+    """Snapshots as one of a scenario with as many nodes and the same agents, each in the lanes that stand before it."""
+    n = sum(len(lanes) for lanes, _ in parts)
+    if len(parts) == 1:
+        return parts[0][1]._replace(scenario=scenario)
+
+    def put(first: np.ndarray, *others: np.ndarray) -> np.ndarray:
+        whole = np.empty((n, *first.shape[1:]), first.dtype)
+        for (lanes, _), values in zip(parts, (first, *others), strict=True):
+            whole[lanes] = values
+        return whole
+
+    moved = [_placed_anew(part, np.arange(len(lanes)), lanes) for lanes, part in parts]
+    return _over_lanes(put, scenario, *moved)
+
+
+def _over_lanes(function: Any, scenario: Scenario, *snapshots: Snapshot) -> Snapshot:
+    """A snapshot of a function of the arrays of others, one by one."""
+
+    def over(*values: Any) -> Any:
+        first = values[0]
+        if first is None:
+            return None
+        if isinstance(first, np.ndarray):
+            return function(*values)
+        parts = [over(*same) for same in zip(*values, strict=True)]
+        return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
+
+    whole = over(*(snapshot._replace(scenario=None) for snapshot in snapshots))  # pyright: ignore[reportArgumentType]
+    return whole._replace(scenario=scenario, transition=whole.transition._replace(state=whole.state))
+
+
+def _placed_anew(part: Snapshot, were: np.ndarray, are: np.ndarray) -> Snapshot:
+    """A snapshot whose lanes stood at positions in a batch and stand at others now: flat positions say the batch's."""
+    by = (are - were)[:, None, None]
+    drawn, s = part.episode, part.scenario
+    placed: Placement = drawn.placed
+    anew = placed._replace(
+        nodes=placed.nodes + by * s.feeder.n_node,
+        legs=placed.legs + by * s.feeder.n_leg,
+        nearest=placed.nearest + by * s.n_agents,
+    )
+    return part._replace(episode=drawn._replace(placed=anew))

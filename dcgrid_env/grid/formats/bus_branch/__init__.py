@@ -1,0 +1,20 @@
+"""What the formats of balanced grids have in common: buses and branches in per unit, and how a radial feeder comes
+of them."""
+
+from dcgrid_env.grid.formats.bus_branch.described import BalancedFeeder, described
+from dcgrid_env.grid.formats.bus_branch.description import Branch, BusBranchGrid, ClosedSwitch, Source
+from dcgrid_env.grid.formats.bus_branch.imported import ImportedFeeder, imported
+from dcgrid_env.grid.formats.bus_branch.reduction import Radial, radial_network
+
+__all__ = [
+    "BalancedFeeder",
+    "Branch",
+    "BusBranchGrid",
+    "ClosedSwitch",
+    "ImportedFeeder",
+    "Radial",
+    "Source",
+    "described",
+    "imported",
+    "radial_network",
+]

@@ -1,0 +1,62 @@
+"""What an import gives: tables, what became of each element, and the voltages that the source's own solver finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcgrid_env.grid.formats.bus_branch.description import BusBranchGrid
+from dcgrid_env.grid.formats.bus_branch.reduction import radial_network
+from dcgrid_env.grid.formats.import_report import Finding, Report
+from dcgrid_env.grid.network import Network
+
+
+@dataclass(frozen=True)
+class ImportedFeeder:
+    """A balanced feeder read from another program's grid.
+
+    Attributes
+    ----------
+    network
+        Its tables, which ``Feeder.from_network`` compiles.
+    findings
+        What became of each element.
+    bus_of
+        Bus of the tables for each bus of the source that is supplied: several where closed switches make them one.
+    v_pu
+        Voltage magnitude of each bus of the tables, p.u. of its own base, as the source's solver finds it; empty where
+        it found none.
+    solver
+        What found these voltages.
+    notes
+        Lines that the user should read beside the findings.
+    """
+
+    network: Network
+    findings: tuple[Finding, ...]
+    bus_of: dict[str, str]
+    v_pu: dict[str, float]
+    solver: str
+    notes: tuple[str, ...] = ()
+
+
+def imported(
+    grid: BusBranchGrid,
+    report: Report,
+    voltages: Callable[[], Mapping[str, float]],
+    *,
+    solver: str,
+    source: str | None,
+    allow: Collection[str],
+    source_of_facts: str,
+    notes: tuple[str, ...] = (),
+) -> ImportedFeeder:
+    """Reduce a grid and put the solver's voltages, by bus of the grid, beside the buses of the tables.
+
+    The solver is asked once the grid is known to be a feeder.
+    """
+    radial = radial_network(grid, report, source=source, allow=allow, source_of_facts=source_of_facts)
+    there = {bus: float(v) for bus, v in voltages().items() if radial.bus_of.get(bus) == bus and np.isfinite(v)}
+    return ImportedFeeder(radial.network, report.findings, radial.bus_of, there, solver, notes)

@@ -1,0 +1,165 @@
+"""A pandapower net out of its JSON file, without importing or calling anything that the file names.
+
+pandapower's own reader imports modules and makes objects of classes that stand in the file, and opens files whose
+paths do.
+Here the tables that a power flow needs are filled from plain figures and texts; controllers, functions and other
+objects are not made.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.formats.pandapower.net_schema import LARGEST_INDEX, REFUSED, SCHEMA
+from dcgrid_env.grid.topology import FeederError
+
+_MAX_BYTES = 512 * 2**20
+_PLAIN_TABLES = (*SCHEMA, *REFUSED, "bus_dc", "trafo_characteristic_table", "shunt_characteristic_table", "bus_geodata")
+_NO_MATTER = {"std_types", "measurement", "pwl_cost", "poly_cost", "group", "user_pf_options", "controller"}
+
+
+def net_from_json(path: Path, report: Report) -> Any:
+    """The net of a file; FeederError for a file that holds none, naming table, row and column."""
+    members = _members(path)
+    tables = {name: _table(str(path), name, members[name]) for name in _PLAIN_TABLES if _is_table(members.get(name))}
+    if "bus" not in tables:
+        raise FeederError(f"{path}: the table bus is missing; give a net that pandapower.to_json wrote")
+    _report_rest(str(path), members, report)
+    return _assembled(str(path), members, tables)
+
+
+def _members(path: Path) -> dict[str, Any]:
+    """What stands under the file's ``_object``."""
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise FeederError(f"{path} has more than {_MAX_BYTES // 2**20} MiB; give a pandapower net")
+        whole = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=lambda pairs: _unique(path, pairs))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise FeederError(f"{path}: {str(error)[:200]}; give a JSON file that pandapower.to_json wrote") from None
+    except OSError as error:
+        raise FeederError(f"{path} cannot be read ({error.strerror}); give a pandapower net") from None
+    members = whole.get("_object") if isinstance(whole, dict) else None
+    if not isinstance(members, dict) or whole.get("_class") != "pandapowerNet":
+        raise FeederError(f"{path} is no pandapower net; give a file that pandapower.to_json wrote")
+    return members
+
+
+def _unique(where: object, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise FeederError(f"{where}: {twice!r} is there twice; leave one out")
+    return made
+
+
+def _is_table(member: Any) -> bool:
+    return isinstance(member, dict) and member.get("_class") == "DataFrame"
+
+
+def _table(file: str, name: str, member: dict[str, Any]) -> dict[str, Any]:
+    """Columns, index and data of a table."""
+    where = f"{file}, table {name}"
+    if member.get("orient", "split") != "split":
+        raise FeederError(f"{where}: its orient is {member['orient']!r}; write the net anew by pandapower.to_json")
+    plain = member.get("_object")
+    if isinstance(plain, str):
+        try:
+            plain = json.loads(plain, object_pairs_hook=lambda pairs: _unique(where, pairs))
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise FeederError(f"{where}: {str(error)[:200]}") from None
+    if not isinstance(plain, dict) or not {"columns", "index", "data"} <= set(plain):
+        raise FeederError(f"{where}: it has no columns, index and data")
+    columns, index, data = plain["columns"], plain["index"], plain["data"]
+    if not all(isinstance(part, list) for part in (columns, index, data)) or len(index) != len(data):
+        raise FeederError(f"{where}: index and data are no lists of one length")
+    if not all(isinstance(column, str) for column in columns) or len(set(columns)) < len(columns):
+        raise FeederError(f"{where}: its columns are no different texts")
+    for i, row in zip(index, data, strict=True):
+        if isinstance(i, bool) or not isinstance(i, int) or not 0 <= i <= LARGEST_INDEX:
+            raise FeederError(f"{where}: the index {i!r} is no whole number of 0 to {LARGEST_INDEX}")
+        if not isinstance(row, list) or len(row) != len(columns):
+            raise FeederError(f"{where}, index {i}: the row has not one cell for each of {len(columns)} columns")
+    return {"columns": columns, "index": index, "data": data}
+
+
+def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, Any]]) -> Any:
+    """An empty net with the tables in it."""
+    import pandapower
+    import pandas
+
+    net = pandapower.create_empty_network()
+    for key in ("sn_mva", "f_hz"):
+        value = members.get(key, net[key])
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
+            raise FeederError(f"{file}: {key} is {value!r}; give a positive number")
+        net[key] = float(value)
+    net["name"] = str(members.get("name") or "")
+    for name, plain in tables.items():
+        if not plain["index"]:
+            continue
+        frame = pandas.DataFrame(plain["data"], index=plain["index"], columns=plain["columns"], dtype=object)
+        like = net[name] if name in net else pandas.DataFrame()
+        columns = {column: _column(file, name, column, frame[column], like) for column in frame.columns}
+        made = pandas.DataFrame(columns, index=pandas.Index(plain["index"], dtype="int64"))
+        for column in like.columns:
+            if column not in made.columns and column not in SCHEMA.get(name, {}):
+                made[column] = pandas.Series([None] * len(made), index=made.index, dtype=object)
+        net[name] = made
+    version = members.get("format_version")
+    if isinstance(version, str) and version != str(net.get("format_version")):
+        net["format_version"] = version
+        try:
+            pandapower.convert_format(net)
+        except Exception as error:
+            raise FeederError(f"{file}: format {version[:20]!r} cannot be converted ({str(error)[:120]})") from None
+    return net
+
+
+def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
+    """A column with the type that pandapower gives it; objects and lists in it are not made."""
+    kind = SCHEMA.get(table, {}).get(column, "")
+    plain: list[Any] = [None if isinstance(cell, dict | list) else cell for cell in cells]
+    right = {bool} if kind == "bool" else {float}
+    if kind and not set(map(type, plain)) <= right:
+        wanted = bool if kind == "bool" else (int, float)
+        for i, cell in zip(cells.index, cells, strict=True):
+            empty = cell is None and kind.endswith("?")
+            if not empty and (not isinstance(cell, wanted) or isinstance(cell, bool) != (kind == "bool")):
+                what = "true or false" if kind == "bool" else "a number"
+                raise FeederError(f"{file}, table {table}, index {i}: {column} is {str(cell)[:60]!r}; give {what}")
+            if isinstance(cell, int) and abs(cell) > 2**62:
+                raise FeederError(f"{file}, table {table}, index {i}: {column} is {str(cell)[:60]}; it is too large")
+    series = cells.__class__(plain, index=cells.index, dtype=object)
+    if kind == "bool":
+        return series.astype(bool)
+    whole = kind == "bus" or (table, column) == ("switch", "element")
+    if whole and all(math.isfinite(cell) and cell == int(cell) for cell in plain):
+        return series.astype("int64")
+    if kind:
+        return series.astype(float)
+    like_type = like[column].dtype.kind if column in like.columns else "O"
+    if like_type == "b" and all(cell is None or isinstance(cell, bool) for cell in plain):
+        return series.map(bool).astype(bool)
+    if like_type in "iuf" and all(cell is None or type(cell) in (int, float) for cell in plain):
+        return series.map(lambda cell: math.nan if cell is None else cell).astype(float)
+    return series
+
+
+def _report_rest(file: str, members: dict[str, Any], report: Report) -> None:
+    """Say what of the file is not read."""
+    for name, member in members.items():
+        if name in _PLAIN_TABLES or name.startswith(("res_", "_")) or not _is_table(member):
+            continue
+        try:
+            rows = _table(file, name, member)["index"]
+        except FeederError:
+            rows = ["?"]
+        if rows and name == "controller":
+            report.add_all("lost", "controller", map(str, rows), "it moves nothing: taps and powers stay as they are")
+        elif rows and name not in _NO_MATTER:
+            report.add("nothing lost", "table", name, "the balanced power flow has no use for it")

@@ -1,0 +1,63 @@
+"""What the power flow takes of a balanced feeder: its branches and shunts per unit, and its buses depth first."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.core.units import S_BASE_KVA, impedance_base_ohm
+from dcgrid_env.grid.topology import DepthFirst, depth_first
+
+FloatArray = NDArray[np.float64]
+
+
+def _read_only(array: Any) -> Any:
+    array.flags.writeable = False
+    return array
+
+
+class PerUnit:
+    """Mixed into ``Feeder``: what follows from its fields, made when it is first asked for."""
+
+    base_kv: float
+    bus_ids: tuple[str, ...]
+    parent: NDArray[np.intp]
+    r_ohm: FloatArray
+    x_ohm: FloatArray
+    shunt_kw: FloatArray | None
+    shunt_kvar: FloatArray | None
+
+    @cached_property
+    def r_pu(self) -> FloatArray:
+        """Series resistance of each branch, per unit, shape (n_branch,)."""
+        return _read_only(self.r_ohm / impedance_base_ohm(self.base_kv))
+
+    @cached_property
+    def x_pu(self) -> FloatArray:
+        """Series reactance of each branch, per unit, shape (n_branch,)."""
+        return _read_only(self.x_ohm / impedance_base_ohm(self.base_kv))
+
+    @cached_property
+    def shunts_pu(self) -> FloatArray | None:
+        """Active draw and reactive injection of the buses' shunts at 1 p.u., per unit, shape (2, n_bus), or None."""
+        if self.shunt_kw is None and self.shunt_kvar is None:
+            return None
+        given = (np.zeros(len(self.bus_ids)) if shunt is None else shunt for shunt in (self.shunt_kw, self.shunt_kvar))
+        return _read_only(np.stack(tuple(given)) / S_BASE_KVA)
+
+    @cached_property
+    def depth_first(self) -> DepthFirst:
+        """The buses in depth-first order from the substation, and where each stands in it."""
+        return depth_first(self.parent)
+
+    @cached_property
+    def path(self) -> FloatArray:
+        """0/1 matrix, shape (n_bus, n_branch): 1 where branch k lies between bus i and the substation."""
+        path = np.zeros((len(self.bus_ids), len(self.parent)))
+        for j in self.depth_first.order[1:]:
+            path[j] = path[self.parent[j - 1]]
+            path[j, j - 1] = 1.0
+        return _read_only(path)

@@ -1,0 +1,40 @@
+"""Lanes that are stepped together though they are on different members of a family of random feeders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcgrid_env.grid.balanced_nodes import OneNodeABus
+from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+
+
+@dataclass(frozen=True, eq=False)
+class FeederBatch(OneNodeABus):
+    """What stands for the feeder of a batch of lanes; it has what all members share, and says who is on which."""
+
+    family: RandomFeeders
+    members: tuple[tuple[Feeder, np.ndarray], ...]
+    """Each feeder with the positions of its lanes."""
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The family's."""
+        return self.family.name
+
+    @property
+    def n_bus(self) -> int:
+        """Number of buses, the substation among them."""
+        return self.family.n_bus
+
+    @property
+    def bus_ids(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Names of the buses."""
+        return self.family.bus_ids
+
+    @property
+    def capacitor_kvar(self) -> np.ndarray:
+        """Shunt capacitors, kvar, (n_bus,): none."""
+        return self.family.capacitor_kvar

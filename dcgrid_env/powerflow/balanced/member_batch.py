@@ -1,0 +1,39 @@
+"""The power flow of a batch of lanes on several feeders: that of each feeder's lanes in turn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+from dcgrid_env.powerflow.balanced.solvers import solve_distflow, solve_lindistflow
+from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.solution import Solution
+
+
+def distflow_of_members(
+    feeder: FeederBatch, p_kw: Any, q_kvar: Any, source_voltage_pu: Any, control: Any = None, start: Any = None
+) -> Solution:
+    """Solve DistFlow on NumPy arrays (lane, n_node), each lane on its own feeder; see ``solver.Solver``."""
+    return _of_members(solve_distflow, feeder, p_kw, q_kvar, source_voltage_pu, control, start)
+
+
+def lindistflow_of_members(
+    feeder: FeederBatch, p_kw: Any, q_kvar: Any, source_voltage_pu: Any, control: Any = None, start: Any = None
+) -> Solution:
+    """Solve LinDistFlow on NumPy arrays (lane, n_node), each lane on its own feeder; see ``solver.Solver``."""
+    return _of_members(solve_lindistflow, feeder, p_kw, q_kvar, source_voltage_pu, control, start)
+
+
+def _of_members(solve: Any, feeder: FeederBatch, p_kw: Any, q_kvar: Any, v0_pu: Any, control: Any, start: Any) -> Any:
+    whole: list[Any] | None = None
+    for member, lanes in feeder.members:
+        own = None if control is None else Control(*(None if field is None else field[lanes] for field in control))
+        solved = solve(member, p_kw[lanes], q_kvar[lanes], v0_pu, own, None if start is None else start[lanes])
+        if whole is None:
+            whole = [np.empty((len(p_kw), *values.shape[1:]), values.dtype) for values in solved]
+        for values, part in zip(whole, solved, strict=True):
+            values[lanes] = part
+    assert whole is not None
+    return Solution(*whole)

@@ -1,0 +1,65 @@
+"""How far the current of each branch is to its rating, at the node that it feeds.
+
+    loading = |I| / rating          of a balanced feeder |I| = |S| / (sqrt(3) V), both at the sending end
+
+A balanced feeder has a branch to each bus but the substation; its current is that of the series impedance, without the
+charging of the line, and referred to the substation's base voltage as the rating is. On a three-phase feeder each phase
+of a line has a conductor, of the same rating; branches other than lines have none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.core.arrays import Array, as_like, namespace, positive_sqrt, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import AnyFeeder, Feeder
+
+
+@cached_on_owner
+def rated_nodes(feeder: AnyFeeder) -> NDArray[np.intp]:
+    """Nodes that are fed by a branch, or a conductor, whose rating is known."""
+    return np.flatnonzero(~np.isnan(_ratings_a(feeder)))
+
+
+def branch_loading(feeder: AnyFeeder, solution: Any) -> Array:
+    """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
+
+    ``solution`` is of a power flow of the feeder; the linearised one has currents too, from its flows and voltages.
+    """
+    per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
+    if not isinstance(feeder, Feeder):
+        squared = solution.i_re_a * solution.i_re_a + solution.i_im_a * solution.i_im_a
+        return positive_sqrt(squared) * per_a
+    xp, p, q = namespace(solution.v_pu), solution.p_branch_kw, solution.q_branch_kvar
+    v_pu = solution.v_pu
+    if feeder.voltage_ratio is not None:
+        v_pu = v_pu / as_like(feeder.voltage_ratio, v_pu)
+    current_a = positive_sqrt(p * p + q * q) / take_last(v_pu, _parents(feeder, xp, v_pu.device))
+    loading = current_a * (per_a[1:] / (3.0**0.5 * feeder.base_kv))
+    return xp.concat((0.0 * v_pu[..., :1], loading), axis=-1)
+
+
+@cached_on_owner
+def _ratings_a(feeder: AnyFeeder) -> NDArray[np.float64]:
+    """Rating of what feeds each node, A, shape (n_node,), NaN where it is not known."""
+    if isinstance(feeder, Feeder):
+        return np.concatenate(
+            ([np.nan], np.full(feeder.n_branch, np.nan) if feeder.rating_a is None else feeder.rating_a)
+        )
+    return np.full(feeder.n_node, np.nan) if feeder.rating_a is None else feeder.rating_a
+
+
+@cached_on_owner
+def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
+    ratings = _ratings_a(feeder)
+    return np.where(np.isnan(ratings), 0.0, 1.0 / ratings)
+
+
+@cached_on_owner
+def _parents(feeder: Feeder, xp: Any, device: Any) -> Array:
+    """Sending end of each branch as an index of the array's kind."""
+    return feeder.parent if xp is np else xp.asarray(np.array(feeder.parent, np.int64), device=device)

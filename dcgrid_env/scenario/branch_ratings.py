@@ -1,0 +1,20 @@
+"""Whether the feeder knows the ratings of its branches that a scenario asks about."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcgrid_env.core.checked import FieldError
+
+
+def check_ratings(scenario: Any) -> None:
+    """Raise FieldError for a price on overload, or its observation, on a feeder that knows no rating."""
+    if scenario.feeder.rating_a is not None:
+        return
+    remedy = (
+        f"feeder {scenario.feeder.name!r} knows the rating of no branch; give its branches rating_a, or leave it out"
+    )
+    if scenario.weights.overload:
+        raise FieldError("Cost", "weights.overload", scenario.weights.overload, remedy)
+    if scenario.observe_loading:
+        raise FieldError("Sensing", "observe_loading", True, remedy)

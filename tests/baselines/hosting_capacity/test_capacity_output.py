@@ -1,0 +1,68 @@
+"""The answers as CSV, as plain data and as a table."""
+
+import json
+
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines.hosting_capacity.capacity_output import (
+    capacity_csv,
+    capacity_table,
+    read_capacity_csv,
+    record,
+)
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
+
+
+def capacity(controller, bus, mw, **fields):
+    values = {
+        "at_most": False, "limit": "undervoltage at bus 18", "delay_mean_s": 0.1234567890123, "delay_p95_s": 2.0,
+        "unserved_pct": 0.5, "outside_pct": 0.0, "asked_max_pct": 90.0,
+        "margin": 0.01, "smaller_fails_mw": (), "larger_carries_mw": (),
+    }  # fmt: skip
+    return BusCapacity(controller=controller, bus=bus, capacity_mw=mw, **(values | fields))
+
+
+@pytest.fixture
+def found():
+    study = Study(scenario=make_scenario("ieee33", split="test"), others=False, samples=4, window_s=10.0, settle_s=2.0)
+    own = (
+        capacity("a, b", "2", 20.0, at_most=True, limit=""),
+        capacity("a, b", "18", 0.3, smaller_fails_mw=(0.1, 0.2), larger_carries_mw=(1.5,)),
+    )
+    snapshot = (capacity("snapshot", "2", 7.5), capacity("snapshot", "18", 0.25))
+    return Capacities(study, ("2", "18"), ("a, b",), {"a, b": own}, snapshot, ("a, b: has its defaults",))
+
+
+def test_the_csv_reads_back_as_it_was(found):
+    assert read_capacity_csv(capacity_csv(found)) == [*found.snapshot, *found.by_controller["a, b"]]
+
+
+def test_a_csv_of_another_kind_is_refused(found):
+    text = capacity_csv(found)
+    with pytest.raises(ValueError, match="its columns are"):
+        read_capacity_csv("bus,mw\n1,2\n")
+    with pytest.raises(ValueError, match="line 3: capacity_mw is 'much'"):
+        read_capacity_csv(text.replace("0.25", "much"))
+    with pytest.raises(ValueError, match="line 2: at_most is 'no'"):
+        read_capacity_csv(text.replace("false", "no", 1))
+
+
+def test_the_record_is_plain_and_whole(found):
+    plain = json.loads(json.dumps(record(found)))
+    assert plain["study"]["feeder"] == "ieee33"
+    assert plain["study"]["buses"] == ["2", "18"]
+    assert [c["capacity_mw"] for c in plain["capacities"]] == [7.5, 0.25, 20.0, 0.3]
+
+
+def test_the_table_says_what_is_at_its_end_and_what_is_not_monotone(found):
+    table = capacity_table(found)
+    assert [row[:3] for row in table.rows] == [("2", "7.5", ">=20"), ("18", "0.25", "0.3*")]
+    notes = "\n".join(table.notes)
+    assert "* a, b, bus 18: smaller sites of 0.1, 0.2 MW break limits" in notes
+    assert "* a, b, bus 18: larger sites of 1.5 MW keep within them" in notes
+    assert "No rating of a branch is known" in notes
+    assert "a, b: has its defaults" in notes
+    assert "at most 90 % of its rating" in notes

@@ -1,0 +1,208 @@
+"""What buses carry, against cases worked by hand and against what must hold of any answer."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dcgrid_env import Feeder, Scenario, load_feeder, make_scenario
+from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.baselines.hosting_capacity.trial import run_trial
+from dcgrid_env.baselines.laws.no_control import NoControl
+from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.traces import PowerTrace
+
+SHORT = {"samples": 2, "window_s": 10.0, "settle_s": 4.0}
+FULL = PowerTrace([0.0, 600.0], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
+R_OHM, X_OHM, KV, LOAD_KW = 0.8, 0.5, 10.0, 300.0
+
+
+def on(feeder, **fields):
+    sizes = {"p_rated_kw": 1.0, "s_rated_share": 1.1, "q_max_share": 0.33, "inverter_buses": (), "inverter_s_kva": 0.0}
+    return Scenario(name="study", feeder=feeder, n_datacenters=1, split="test", **(sizes | fields))
+
+
+def two_buses(rating_a=None):
+    feeder = Feeder.from_tables(
+        name="two", base_kv=KV, substation="a", v0_pu=1.0, bus_ids=["a", "b"], p_load_kw=[0.0, LOAD_KW],
+        q_load_kvar=[0.0, 0.0], from_bus=["a"], to_bus=["b"], r_ohm=[R_OHM], x_ohm=[X_OHM], rating_a=rating_a,
+    )  # fmt: skip
+    return on(feeder, trace=(FULL,), load_sigma=0.0, v0_pu=1.0)
+
+
+def carried(scenario, *controllers, **fields):
+    found = hosting_capacity(Study(scenario=scenario, others=False, **(SHORT | fields)), controllers or ("none",))
+    return found, [[c.capacity_mw for c in found.by_controller[name]] for name in found.controllers]
+
+
+def largest_by_voltage(v2):
+    """(V2^2 + r P)^2 + (x P)^2 = V0^2 V2^2 at unity power factor, solved for P, MW, and less the load."""
+    r, x = R_OHM / KV**2, X_OHM / KV**2
+    z_sq, v_sq = r * r + x * x, v2 * v2
+    return (math.sqrt(r * r * v_sq * v_sq + z_sq * v_sq * (1.0 - v_sq)) - r * v_sq) / z_sq - LOAD_KW / 1000.0
+
+
+@pytest.mark.parametrize("v_min", [0.95, 0.97])
+def test_two_buses_carry_what_the_voltage_equation_says(v_min):
+    found, [[mw]] = carried(two_buses(), load="peak", v_min_pu=v_min, tolerance_mw=0.001, max_mw=10.0)
+    assert mw == pytest.approx(largest_by_voltage(v_min), abs=0.001)
+    assert mw <= largest_by_voltage(v_min)
+    (only,), (snapshot,) = found.by_controller["none"], found.snapshot
+    assert only.limit == "undervoltage at bus b"
+    assert not only.at_most
+    assert snapshot.capacity_mw == mw
+    assert (only.delay_mean_s, only.delay_p95_s, only.unserved_pct, only.outside_pct) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_two_buses_carry_what_the_rating_of_their_branch_says():
+    current_a = 100.0
+    drop = current_a * math.sqrt(3.0) / 1000.0  # I in units of 1 MVA / (sqrt(3) kV), over kV
+    v2 = math.sqrt(1.0 - (X_OHM / KV * drop) ** 2) - R_OHM / KV * drop
+    largest = math.sqrt(3.0) * v2 * KV * current_a / 1000.0 - LOAD_KW / 1000.0
+    found, [[mw]] = carried(two_buses([current_a]), load="peak", tolerance_mw=0.001, max_mw=10.0, v_min_pu=0.9)
+    assert mw <= largest
+    assert mw == pytest.approx(largest, abs=0.0011)
+    assert found.by_controller["none"][0].limit == "overload of the branch from a to b"
+    _, [[more]] = carried(
+        two_buses([current_a]), load="peak", tolerance_mw=0.001, max_mw=10.0, v_min_pu=0.9, loading_max_pct=120.0
+    )
+    assert more > 1.15 * mw
+
+
+def test_more_is_carried_within_wider_limits():
+    scenario = on(load_feeder("ieee33"), v0_pu=1.0)
+    by_width = [
+        carried(scenario, buses=("5", "18", "22"), v_min_pu=1.0 - width, v_max_pu=1.0 + width)[1][0]
+        for width in (0.09, 0.1, 0.12)
+    ]
+    assert np.all(np.diff(by_width, axis=0) > 0.0)
+
+
+def test_a_droop_carries_more_at_the_ends_and_its_price_is_delay():
+    found, [none, droop] = carried(
+        on(load_feeder("ieee33"), v0_pu=1.05), "none", "droop", buses=("18", "33"), window_s=30.0, settle_s=15.0
+    )
+    assert np.all(np.array(droop) > np.array(none))
+    assert all(c.delay_mean_s > 0.0 for c in found.by_controller["droop"])
+    assert all(c.delay_mean_s == 0.0 for c in found.by_controller["none"])
+
+
+def test_the_next_size_breaks_a_limit_and_the_answer_does_not():
+    study = Study(scenario=on(load_feeder("ieee33"), v0_pu=1.05), others=False, buses=("18",), **SHORT)
+    (found,) = hosting_capacity(study, ["none"]).by_controller["none"]
+    site, size = AddedSite(study), round(found.capacity_mw / study.step_mw)
+    bus = np.full(2, study.scenario.feeder.index("18"))
+    holds, breaks = (run_trial(site, NoControl(), s, bus, np.arange(2), "none") for s in (size, size + 1))
+    assert not holds.outside.any()
+    assert holds.margin == found.margin >= 0.0
+    assert breaks.outside.any()
+    assert breaks.margin < 0.0
+
+
+def test_a_lane_comes_to_the_same_whatever_stands_beside_it():
+    study = Study(scenario=on(load_feeder("ieee33"), v0_pu=1.05), others=False, **SHORT)
+    site, controller = AddedSite(study), NoControl()
+    many = run_trial(site, controller, 100, np.array([17, 5, 17]), np.array([0, 1, 1]), "none")
+    alone = run_trial(site, controller, 100, np.array([17]), np.array([1]), "none")
+    for part, own in zip(many, alone, strict=True):
+        np.testing.assert_array_equal(part[2:], own)
+
+
+def test_the_devices_of_a_scenario_stay_where_they_are():
+    scenario = make_scenario("ieee33-weak", split="test")
+    site = AddedSite(Study(scenario=scenario, **SHORT))
+    of_size = site.scenario(50)
+    assert of_size.n_datacenters == 4
+    assert of_size.inverter_buses == scenario.inverter_buses
+    assert of_size.datacenter.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
+    _, options = site.lanes(np.array([6, 7]), np.array([0, 1]))
+    at = [scenario.feeder.index(bus) for bus in (*scenario.datacenter_buses, *scenario.inverter_buses)]
+    np.testing.assert_array_equal(np.delete(options["buses"], 3, axis=1), [at, at])
+    np.testing.assert_array_equal(options["buses"][:, 3], [6, 7])
+
+
+def test_sites_that_are_drawn_stand_where_their_sample_says():
+    site = AddedSite(Study(scenario=make_scenario("ieee123", split="test"), **SHORT))
+    (_, first), (_, again) = (site.lanes(np.array([b, b]), np.array([0, 1])) for b in (4, 9))
+    np.testing.assert_array_equal(np.delete(first["buses"], 5, axis=1), np.delete(again["buses"], 5, axis=1))
+    assert first["buses"][0, :5].tolist() != first["buses"][1, :5].tolist()
+
+
+def test_a_feeder_outside_its_limits_without_a_site_carries_none():
+    found, [mw] = carried(on(load_feeder("ieee33"), v0_pu=1.0), buses=("2", "18"))
+    assert mw == [0.0, 0.0]
+    assert {c.limit for c in found.by_controller["none"]} == {"undervoltage at bus 18"}
+    assert not any(c.at_most for c in found.by_controller["none"])
+
+
+def test_a_large_site_by_the_substation_is_as_large_as_was_tried():
+    found, [[mw]] = carried(on(load_feeder("ieee33"), v0_pu=1.05), buses=("2",), max_mw=1.0, tolerance_mw=0.5)
+    assert mw == 1.0
+    assert found.by_controller["none"][0].at_most
+    assert found.by_controller["none"][0].limit == ""
+
+
+def test_more_is_carried_where_some_seconds_may_break_limits():
+    scenario = on(load_feeder("ieee33"), v0_pu=1.05)
+    _, [[strict]] = carried(scenario, buses=("18",))
+    found, [[loose]] = carried(scenario, buses=("18",), allowed_pct=30.0)
+    assert loose > strict
+    assert 0.0 < found.by_controller["none"][0].outside_pct <= 30.0
+
+
+def test_three_phase_feeders_have_candidates_of_three_phases():
+    scenario = make_scenario("ieee13-3ph", split="test")
+    feeder = scenario.feeder
+    wide = {"max_mw": 2.0, "tolerance_mw": 0.2, "v_min_pu": 0.9, "v_max_pu": 1.1}
+    candidates = Study(scenario=scenario, others=False, **wide, **SHORT).candidates()
+    assert all(len(feeder.nodes_at(at, None)) == 3 for at in candidates)
+    assert len(candidates) > 2
+    study = Study(scenario=scenario, others=False, buses=("634", "675"), **wide, **SHORT)
+    found = hosting_capacity(study, ["none"])
+    assert all(c.capacity_mw > 0.0 for c in found.by_controller["none"])
+
+
+def test_a_policy_that_cannot_drive_the_scenario_is_refused_by_name():
+    study = Study(scenario=make_scenario("ieee13-3ph", split="test"), others=False, **SHORT)
+    with pytest.raises(ControllerError, match="'ieee33-weak-analytic' cannot drive"):
+        hosting_capacity(study, ["ieee33-weak-analytic"])
+
+
+def test_a_tuned_law_without_gains_has_its_defaults_and_says_so():
+    scenario = on(load_feeder("ieee33"), v0_pu=1.05)
+    found, [tuned, plain] = carried(scenario, "droop-tuned", "droop", buses=("18",))
+    assert tuned == plain
+    (note,) = found.notes
+    assert note.startswith("droop-tuned: no gains are known for this feeder and these devices")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("samples", 0, "give a whole number >= 1"),
+        ("samples", 2.5, "give a whole number >= 1"),
+        ("load", "night", "choose one of day, peak"),
+        ("window_s", 1.0, "give at least 2 s"),
+        ("window_s", math.nan, "give at least 2 s"),
+        ("window_s", 7200.0, "give at most 3600 s"),
+        ("settle_s", 10.0, "give 0 to less than the window's 10 s"),
+        ("v_min_pu", 0.0, "give a voltage > 0 p.u."),
+        ("v_max_pu", 0.9, "give a voltage above the lowest, 0.95 p.u."),
+        ("loading_max_pct", 0.0, "give > 0 %"),
+        ("allowed_pct", 100.0, "give a share from 0 to less than 100 %"),
+        ("tolerance_mw", -1.0, "give a size > 0 MW"),
+        ("tolerance_mw", 1e-9, "give fewer than a million sizes"),
+        ("max_mw", math.inf, "give a size > 0 MW"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(field, value, said):
+    with pytest.raises(ValueError, match=f"{field} is .*; {said}"):
+        Study(scenario=make_scenario("ieee33"), **(SHORT | {field: value}))
+
+
+@pytest.mark.parametrize(("buses", "said"), [((), "buses is empty"), (("1",), "the substation '1'"), (("99",), "'99'")])
+def test_buses_that_cannot_be_candidates_are_refused(buses, said):
+    with pytest.raises(ValueError, match=said):
+        Study(scenario=make_scenario("ieee33"), buses=buses, **SHORT).candidates()

@@ -1,0 +1,75 @@
+"""A check of scenarios whose answer is known, and the search in lanes behind it."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.baselines.sanity.lane_search import fitted
+from dcgrid_env.baselines.sanity.scenario_check import check_scenario
+from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NONE, PAPER, PINNED
+from dcgrid_env.baselines.tuning.search import tune
+
+SHORT = {"split": "validation", "horizon": 20}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["droop", "constant-q"])
+def test_the_search_in_lanes_comes_close_to_the_finer_one(law):
+    scenario = make_scenario("toy6", **SHORT)
+    found = fitted(law, scenario, range(2), time.monotonic() + 60.0)
+    assert pytest.approx(rollout(scenario, found.controller, range(2)).costs().mean(), rel=1e-6) == found.J
+    assert 1.02 * tune(law, [scenario], 2).score >= found.J
+
+
+def test_a_search_without_time_is_no_worse_than_where_it_begins():
+    scenario = make_scenario("ieee33-weak", **SHORT)
+    none = rollout(scenario, NoControl(), range(2)).costs().mean()
+    assert none >= fitted("constant-q", scenario, range(2), 0.0).J
+
+
+def test_who_reaches_what_is_in_order_and_hindsight_is_the_least():
+    scenario, stages = make_scenario("ieee33-weak", **SHORT), []
+    check = check_scenario(scenario, episodes=2, seconds=30.0, on_stage=stages.append)
+    reached = check.figures.reached
+    j = {name: one.mean("J") for name, one in reached.items()}
+    assert j[HINDSIGHT] <= min(j[DROOP], j[CONSTANT]) + 1e-6
+    assert max(j[DROOP], j[CONSTANT]) < j[NONE]
+    assert j[DROOP] <= j[PAPER] + 1e-6
+    assert j[PINNED] >= j[HINDSIGHT] - 1e-6
+    assert j[BARE] < j[NONE]
+    assert reached[HINDSIGHT].metrics["J"][1] == pytest.approx(hindsight(scenario, 1).J, rel=2e-3)
+    assert stages == [NONE, DROOP, HINDSIGHT, PINNED, CONSTANT]
+    assert check.figures.lowest_bus in ("18", "33")
+    table = check.table
+    assert table.header == ("mean over episodes", NONE, PAPER, DROOP, CONSTANT, HINDSIGHT)
+    assert table.rows[-1] == ("episodes", "2", "2", "2", "2", "2")
+
+
+def test_without_time_hindsight_is_of_one_episode():
+    check = check_scenario(make_scenario("toy6", **SHORT), episodes=3, seconds=1e-6)
+    assert check.figures.reached[HINDSIGHT].n == 1
+    assert PINNED not in check.figures.reached
+
+
+def test_a_feeder_where_nothing_can_be_done_is_not_worth_learning():
+    scenario = make_scenario("ieee33", p_rated_kw=0.1, inverter_s_kva=0.1, **SHORT)
+    check = check_scenario(scenario, episodes=2, seconds=20.0)
+    assert not check.is_worth_learning
+    assert any(str(verdict).startswith("nothing to gain: hindsight is within") for verdict in check.verdicts)
+
+
+def test_a_scenario_that_hindsight_refuses_is_judged_without_it():
+    check = check_scenario(make_scenario("toy6", voltage_cost="l2", **SHORT), episodes=2, seconds=10.0)
+    assert HINDSIGHT not in check.figures.reached
+    assert "l1 voltage cost only" in check.figures.refused
+    assert np.isfinite(check.figures.largest_k_q)
+
+
+@pytest.mark.parametrize(("given", "message"), [({"episodes": 0}, "episodes is 0"), ({"seconds": 0.0}, "seconds 0")])
+def test_settings_that_cannot_be_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        check_scenario(make_scenario("toy6"), **given)

@@ -1,0 +1,70 @@
+"""``dcgrid capacity``: the table, the map, the CSV and the record, and what is refused."""
+
+import json
+
+import pytest
+
+from dcgrid_env.baselines.hosting_capacity.capacity_output import read_capacity_csv
+from dcgrid_env.cli.main import main
+
+SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--jobs", "1")
+IEEE33 = ("--feeder", "ieee33", "--set", "v0_pu=1.05")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def run(*arguments):
+    main(["capacity", *SHORT, "--out", "out", *arguments])
+
+
+def test_it_prints_and_writes_the_same_answers(capsys, tmp_path):
+    run(*IEEE33, "--controllers", "none,droop", "--buses", "6,18")
+    printed = capsys.readouterr().out
+    rows = read_capacity_csv((tmp_path / "out/capacity.csv").read_text())
+    assert [(row.controller, row.bus) for row in rows] == [
+        (name, bus) for name in ("snapshot", "none", "droop") for bus in ("6", "18")
+    ]
+    record = json.loads((tmp_path / "out/results.json").read_text())
+    assert [c["capacity_mw"] for c in record["capacities"]] == [row.capacity_mw for row in rows]
+    assert record["meta"]["command"]
+    assert (record["study"]["v_min_pu"], record["study"]["samples"]) == (0.95, 2)
+    (line,) = [line for line in printed.splitlines() if line.split()[:1] == ["18"]]
+    assert line.split()[1:3] == [f"{rows[1].capacity_mw:g}", f"{rows[3].capacity_mw:g}"]
+    assert (tmp_path / "out/capacity.png").read_bytes()[:4] == b"\x89PNG"
+    assert "No rating of a branch is known" in printed
+
+
+def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):
+    run("--scenario", "toy6", "--limits", "0.8,1.1", "--load", "peak", "--buses", "all", "--controller", "none")
+    record = json.loads((tmp_path / "out/results.json").read_text())
+    assert record["study"]["others"]
+    assert len(record["study"]["buses"]) == 5
+    assert record["study"]["load"] == "peak"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "feeder is missing; give --feeder"),
+        ((*IEEE33, "--controllers", ""), "name at least one"),
+        ((*IEEE33, "--controllers", "nobody"), "nobody"),
+        ((*IEEE33, "--limits", "0.95"), "limits is '0.95'; give the lowest and the highest voltage"),
+        ((*IEEE33, "--limits", "1.05,0.95"), "v_max_pu is 0.95; give a voltage above"),
+        ((*IEEE33, "--buses", "18,1"), "the substation '1'"),
+        ((*IEEE33, "--buses", "180"), "180"),
+        ((*IEEE33, "--jobs", "0"), "jobs is 0"),
+        ((*IEEE33, "--trace", "nothing"), "trace"),
+        (("--feeder", "nowhere"), "nowhere"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_nothing_is_written(arguments, said, capsys, tmp_path):
+    with pytest.raises(SystemExit):
+        run(*arguments)
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,214 @@
+"""pandapower's nets: voltages are those of its power flow, what cannot be is refused by name, and nets come back."""
+
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from dcgrid_env import Feeder, FeederError, load_feeder
+from dcgrid_env.grid.formats.pandapower import pandapower_net, read_pandapower, write_pandapower
+from dcgrid_env.grid.formats.pandapower.net_reading import quiet
+from helpers.imports import apart_pu, assert_same_feeder, fates
+
+pp = pytest.importorskip("pandapower", reason="pandapower is not installed (extra pandapower)")
+pytestmark = pytest.mark.filterwarnings("ignore")  # pandas' and pandapower's own, as nets are made
+
+
+def net_of_all_kinds():
+    """A net with every kind of element that a balanced feeder can hold."""
+    with quiet():
+        net = pp.create_empty_network(sn_mva=5.0, f_hz=60.0)
+        for kv in (110.0, 20.0, 20.0, 20.0, 0.4, 0.4, 20.0, 20.0):
+            pp.create_bus(net, kv)
+        pp.create_ext_grid(net, 0, vm_pu=1.03, va_degree=10.0)
+        pp.create_transformer(net, 0, 1, "25 MVA 110/20 kV", tap_pos=-3)
+        pp.create_transformer(net, 3, 4, "0.4 MVA 20/0.4 kV", tap_pos=1, parallel=2)
+        pp.create_lines(net, [1, 2, 3, 2], [2, 3, 6, 1], 4.0, "NA2XS2Y 1x240 RM/25 12/20 kV")
+        pp.create_line(net, 4, 5, 0.2, "NAYY 4x150 SE")
+        pp.create_switch(net, 6, 2, et="l", closed=False)
+        pp.create_switch(net, 2, 7, et="b", closed=True)
+        pp.create_load(net, 3, 1.5, 0.4, scaling=0.8)
+        pp.create_load(net, 5, 0.05, 0.02, const_z_p_percent=40, const_z_q_percent=40)
+        pp.create_sgen(net, 7, 0.6, -0.1)
+        pp.create_storage(net, 2, 0.1, 1.0, q_mvar=0.05)
+        pp.create_shunt(net, 3, q_mvar=-0.3, p_mw=0.01, vn_kv=21.0, step=2)
+        pp.create_ward(net, 2, 0.1, 0.05, 0.02, 0.03)
+        pp.create_motor(net, 5, 0.02, 0.9, efficiency_percent=90.0)
+        pp.create_asymmetric_load(net, 5, p_a_mw=0.01, p_b_mw=0.02, q_c_mvar=0.005)
+        pp.create_asymmetric_sgen(net, 5, p_a_mw=0.005)
+        pp.create_impedance(net, 3, 6, 0.05, 0.04, 5.0, in_service=False)
+    return net
+
+
+def test_voltages_of_a_net_of_all_kinds_are_pandapowers():
+    imported = read_pandapower(net_of_all_kinds())
+    assert apart_pu(imported) < 1e-7
+    found = fates(imported)
+    assert found["line", "taken"] == ("2", "3", "1", "0", "4") or set(found["line", "taken"]) == set("01234")
+    assert found["bus", "nothing lost"] == ("6",)
+    assert imported.bus_of["7"] == "2"
+    for kind in ("load", "sgen", "storage", "shunt", "ward", "motor", "asymmetric_load", "asymmetric_sgen", "trafo"):
+        assert (kind, "taken") in found
+
+
+def test_the_users_net_is_left_alone():
+    net = net_of_all_kinds()
+    before = pp.to_json(net)
+    read_pandapower(net)
+    assert pp.to_json(net) == before
+    assert logging.getLogger("pandapower").level <= logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda n: n.switch.closed.__setitem__(0, True) or pp.create_line(n, 6, 1, 1.0, "NAYY 4x150 SE"), "a loop"),
+        (lambda n: pp.create_ext_grid(n, 5), "ext_grid 1: it feeds the same island"),
+        (lambda n: pp.create_gen(n, 3, 0.1), "gen 0: it keeps a voltage"),
+        (lambda n: pp.create_dcline(n, 1, 3, 0.1, 1.0, 0.0, 1.0, 1.0), "dcline 0: a DC line"),
+        (lambda n: pp.create_xward(n, 3, 0, 0, 0, 0, 0.1, 0.1, 1.0), "xward 0: it keeps a voltage"),
+        (lambda n: n.load.p_mw.__setitem__(1, np.nan), "table load, index 1: p_mw is 'nan'; give a finite number"),
+        (lambda n: n.line.length_km.__setitem__(2, 0.0), "table line, index 2: length_km is '0.0'; give a num"),
+        (lambda n: n.line.to_bus.__setitem__(0, 77), "table line, index 0: to_bus is '77'; give an index of the table"),
+        (lambda n: n.trafo.vkr_percent.__setitem__(0, 50.0), "table trafo, index 0: vkr_percent is 50.0, more than"),
+        (lambda n: n.line.drop(columns="r_ohm_per_km", inplace=True),
+         "table line: the column r_ohm_per_km is missing"),
+        (lambda n: n.ext_grid.in_service.__setitem__(0, False), "one reference bus|no source|reference"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_by_name(change, told):
+    net = net_of_all_kinds()
+    with quiet():
+        change(net)
+    with pytest.raises(FeederError) as refused:
+        read_pandapower(net)
+    assert any(one in str(refused.value) for one in told.split("|")), str(refused.value)
+
+
+def test_a_share_of_constant_current_is_lost_by_name():
+    net = net_of_all_kinds()
+    net.load.loc[1, ["const_i_p_percent", "const_i_q_percent"]] = 30.0
+    with pytest.raises(FeederError, match=r"load 1: its share of constant current .* --allow load accepts that"):
+        read_pandapower(net)
+    imported = read_pandapower(net, allow=["load"])
+    assert 1e-7 < apart_pu(imported) < 1e-3
+
+
+def test_generators_may_be_fixed_at_their_power():
+    net = net_of_all_kinds()
+    pp.create_gen(net, 3, 0.2, vm_pu=1.01)
+    imported = read_pandapower(net, fix_generators=True)
+    assert imported.v_pu["3"] == pytest.approx(1.01)
+    assert apart_pu(imported) < 1e-7
+
+
+@pytest.mark.parametrize("name", ["ieee33", "ieee123"])
+def test_a_feeder_comes_back_from_a_net(tmp_path, name):
+    feeder = load_feeder(name)
+    write_pandapower(feeder, tmp_path / "net.json")
+    imported = read_pandapower(tmp_path / "net.json", bus_names=True)
+    assert apart_pu(imported) < 1e-8
+    if name == "ieee33":
+        assert_same_feeder(feeder, Feeder.from_network(imported.network))
+    else:  # closed switches, branches without impedance there, join their buses
+        assert len(imported.bus_of) == feeder.n_bus
+        assert len(set(imported.bus_of.values())) == feeder.n_bus - np.sum((feeder.r_ohm == 0) & (feeder.x_ohm == 0))
+
+
+def test_a_net_of_all_kinds_comes_back():
+    feeder = Feeder.from_network(read_pandapower(net_of_all_kinds()).network)
+    again = read_pandapower(pandapower_net(feeder))
+    assert_same_feeder(feeder, Feeder.from_network(again.network))
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "net.json"
+    pp.to_json(net_of_all_kinds(), str(path))
+    return path
+
+
+def test_a_file_gives_what_its_net_gives(file):
+    feeders = [Feeder.from_network(read_pandapower(source).network) for source in (net_of_all_kinds(), file)]
+    assert_same_feeder(*feeders)
+    assert_same_feeder(feeders[0], Feeder.from_network(read_pandapower(file, trust=True).network))
+
+
+def test_nothing_that_a_file_names_is_imported_or_called(file, tmp_path, monkeypatch):
+    """pandapower's own reader would import the module and make the object; a marker file would show it."""
+    marker = tmp_path / "was_run"
+    (tmp_path / "hostile_module.py").write_text(f"open({str(marker)!r}, 'w')\ndef it(*a, **k): pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    net = json.loads(file.read_text())
+    hostile = {"_module": "hostile_module", "_class": "function", "_object": "it"}
+    net["_object"]["name"] = "n"
+    net["_object"]["extra"] = hostile
+    controllers = json.loads(net["_object"]["controller"]["_object"])
+    row = {"object": hostile, "in_service": True}
+    controllers["data"], controllers["index"] = [[row.get(c) for c in controllers["columns"]]], [0]
+    net["_object"]["controller"]["_object"] = json.dumps(controllers)
+    loads = json.loads(net["_object"]["load"]["_object"])
+    loads["data"][0][loads["columns"].index("name")] = hostile
+    net["_object"]["load"]["_object"] = json.dumps(loads)
+    net["_object"]["sgen"]["_object"] = str(tmp_path / "net.json")  # a path, which pandapower's reader would open
+    file.write_text(json.dumps(net))
+    with pytest.raises(FeederError, match="table sgen"):
+        read_pandapower(file)
+    del net["_object"]["sgen"]
+    file.write_text(json.dumps(net))
+    with pytest.raises(FeederError, match=r"controller 0: it moves nothing.* --allow controller"):
+        read_pandapower(file)
+    read_pandapower(file, allow=["controller"])
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "told"),
+    [
+        ("case33", {}, "do you mean case33bw"),
+        ("simple_four_bus_system", {"arguments": {"colour": 1}}, "has no argument 'colour'"),
+        ("1-MV-nowhere--0-sw", {}, "no code of SimBench's|simbench is missing"),
+        ("missing.json", {}, "missing.json cannot be read"),
+        (7, {}, "int is no pandapower net"),
+        ("runpp", {}, "'runpp' is no network"),
+    ],
+)
+def test_a_source_that_there_is_not_is_said(source, options, told):
+    with pytest.raises(FeederError) as refused:
+        read_pandapower(source, **options)
+    assert any(one in str(refused.value) for one in told.split("|")), str(refused.value)
+
+
+NETS = [("case33bw", {}, None), ("create_cigre_network_mv", {}, None)]
+SLOW = [
+    ("create_kerber_landnetz_kabel_1", {}, None),
+    ("create_cigre_network_mv", {"with_der": "pv_wind"}, None),
+    ("create_cigre_network_mv", {"with_der": "all"}, None),
+    ("create_cigre_network_lv", {}, None),
+    ("mv_oberrhein", {}, "58"),
+    ("mv_oberrhein", {}, "318"),
+    ("create_kerber_dorfnetz", {}, None),
+    ("create_kerber_landnetz_freileitung_1", {}, None),
+    ("create_kerber_landnetz_freileitung_2", {}, None),
+    ("create_kerber_landnetz_kabel_2", {}, None),
+    ("create_kerber_vorstadtnetz_kabel_1", {}, None),
+    ("create_kerber_vorstadtnetz_kabel_2", {}, None),
+    ("1-LV-rural1--0-sw", {}, None),
+    ("1-LV-urban6--0-sw", {}, None),
+    ("1-MV-rural--0-sw", {}, None),
+    ("1-MV-urban--0-sw", {}, None),
+]
+
+
+@pytest.mark.parametrize(
+    ("source", "arguments", "at"), [*NETS, *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW)]
+)
+def test_voltages_of_a_published_net_are_pandapowers(source, arguments, at):
+    if "-" in source:
+        pytest.importorskip("simbench", reason="simbench is not installed")
+    imported = read_pandapower(source, arguments=arguments, at=at)
+    assert apart_pu(imported) < 1e-7
+    feeder = Feeder.from_network(imported.network)
+    assert len(imported.v_pu) == feeder.n_bus
+    assert_same_feeder(feeder, Feeder.from_network(read_pandapower(pandapower_net(feeder), bus_names=True).network))
