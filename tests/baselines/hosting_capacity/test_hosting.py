@@ -115,6 +115,7 @@ def test_the_devices_of_a_scenario_stay_where_they_are():
     site = AddedSite(Study(scenario=scenario, **SHORT))
     of_size = site.scenario(50)
     assert of_size.n_datacenters == 4
+    assert scenario.datacenter_buses is not None
     assert of_size.inverter_buses == scenario.inverter_buses
     assert of_size.datacenter.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
     _, options = site.lanes(np.array([6, 7]), np.array([0, 1]))

@@ -41,11 +41,12 @@ def assert_same(one, other):
 def test_each_field_follows_its_buses_and_branches():
     feeder = made(**GIVEN)
     assert feeder.bus_ids == ("a", "c", "d", "b", "e")
-    assert feeder.shunt_kw.tolist() == GIVEN["shunt_kw"]
-    assert feeder.shunt_kvar.tolist() == GIVEN["shunt_kvar"]
-    assert feeder.voltage_ratio.tolist() == [1.0, 1.0, 1.025, 0.9, 1.0]
-    assert feeder.bus_base_kv.tolist() == [10.0, 10.0, 0.4, 10.0, 20.0]
-    by_bus = dict(zip(feeder.bus_ids[1:], feeder.rating_a.tolist(), strict=True))
+    own = {field: getattr(feeder, field).tolist() for field in FIELDS}
+    assert own["shunt_kw"] == GIVEN["shunt_kw"]
+    assert own["shunt_kvar"] == GIVEN["shunt_kvar"]
+    assert own["voltage_ratio"] == [1.0, 1.0, 1.025, 0.9, 1.0]
+    assert own["bus_base_kv"] == [10.0, 10.0, 0.4, 10.0, 20.0]
+    by_bus = dict(zip(feeder.bus_ids[1:], own["rating_a"], strict=True))
     assert str(by_bus) == str({"c": NAN, "d": 80.5, "b": 120.0, "e": NAN})
     assert feeder.p_load_kw.tolist() == [0.0, 1.0, -2.0, 3.0, 4.0]
     assert all(not getattr(feeder, field).flags.writeable for field in FIELDS)
