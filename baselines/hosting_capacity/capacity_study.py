@@ -81,8 +81,8 @@ class Study:
         feeder = self.scenario.feeder
         if isinstance(feeder, RandomFeeders):
             raise ValueError(
-                f"scenario {self.scenario.name!r} is on random feeders, and capacity is a matter of one; write a member, "
-                f"random_feeder(0, n_bus={feeder.n_bus}, style={feeder.style!r}, load_kw={feeder.load_kw:g})"
+                f"scenario {self.scenario.name!r} is on random feeders, and capacity is a matter of one; write "
+                f"a member, random_feeder(0, n_bus={feeder.n_bus}, style={feeder.style!r}, load_kw={feeder.load_kw:g})"
                 ".to_csv('my-feeder'), and study that"
             )
         self._require("samples", isinstance(self.samples, int) and self.samples >= 1, "give a whole number >= 1")
