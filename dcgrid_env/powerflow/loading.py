@@ -24,7 +24,9 @@ from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 
 def has_ratings(feeder: Any) -> bool:
     """Whether the rating of any branch is known, of a feeder, a family of random ones or lanes on several of these."""
-    return isinstance(feeder, RandomFeeders | FeederBatch) or feeder.rating_a is not None
+    if isinstance(feeder, RandomFeeders | FeederBatch):
+        return True
+    return feeder.rating_a is not None and len(rated_nodes(feeder)) > 0
 
 
 @cached_on_owner

@@ -207,3 +207,8 @@ def test_what_cannot_be_asked_is_refused(field, value, said):
 def test_buses_that_cannot_be_candidates_are_refused(buses, said):
     with pytest.raises(ValueError, match=said):
         Study(scenario=make_scenario("ieee33"), buses=buses, **SHORT).candidates()
+
+
+def test_random_feeders_are_refused():
+    with pytest.raises(ValueError, match="is on random feeders, and capacity is a matter of one; write a member"):
+        Study(scenario=make_scenario("zero-shot"))

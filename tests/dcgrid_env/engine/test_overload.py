@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import Feeder, ScenarioError, ThreePhaseFeeder, make_scenario, scenario_hash, solver_for
+from dcgrid_env import Feeder, ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario, scenario_hash, solver_for
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.observation import field_names, joint_bounds
@@ -131,3 +131,11 @@ def test_the_cost_has_a_derivative():
 def test_a_feeder_without_ratings_has_neither(overrides, said):
     with pytest.raises(ScenarioError, match=said):
         make_scenario("toy6", **overrides)
+
+
+def test_ratings_that_are_all_unknown_are_none():
+    feeder = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, np.nan))
+    s = make_scenario("toy6", feeder=feeder, horizon=3)
+    assert "loading_max_pct" not in rollout(s, NoControl(), [0]).metrics()[0]
+    with pytest.raises(ScenarioError, match="knows the rating of no branch"):
+        s.replace(observe_loading=True)
