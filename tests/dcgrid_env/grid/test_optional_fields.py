@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -92,3 +93,22 @@ def test_the_named_feeders_have_none_of_them():
 def test_what_cannot_be_is_refused_by_name(given, said):
     with pytest.raises(FeederError, match=said):
         made(**given)
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "said"),
+    [
+        ("rating_a", -1.0, "branch to bus 2: rating_a is -1.0; give a number > 0"),
+        ("rating_a", 0.0, "branch to bus 2: rating_a is 0.0; give a number > 0"),
+        ("voltage_ratio", 0.0, "bus 1: voltage_ratio is 0.0; give a number > 0"),
+        ("voltage_ratio", 1.1, "voltage_ratio of the substation is 1.1; it must be 1"),
+        ("shunt_kvar", np.nan, "bus 1: shunt_kvar is nan; give a finite number"),
+    ],
+)
+def test_a_field_that_is_replaced_is_checked_too(field, values, said):
+    feeder = load_feeder("ieee33")
+    n = feeder.n_branch if field == "rating_a" else feeder.n_bus
+    with pytest.raises(FeederError, match=re.escape(said)):
+        dataclasses.replace(feeder, **{field: np.full(n, values)})
+    with pytest.raises(FeederError, match=re.escape(f"{field} has shape (3,); give one figure for each of {n}")):
+        dataclasses.replace(feeder, **{field: np.ones(3)})
