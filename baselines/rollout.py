@@ -89,7 +89,7 @@ def rollout(
 
     parts = []
     for member, lanes in groups:
-        own = [seeds[i] for i in lanes]
+        own = [seeds[i] for i in lanes.tolist()]
         parts.append((lanes, _driven(member, controller, own, partial(Recorder, seeds=own), on_any_step, name)))
     return JoinedRecorder(scenario, parts)
 

@@ -21,7 +21,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env import Feeder, Scenario
+from dcgrid_env import Feeder, RandomFeeders, Scenario
 from dcgrid_env.traces.day_course import LOAD_PERCENT
 
 Load = Literal["day", "peak"]
@@ -78,6 +78,13 @@ class Study:
     """The largest size that is tried; None: three times the feeder's base load, rounded."""
 
     def __post_init__(self) -> None:
+        feeder = self.scenario.feeder
+        if isinstance(feeder, RandomFeeders):
+            raise ValueError(
+                f"scenario {self.scenario.name!r} is on random feeders, and capacity is a matter of one; write "
+                f"a member, random_feeder(0, n_bus={feeder.n_bus}, style={feeder.style!r}, load_kw={feeder.load_kw:g})"
+                ".to_csv('my-feeder'), and study that"
+            )
         self._require("samples", isinstance(self.samples, int) and self.samples >= 1, "give a whole number >= 1")
         self._require("load", self.load in get_args(Load), f"choose one of {', '.join(get_args(Load))}")
         least_s = 2.0 * self.scenario.dt_s

@@ -171,7 +171,7 @@ def _droop(largest_k_q: float) -> list[Verdict]:
     """Whether the paper's gain is within the linear bound."""
     if not np.isfinite(largest_k_q):
         return []
-    said = f"the droop's reactive gain is stable up to k_q = {largest_k_q:.3g} Mvar/p.u. s"
+    said = f"with k_p = 0 the droop is stable up to k_q = {largest_k_q:.3g} Mvar/p.u. s in these episodes"
     if largest_k_q < PAPER_K_Q:
         return [Verdict(f"{said}, below the paper's {PAPER_K_Q:g}", "compare with droop-tuned, not with droop")]
     return [Verdict(said)]

@@ -153,7 +153,11 @@ class ImportPowerGridModel(_Import):
 
 
 def compared(imported: ImportedFeeder, feeder: Feeder) -> list[str]:
-    """Lines that say how far our voltages are from those of the source's solver, and at which buses most."""
+    """Lines that say how far our voltages are from those of the source's solver, and at which buses most.
+
+    FeederError where they are apart though nothing is said to be lost.
+    """
+    from dcgrid_env import FeederError
     from dcgrid_env.powerflow import distflow
 
     ours = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar - feeder.capacitor_kvar)
@@ -170,9 +174,12 @@ def compared(imported: ImportedFeeder, feeder: Feeder) -> list[str]:
     where = ", ".join(f"{bus} ({apart[bus]:.1e})" for bus in worst)
     lines = [f"largest voltage difference to {imported.solver}: {apart[worst[0]]:.1e} p.u.; most at {where}"]
     if not apart[worst[0]] <= CLOSE_PU:
-        lost = [row for row in imported.findings if row.fate == "lost"]
-        why = "what is lost moves them" if lost else "nothing is said to be lost, so that the tables may be wrong"
-        lines.append(f"the voltages differ by more than {CLOSE_PU:g} p.u.: {why}")
+        if not any(row.fate == "lost" for row in imported.findings):
+            raise FeederError(
+                f"{lines[0]}: more than {CLOSE_PU:g} though nothing is said to be lost, so that the tables would be "
+                "wrong; nothing is written: report the file"
+            )
+        lines.append(f"the voltages differ by more than {CLOSE_PU:g} p.u.: what is lost moves them")
     return lines
 
 

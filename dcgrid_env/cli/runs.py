@@ -57,6 +57,7 @@ class Runs:
             except ValueError as error:
                 raise ValueError(f"{error}, or add --course none") from None
         if self.in_parts:
+            scenario.member(seeds)  # refuses episodes on several random feeders
             where = f"the course goes to {out / 'course'}" if self.writes else "the course is not written"
             say(
                 console,

@@ -152,10 +152,8 @@ def _command(search: Search, episodes: int) -> str:
 def _stands(kept: Laws, search: Search, episodes: int) -> bool:
     """Whether an entry is of this very search."""
     entry = kept.get(search.law, {}).get(search.key, {})
-    # Some that ship were made when the command was called `dcgrid dev tune`.
-    command = str(entry.get("command", "")).replace("dcgrid dev tune ", "dcgrid tune ", 1)
     wanted = {"command": _command(search, episodes), **_identity(search)}
-    return all((entry | {"command": command}).get(name) == value for name, value in wanted.items())
+    return all(entry.get(name) == value for name, value in wanted.items())
 
 
 def _kept(path: Path) -> Laws:

@@ -23,6 +23,7 @@ from dcgrid_env.powerflow import (
     Control,
     Solver,
     branch_loading,
+    has_ratings,
     solver_for,
     three_phase_nodes,
     unbalance_factor,
@@ -129,7 +130,7 @@ def _step(
     v, restart, phases = solution.v_pu, solution.restart, None
     if equipment is not None:
         phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
-    loading = None if scenario.feeder.rating_a is None else branch_loading(scenario.feeder, solution)
+    loading = branch_loading(scenario.feeder, solution) if has_ratings(scenario.feeder) else None
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)

@@ -146,13 +146,13 @@ class FlickerByParts:
         self._filters = _filters(lamp, dt_s / self._steps)
         self._per_interval = round(INTERVAL_S / dt_s)
         self._parts: list[np.ndarray] = []
-        self._first: np.ndarray | None = None
+        self._first = np.empty(0)
         self._states: list[Any] = []
         self._largest: float | None = None
 
     def add(self, v_pu: np.ndarray) -> None:
         """Take further voltages, p.u., (n_sample, n_node)."""
-        if self._first is None:
+        if not self._states:
             self._first, self._states = v_pu[0].copy(), [None] * v_pu.shape[1]
         self._parts.append(v_pu.copy())
         while sum(map(len, self._parts)) >= self._per_interval:
@@ -169,7 +169,7 @@ class FlickerByParts:
 
     def _take(self, v_pu: np.ndarray) -> None:
         sections, scale, smoothing = self._filters
-        for i, (own, first) in enumerate(zip(v_pu.T, self._first, strict=True)):  # pyright: ignore[reportArgumentType]
+        for i, (own, first) in enumerate(zip(v_pu.T, self._first, strict=True)):
             change = np.repeat(own - first, self._steps)
             sensation, self._states[i] = _sensation_from(self._states[i], change, sections, smoothing)
             self._largest = max(self._largest or 0.0, _severity_of(scale * sensation))

@@ -22,11 +22,6 @@ MOST_EXCESS = 9.0
 """Largest overload of a branch that is charged, as a share of its rating."""
 
 
-def has_ratings(scenario: Scenario) -> bool:
-    """Whether the feeder knows the rating of any branch."""
-    return scenario.feeder.rating_a is not None
-
-
 def mean_overload(scenario: Scenario, loading: Array) -> Array:
     """Mean overload over the rated branches, (lane,), of the loading at each node, (lane, n_node)."""
     over = positive_part(loading - 1.0)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.files import clear_parts, whole
+from dcgrid_env.core.install import from_clone
 from dcgrid_env.engine.course_table import course_table
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.scenario.fingerprint import scenario_hash
@@ -20,7 +21,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 FILE_BYTES = 32 * 2**20
 """Size at which a file is written, before compression."""
-REMEDY = "pip install 'dcgrid-env[parquet]'"
+REMEDY = from_clone("parquet")
 
 
 class ParquetCourse:

@@ -21,8 +21,8 @@ def _read_only(array: Any) -> Any:
 class OneNodeABus:
     """Mixed into ``Feeder``; the same names mean the same on a three-phase feeder."""
 
-    name: str
-    bus_ids: tuple[str, ...]
+    name: Any  # a str, and a tuple of str: fields of one feeder, properties of many
+    bus_ids: Any
 
     @property
     def n_node(self) -> int:

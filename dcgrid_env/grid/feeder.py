@@ -26,7 +26,7 @@ from dcgrid_env.grid.network import (
     summed_at_nodes,
 )
 from dcgrid_env.grid.network_checks import check_balanced, check_lengths
-from dcgrid_env.grid.optional_fields import as_column, optional_fields
+from dcgrid_env.grid.optional_fields import as_column, check_optional_fields, optional_fields
 from dcgrid_env.grid.per_unit import PerUnit
 from dcgrid_env.grid.topology import FeederError, listed, orient
 
@@ -94,6 +94,9 @@ class Feeder(PerUnit, OneNodeABus):
     voltage_ratio: FloatArray | None = None
     bus_base_kv: FloatArray | None = None
     rating_a: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        check_optional_fields(self)
 
     @classmethod
     def from_tables(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import Network, summed_at_nodes
+from dcgrid_env.grid.topology import FeederError
 
 FloatArray = NDArray[np.float64]
 
@@ -41,6 +42,35 @@ def optional_fields(network: Network, order: NDArray[np.intp], branch: NDArray[n
         elif values is not None:
             values.flags.writeable = False
     return fields
+
+
+def check_optional_fields(feeder: Any) -> None:
+    """Raise FeederError for an optional field of a wrong shape or with a figure that no feeder has, naming it."""
+    n_bus = len(feeder.bus_ids)
+    for field, n in (
+        ("shunt_kw", n_bus), ("shunt_kvar", n_bus), ("voltage_ratio", n_bus), ("bus_base_kv", n_bus),
+        ("rating_a", n_bus - 1),
+    ):  # fmt: skip
+        values = getattr(feeder, field)
+        if values is None:
+            continue
+        if np.shape(values) != (n,):
+            raise FeederError(
+                f"feeder {feeder.name!r}: {field} has shape {np.shape(values)}; give one figure for each of {n}"
+            )
+        known = ~np.isnan(values) if field == "rating_a" else np.ones(n, bool)
+        wrong = (
+            known & ~np.isfinite(values) if field.startswith("shunt") else known & ~((values > 0) & (values < np.inf))
+        )
+        if wrong.any():
+            at = int(np.flatnonzero(wrong)[0])
+            what = f"branch to bus {feeder.bus_ids[at + 1]}" if field == "rating_a" else f"bus {feeder.bus_ids[at]}"
+            wanted = "a finite number" if field.startswith("shunt") else "a number > 0"
+            raise FeederError(f"feeder {feeder.name!r}: {what}: {field} is {values[at]}; give {wanted}")
+    if feeder.voltage_ratio is not None and feeder.voltage_ratio[0] != 1.0:
+        raise FeederError(
+            f"feeder {feeder.name!r}: voltage_ratio of the substation is {feeder.voltage_ratio[0]}; it must be 1"
+        )
 
 
 def as_column(values: FloatArray | None) -> tuple[float, ...]:

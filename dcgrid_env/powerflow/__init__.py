@@ -3,7 +3,7 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
-from dcgrid_env.powerflow.loading import branch_loading, rated_nodes
+from dcgrid_env.powerflow.loading import branch_loading, has_ratings, rated_nodes
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
@@ -25,6 +25,7 @@ __all__ = [
     "branch_flows",
     "branch_loading",
     "distflow",
+    "has_ratings",
     "lindistflow",
     "linearise",
     "nema_unbalance",

@@ -4,12 +4,13 @@
 
 A balanced feeder has a branch to each bus but the substation; its current is that of the series impedance, without the
 charging of the line, and referred to the substation's base voltage as the rating is. On a three-phase feeder each phase
-of a line has a conductor, of the same rating; branches other than lines have none.
+of a line has a conductor, of the same rating; branches other than lines have none. Random feeders know the rating of
+every branch; lanes on several of them are taken feeder by feeder.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,36 @@ from numpy.typing import NDArray
 from dcgrid_env.core.arrays import Array, as_like, namespace, positive_sqrt, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import AnyFeeder, Feeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+
+
+def has_ratings(feeder: Any) -> bool:
+    """Whether the rating of any branch is known, of a feeder, a family of random ones or lanes on several of these."""
+    if isinstance(feeder, RandomFeeders | FeederBatch):
+        return True
+    return feeder.rating_a is not None and len(rated_nodes(feeder)) > 0
 
 
 @cached_on_owner
-def rated_nodes(feeder: AnyFeeder) -> NDArray[np.intp]:
+def rated_nodes(feeder: Any) -> NDArray[np.intp]:
     """Nodes that are fed by a branch, or a conductor, whose rating is known."""
+    if isinstance(feeder, RandomFeeders | FeederBatch):
+        return np.arange(1, feeder.n_bus)
     return np.flatnonzero(~np.isnan(_ratings_a(feeder)))
 
 
-def branch_loading(feeder: AnyFeeder, solution: Any) -> Array:
+def branch_loading(feeder: Any, solution: Any) -> Array:
     """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
 
     ``solution`` is of a power flow of the feeder; the linearised one has currents too, from its flows and voltages.
     """
+    if isinstance(feeder, FeederBatch):
+        loading = np.zeros(solution.v_pu.shape)
+        for member, lanes in feeder.members:
+            flows = (solution.v_pu[lanes], solution.p_branch_kw[lanes], solution.q_branch_kvar[lanes])
+            loading[lanes] = branch_loading(member, _Flows(*flows))
+        return loading
     per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
     if not isinstance(feeder, Feeder):
         squared = solution.i_re_a * solution.i_re_a + solution.i_im_a * solution.i_im_a
@@ -41,6 +59,14 @@ def branch_loading(feeder: AnyFeeder, solution: Any) -> Array:
     current_a = positive_sqrt(p * p + q * q) / take_last(v_pu, _parents(feeder, xp, v_pu.device))
     loading = current_a * (per_a[1:] / (3.0**0.5 * feeder.base_kv))
     return xp.concat((0.0 * v_pu[..., :1], loading), axis=-1)
+
+
+class _Flows(NamedTuple):
+    """What is taken of a solution."""
+
+    v_pu: Array
+    p_branch_kw: Array
+    q_branch_kvar: Array
 
 
 @cached_on_owner

@@ -54,7 +54,7 @@ def _rows_of_paths(feeder: AnyFeeder) -> FloatArray:
 def _near_the_next_upstream(feeder: AnyFeeder, xy: FloatArray) -> FloatArray:
     """Fill in missing rows around the bus that feeds them, or is fed by them, each in a direction of its own."""
     size = float(np.nanmax(np.ptp(xy[np.isfinite(xy[:, 0])], axis=0)))
-    order, _, parent, _ = feeder.depth_first
+    order, _, parent, _ = (indices.tolist() for indices in feeder.depth_first)
     golden_angle = np.pi * (3.0 - 5.0**0.5)
 
     def put(bus: int, beside: int, k: int) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError
+from dcgrid_env.powerflow import has_ratings
 
 
 def check_ratings(scenario: Any) -> None:
     """Raise FieldError for a price on overload, or its observation, on a feeder that knows no rating."""
-    if scenario.feeder.rating_a is not None:
+    if has_ratings(scenario.feeder):
         return
     remedy = (
         f"feeder {scenario.feeder.name!r} knows the rating of no branch; give its branches rating_a, or leave it out"

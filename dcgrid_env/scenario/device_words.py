@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from dcgrid_env.scenario.errors import ScenarioError
@@ -50,7 +51,8 @@ INVERTERS = Kind(
 """Inverters, spread over the load buses unless places are given."""
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """Devices of one size."""
 
     count: int

@@ -33,7 +33,7 @@ def feeder_ends(feeder: AnyFeeder, allowed: np.ndarray) -> list[int]:
         if i == 0 or tip[i] < 0:
             continue
         parent = int(feeder.parent[i - 1])
-        reach = length[i] + z_pu[i - 1]
+        reach = float(length[i] + z_pu[i - 1])
         if tip[parent] < 0 or reach > length[parent]:
             if tip[parent] >= 0:
                 chains.append((length[parent], int(tip[parent])))

@@ -32,7 +32,7 @@ def member_of(scenario: Any, key: int) -> Any:
     return member
 
 
-def member(scenario: Any, seeds: int | Sequence[int]) -> Any:
+def member(scenario: Any, seeds: int | Sequence[int] | np.ndarray) -> Any:
     """The scenario on the one feeder of some episodes, the first of each seed; see ``Scenario.member``."""
     asked = [seeds] if isinstance(seeds, int | np.integer) else seeds
     groups = members(scenario, asked)
@@ -45,7 +45,7 @@ def member(scenario: Any, seeds: int | Sequence[int]) -> Any:
     return groups[0][0]
 
 
-def members(scenario: Any, seeds: Sequence[int]) -> list[tuple[Any, np.ndarray]]:
+def members(scenario: Any, seeds: Sequence[int] | np.ndarray) -> list[tuple[Any, np.ndarray]]:
     """The scenario on each of the feeders of the first episodes of seeds, see ``Scenario.members``."""
     first = np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64)
     if not isinstance(scenario.feeder, RandomFeeders):

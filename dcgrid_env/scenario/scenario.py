@@ -127,14 +127,14 @@ class Scenario(PickledByFields, FlatNames):
         other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)
         return other
 
-    def member(self, seeds: int | Sequence[int]) -> Scenario:
+    def member(self, seeds: int | Sequence[int] | np.ndarray) -> Scenario:
         """This scenario on the feeder of a seed's first episode, or of several: itself unless on RandomFeeders.
 
         ScenarioError where the seeds are on different feeders.
         """
         return member(self, seeds)
 
-    def members(self, seeds: Sequence[int]) -> list[tuple[Scenario, np.ndarray]]:
+    def members(self, seeds: Sequence[int] | np.ndarray) -> list[tuple[Scenario, np.ndarray]]:
         """This scenario on each of the feeders of the seeds' first episodes, with the positions of these seeds."""
         return members(self, seeds)
 

@@ -148,7 +148,8 @@ def _stretch(tree: Tree, impedance: np.ndarray, p_kw: np.ndarray, q_kvar: np.nda
     """Factor of all lengths at which the drop is as wanted; None where it is too large or too small for that."""
     factor = 1.0
     for _ in range(4):
-        drop = _drop(tree, *(factor * impedance), p_kw, q_kvar)
+        r, x = factor * impedance
+        drop = _drop(tree, r, x, p_kw, q_kvar)
         factor *= 0.5 if drop is None else min(max(wanted / drop, 0.2), 5.0)
     return factor if 1.0 / MOST_STRETCH <= factor <= MOST_STRETCH else None
 

@@ -92,11 +92,6 @@ class RandomFeeders(OneNodeABus):
         return np.zeros(self.n_bus)
 
     @property
-    def rating_a(self) -> None:
-        """Ampacity of the branches: random feeders know none."""
-        return None
-
-    @property
     def least_loaded(self) -> int:
         """Buses with a load that every member has at least."""
         styles = [STYLES[name] for name in (self.style, self.ood) if name]

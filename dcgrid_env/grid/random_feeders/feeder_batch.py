@@ -20,7 +20,7 @@ class FeederBatch(OneNodeABus):
     """Each feeder with the positions of its lanes."""
 
     @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def name(self) -> str:
         """The family's."""
         return self.family.name
 
@@ -30,7 +30,7 @@ class FeederBatch(OneNodeABus):
         return self.family.n_bus
 
     @property
-    def bus_ids(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def bus_ids(self) -> tuple[str, ...]:
         """Names of the buses."""
         return self.family.bus_ids
 

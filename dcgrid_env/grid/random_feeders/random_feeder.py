@@ -48,7 +48,7 @@ def random_feeder(seed: int, *, n_bus: int = 60, style: str = "urban", load_kw: 
     if isinstance(n_bus, bool) or not isinstance(n_bus, int | np.integer) or not LEAST_BUSES <= n_bus <= MOST_BUSES:
         raise FeederError(f"random feeder: n_bus is {n_bus!r}; give a whole number from 10 to 100,000")
     if load_kw is not None and not 0.0 < load_kw < 1e9:
-        raise FeederError(f"random feeder: load_kw is {load_kw!r}; give more than 0, or leave it out")
+        raise FeederError(f"random feeder: load_kw is {load_kw!r}; give more than 0 and less than 1e9, or leave it out")
     drawn = draw_feeder(seed, int(n_bus), STYLES[style], load_kw)
     return _feeder(f"random-{style}-{n_bus}-{seed}", style, drawn)
 

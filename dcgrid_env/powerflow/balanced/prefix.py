@@ -98,17 +98,18 @@ def lindistflow_arrays(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array)
     tolerance = LINEAR_TOLERANCE if p_kw.dtype == xp.float64 else LINEAR_TOLERANCE_32
     v0_sq = (v0_pu * v0_pu)[..., None]
     v_sq = v0_sq + 0.0 * load[0]
-    iterations = xp.zeros_like(v0_pu, dtype=xp.int64)
-    for _ in range(LINEAR_SWEEPS):
-        iterations = iterations + 1
+    sweeps = 0
+    while True:
+        sweeps += 1
         flow = _subtree_sums(t, load if t.shunt is None else load + _drawn_by_shunts(t, v_sq))
         new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * flow, axis=0))
         off = 0.0 * v0_pu if t.shunt is None else _change_of_shunts(t, new_v_sq, v_sq)
         v_sq = new_v_sq
         alive = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
-        if not bool(xp.any(alive & (off > tolerance))):
+        if sweeps == LINEAR_SWEEPS or not bool(xp.any(alive & (off > tolerance))):
             break
     good = alive & (off <= tolerance)
+    iterations = xp.zeros_like(v0_pu, dtype=xp.int64) + sweeps
     residual = xp.where(good, off, xp.inf)
     return _solution(t, xp.clip(v_sq, V_SQ_FLOOR, V_SQ_CEILING), flow, 0.0 * load[0], good, iterations, residual)
 

@@ -74,7 +74,8 @@ def linearise(
     n, n_load = len(rows), feeder.first_device_leg
     given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
     amperes = np.concatenate((solution.i_re_a, solution.i_im_a))
-    solved = tuple(np.broadcast_to(a, (n, 2 * feeder.n_node)) for a in (solution.restart, amperes))
+    of_nodes = (n, 2 * feeder.n_node)
+    solved = np.broadcast_to(solution.restart, of_nodes), np.broadcast_to(amperes, of_nodes)
     d_p, d_q, _, d_ratio, d_state = derivatives(feeder, given, solved, (rows, None, None, ()), np.ones(n, np.bool_))
     step = np.array(feeder.network.regulator.tap_step)
     return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:], d_ratio * step, d_state)

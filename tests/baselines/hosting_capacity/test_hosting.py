@@ -115,6 +115,7 @@ def test_the_devices_of_a_scenario_stay_where_they_are():
     site = AddedSite(Study(scenario=scenario, **SHORT))
     of_size = site.scenario(50)
     assert of_size.n_datacenters == 4
+    assert scenario.datacenter_buses is not None
     assert of_size.inverter_buses == scenario.inverter_buses
     assert of_size.datacenter.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
     _, options = site.lanes(np.array([6, 7]), np.array([0, 1]))
@@ -206,3 +207,8 @@ def test_what_cannot_be_asked_is_refused(field, value, said):
 def test_buses_that_cannot_be_candidates_are_refused(buses, said):
     with pytest.raises(ValueError, match=said):
         Study(scenario=make_scenario("ieee33"), buses=buses, **SHORT).candidates()
+
+
+def test_random_feeders_are_refused():
+    with pytest.raises(ValueError, match="is on random feeders, and capacity is a matter of one; write a member"):
+        Study(scenario=make_scenario("zero-shot"))

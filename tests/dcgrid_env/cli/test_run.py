@@ -221,7 +221,8 @@ def test_a_long_run_without_pyarrow_is_one_line_before_anything_runs(tmp_path, m
     with pytest.raises(SystemExit):
         run(tmp_path / "out", "--scenario", "toy6", "--controllers", "none", "--course", "parquet")
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith("which is missing; pip install 'dcgrid-env[parquet]', or add --course none")
+    hint = "which is missing; in a clone of the repository: pip install -e '.[parquet]', or add --course none"
+    assert line.endswith(hint)
     assert not (tmp_path / "out").exists()
 
 

@@ -6,6 +6,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.spaces import flatdim
 
 from dcgrid_env import (
     DcgridEnv,
@@ -79,7 +80,7 @@ def test_the_parallel_and_the_tensor_environment_have_the_same_episode():
         for _ in range(3):
             action = rng.uniform(-1.0, 1.0, one.action_space.shape).astype(np.float32)
             observation, *_ = one.step(action)
-            cuts = np.cumsum([space.shape[0] for space in agents.action_spaces.values()])[:-1]
+            cuts = np.cumsum([flatdim(space) for space in agents.action_spaces.values()])[:-1]
             local, *_ = agents.step(dict(zip(agents.agents, np.split(action, cuts), strict=True)))
             np.testing.assert_array_equal(np.concatenate(list(local.values())), observation)
             stepped = tensors.step(action[None].astype(float))

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import Feeder, ScenarioError, ThreePhaseFeeder, make_scenario, scenario_hash, solver_for
+from dcgrid_env import Feeder, ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario, scenario_hash, solver_for
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.observation import field_names, joint_bounds
 from dcgrid_env.engine.overload import MOST_EXCESS, mean_overload
 from dcgrid_env.engine.reward import largest_costs
 from dcgrid_env.envs.tensor import TensorEnv
-from dcgrid_env.powerflow import branch_loading, distflow, rated_nodes
+from dcgrid_env.powerflow import ThreePhaseSolution, branch_loading, distflow, rated_nodes
 from helpers.three_phase import ieee13
 
 
@@ -52,6 +52,8 @@ def test_on_three_phases_each_conductor_counts():
     solution = solver_for(feeder, "sweep")(feeder, feeder.p_load_kw, feeder.q_load_kvar, 1.0)
     loading = branch_loading(feeder, solution)
     of_bus = dict(zip(line.to_bus, ratings, strict=True)) | dict(zip(line.from_bus, [np.nan] * len(names), strict=True))
+    assert isinstance(solution, ThreePhaseSolution)
+    assert feeder.rating_a is not None
     checked = 0
     for node in rated_nodes(feeder):
         bus = feeder.bus_ids[feeder.node_bus[node]]
@@ -90,7 +92,7 @@ def test_the_cost_is_the_mean_excess_times_its_weight(reward):
     assert excess.max() > 0.0
     np.testing.assert_allclose(recorder.lane(0).costs["overload"], weight * excess)
     assert recorder.costs()[0] == pytest.approx(without.costs()[0] + weight * excess.mean())
-    assert largest_costs(s).overload == weight * MOST_EXCESS  # pyright: ignore[reportAttributeAccessIssue]
+    assert largest_costs(s)._asdict()["overload"] == weight * MOST_EXCESS
     assert mean_overload(s, 100.0 * np.ones((1, 6)))[0] <= 6.0 / 2.0 * MOST_EXCESS
 
 
@@ -104,6 +106,7 @@ def test_an_agent_sees_the_loading_of_the_branch_that_feeds_it():
     low, high = joint_bounds(s)
     assert ((low <= joint) & (joint <= high)).all()
     at_dc = s.feeder.index(4)
+    assert env.state.loading is not None
     assert joint[0, 7] == pytest.approx(env.state.loading[0, at_dc])
     assert joint[0, 7] > 1.0
     assert joint[0, len(field_names(s)["dc_0"]) + 7] == 0.0  # no rating is known of what feeds the first inverter
@@ -115,7 +118,7 @@ def test_the_cost_has_a_derivative():
     env = TensorEnv(s, like=torch.empty(0, dtype=torch.float64))
     env.reset([0, 1])
     action = torch.zeros((2, action_layout(s).n), dtype=torch.float64, requires_grad=True)
-    torch.stack([env.step(action).costs.overload.sum() for _ in range(25)]).sum().backward()
+    torch.stack([env.step(action).costs._asdict()["overload"].sum() for _ in range(25)]).sum().backward()
     assert action.grad is not None
     assert bool(torch.isfinite(action.grad).all())
     assert bool((action.grad[:, 0] > 0.0).all())  # a higher clock draws more
@@ -128,3 +131,11 @@ def test_the_cost_has_a_derivative():
 def test_a_feeder_without_ratings_has_neither(overrides, said):
     with pytest.raises(ScenarioError, match=said):
         make_scenario("toy6", **overrides)
+
+
+def test_ratings_that_are_all_unknown_are_none():
+    feeder = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, np.nan))
+    s = make_scenario("toy6", feeder=feeder, horizon=3)
+    assert "loading_max_pct" not in rollout(s, NoControl(), [0]).metrics()[0]
+    with pytest.raises(ScenarioError, match="knows the rating of no branch"):
+        s.replace(observe_loading=True)

@@ -90,7 +90,8 @@ def test_a_folder_of_an_earlier_run_has_none_of_it_left(tmp_path):
 
 def test_without_pyarrow_there_is_one_line_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(ValueError, match=r"pyarrow, which is missing; pip install 'dcgrid-env\[parquet\]'"):
+    remedy = r"pyarrow, which is missing; in a clone of the repository: pip install -e '.\[parquet\]'"
+    with pytest.raises(ValueError, match=remedy):
         ParquetCourse(tmp_path / "course", S, SEEDS)
     assert not (tmp_path / "course").exists()
 

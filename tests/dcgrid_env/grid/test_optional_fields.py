@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -41,11 +42,12 @@ def assert_same(one, other):
 def test_each_field_follows_its_buses_and_branches():
     feeder = made(**GIVEN)
     assert feeder.bus_ids == ("a", "c", "d", "b", "e")
-    assert feeder.shunt_kw.tolist() == GIVEN["shunt_kw"]
-    assert feeder.shunt_kvar.tolist() == GIVEN["shunt_kvar"]
-    assert feeder.voltage_ratio.tolist() == [1.0, 1.0, 1.025, 0.9, 1.0]
-    assert feeder.bus_base_kv.tolist() == [10.0, 10.0, 0.4, 10.0, 20.0]
-    by_bus = dict(zip(feeder.bus_ids[1:], feeder.rating_a.tolist(), strict=True))
+    own = {field: getattr(feeder, field).tolist() for field in FIELDS}
+    assert own["shunt_kw"] == GIVEN["shunt_kw"]
+    assert own["shunt_kvar"] == GIVEN["shunt_kvar"]
+    assert own["voltage_ratio"] == [1.0, 1.0, 1.025, 0.9, 1.0]
+    assert own["bus_base_kv"] == [10.0, 10.0, 0.4, 10.0, 20.0]
+    by_bus = dict(zip(feeder.bus_ids[1:], own["rating_a"], strict=True))
     assert str(by_bus) == str({"c": NAN, "d": 80.5, "b": 120.0, "e": NAN})
     assert feeder.p_load_kw.tolist() == [0.0, 1.0, -2.0, 3.0, 4.0]
     assert all(not getattr(feeder, field).flags.writeable for field in FIELDS)
@@ -91,3 +93,22 @@ def test_the_named_feeders_have_none_of_them():
 def test_what_cannot_be_is_refused_by_name(given, said):
     with pytest.raises(FeederError, match=said):
         made(**given)
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "said"),
+    [
+        ("rating_a", -1.0, "branch to bus 2: rating_a is -1.0; give a number > 0"),
+        ("rating_a", 0.0, "branch to bus 2: rating_a is 0.0; give a number > 0"),
+        ("voltage_ratio", 0.0, "bus 1: voltage_ratio is 0.0; give a number > 0"),
+        ("voltage_ratio", 1.1, "voltage_ratio of the substation is 1.1; it must be 1"),
+        ("shunt_kvar", np.nan, "bus 1: shunt_kvar is nan; give a finite number"),
+    ],
+)
+def test_a_field_that_is_replaced_is_checked_too(field, values, said):
+    feeder = load_feeder("ieee33")
+    n = feeder.n_branch if field == "rating_a" else feeder.n_bus
+    with pytest.raises(FeederError, match=re.escape(said)):
+        dataclasses.replace(feeder, **{field: np.full(n, values)})
+    with pytest.raises(FeederError, match=re.escape(f"{field} has shape (3,); give one figure for each of {n}")):
+        dataclasses.replace(feeder, **{field: np.ones(3)})

@@ -43,8 +43,8 @@ def test_buses_without_a_size_are_told_apart():
     mw = maps(1.0, 2.0)
     mw[5], mw[7] = 0.0, np.nan
     figure = capacity_figure(FEEDER, {"none": mw}, "ieee33")
-    (dots,) = [c for c in panels(figure)[0].collections if len(c.get_facecolors()) == FEEDER.n_bus - 1]
-    colours = [to_hex(colour).upper() for colour in dots.get_facecolors()]
+    (dots,) = [c for c in panels(figure)[0].collections if len(c.get_facecolor()) == FEEDER.n_bus - 1]
+    colours = [to_hex(colour).upper() for colour in np.asarray(dots.get_facecolor())]
     assert (colours[4], colours[6]) == (NONE_COLOUR, NOT_ASKED)
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["carries no site", "no candidate"]

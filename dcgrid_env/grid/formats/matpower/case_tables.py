@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.matpower.case_code import CaseCode
 from dcgrid_env.grid.formats.matpower.case_text import Statement, statements
@@ -180,8 +181,7 @@ def parsed(name: str, rows: list[list[str]]) -> np.ndarray:
         from matpowercaseframes import CaseFrames
     except ImportError:
         raise FeederError(
-            "matpowercaseframes is missing, which parses MATPOWER's tables; install it by "
-            "`pip install 'dcgrid-env[matpower]'`"
+            f"matpowercaseframes is missing, which parses MATPOWER's tables; {from_clone('matpower')}"
         ) from None
     body = ";\n".join("\t".join(row) for row in rows)
     with tempfile.TemporaryDirectory() as folder:

@@ -15,6 +15,9 @@ _FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 _R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
 """Columns of pandapower's model of branches: MATPOWER's, and its own for ends that differ."""
 
+_BUS_TYPE, _ISOLATED = 1, 4
+"""Column of its model of buses, and what it says of one that is out of service or that nothing feeds."""
+
 
 class ModelRows:
     """Which row of pandapower's model is which bus of the net, after its power flow was run.
@@ -33,6 +36,8 @@ class ModelRows:
         Names of buses that are within an element, such as the star point of three windings, by row of the model.
     open_ends
         Rows of the model that are but the open end of a line.
+    dead
+        Rows of the model of buses that are out of service.
     """
 
     def __init__(self, net: Any) -> None:
@@ -50,6 +55,9 @@ class ModelRows:
                 self.within[int(lookups["bus"][bus])] = f"{element}-{i}"
         for k, row in enumerate(self.within):
             self.of_model[row] = len(index) + k
+        in_service = net.bus.in_service.tolist()
+        off = {self.model_row[bus] for bus, live in zip(index, in_service, strict=True) if not live}
+        self.dead = {row for row in off if self.model_bus[row, _BUS_TYPE].real == _ISOLATED}
         self.open_ends = {row for row in range(len(self.model_bus)) if row not in self.of_model}
         for row in self.open_ends:
             self.of_model[row] = 0  # nothing is drawn there, and its line ends before it
@@ -64,7 +72,7 @@ def read_branches(net: Any, rows: ModelRows, report: Report) -> list[Branch]:
         f, t = int(m[_FROM]), int(m[_TO])
         if m[_R_ASYM] or m[_X_ASYM]:
             report.add("refused", kind, name, "its impedance differs by direction; give both directions one")
-        live = bool(m[_STATUS])
+        live = bool(m[_STATUS]) and f not in rows.dead and t not in rows.dead
         from_closed, to_closed = live and f not in rows.open_ends, live and t not in rows.open_ends
         branches.append(
             Branch(

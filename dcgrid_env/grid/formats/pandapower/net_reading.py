@@ -193,7 +193,7 @@ def _add_loads(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -
     np.add.at(grid.shunt_kvar, of_row, 1000.0 * model[:, _BS] - q * z_q)
     for kind in ("load", "sgen", "storage", "motor", "asymmetric_load", "asymmetric_sgen", "ward", "shunt"):
         table = net[kind]
-        live = table.in_service.to_numpy(dtype=bool)
+        live = table.in_service.to_numpy(dtype=bool) & table.bus.map(net.bus.in_service).to_numpy(dtype=bool)
         text = "a load" if "load" in kind or kind == "motor" else "a negative load" if "sgen" in kind else kind
         texts = {"storage": "a load of its present power", "ward": "a load and a shunt", "shunt": "a shunt"}
         report.add_all("taken", kind, map(str, table.index[live]), texts.get(kind, text))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_json import net_from_json
 from dcgrid_env.grid.topology import FeederError
@@ -22,7 +23,7 @@ def loaded_net(source: Any, arguments: Mapping[str, Any], trust: bool, report: R
     try:
         import pandapower
     except ImportError:
-        raise FeederError("pandapower is missing; install it by `pip install 'dcgrid-env[pandapower]'`") from None
+        raise FeederError(f"pandapower is missing; {from_clone('pandapower')}") from None
     if isinstance(source, str | Path):
         text = str(source)
         if text.endswith(".json") or Path(text).is_file():

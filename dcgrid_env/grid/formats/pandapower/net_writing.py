@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.files import write_text
+from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
@@ -34,7 +35,7 @@ def pandapower_net(feeder: BalancedFeeder) -> Any:
     try:
         import pandapower as pp
     except ImportError:
-        raise FeederError("pandapower is missing; install it by `pip install 'dcgrid-env[pandapower]'`") from None
+        raise FeederError(f"pandapower is missing; {from_clone('pandapower')}") from None
     grid = described(feeder, _SN_MVA)
     numbers = bus_numbers(grid.buses)
     index = list(numbers) if numbers and min(numbers) >= 0 else list(range(grid.n_bus))

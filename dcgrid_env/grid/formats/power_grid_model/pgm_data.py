@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.topology import FeederError
 
@@ -16,7 +17,7 @@ _MAX_BYTES = 512 * 2**20
 _LARGEST = 1e18
 _KEYS = ("version", "type", "is_batch", "attributes", "data")
 _MAY_BE_INFINITE = {"i_n", "x_grounding_from", "x_grounding_to", "r_grounding_from", "r_grounding_to"}
-MISSING = "power-grid-model is missing; install it by `pip install 'dcgrid-env[power-grid-model]'`"
+MISSING = f"power-grid-model is missing; {from_clone('power-grid-model')}"
 Data = dict[str, np.ndarray]
 
 

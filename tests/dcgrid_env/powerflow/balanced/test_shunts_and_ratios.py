@@ -62,7 +62,11 @@ def test_two_buses_by_hand(p, q, g, b, ratio, v0):
     for solution in (
         distflow(feeder, *loads, v0, tolerance_kva=EXACT_KVA),
         distflow_arrays(
-            feeder, *(torch.tensor(a, dtype=torch.float64) for a in (*loads, v0)), None, 1e-3 * EXACT_KVA, 1000
+            feeder,
+            *(torch.tensor(a, dtype=torch.float64) for a in (*loads, v0)),
+            warm=None,
+            tolerance=1e-3 * EXACT_KVA,
+            max_sweeps=1000,
         ),
     ):
         assert bool(solution.converged)
@@ -91,7 +95,9 @@ def test_a_lane_alone_in_a_block_and_as_arrays_is_one(shunted, random_loads):
         alone = distflow(shunted, p_kw[lane], q_kvar[lane], v0_pu[lane], tolerance_kva=EXACT_KVA)
         for name in batch._fields:
             np.testing.assert_array_equal(getattr(alone, name), getattr(batch, name)[lane])
-    arrays = distflow_arrays(shunted, *map(torch.tensor, (p_kw, q_kvar, v0_pu)), None, 1e-3 * EXACT_KVA, 1000)
+    arrays = distflow_arrays(
+        shunted, *map(torch.tensor, (p_kw, q_kvar, v0_pu)), warm=None, tolerance=1e-3 * EXACT_KVA, max_sweeps=1000
+    )
     np.testing.assert_allclose(arrays.v_pu, batch.v_pu, atol=1e-12, rtol=0.0)
     np.testing.assert_allclose(arrays.p_branch_kw, batch.p_branch_kw, atol=1e-6, rtol=0.0)
     warm = distflow(shunted, p_kw, q_kvar, v0_pu, warm=batch)
@@ -120,7 +126,8 @@ def test_the_derivative_is_that_of_finite_differences(shunted, random_loads):
         return sum(sums(w, figure) for w, figure in zip(weights, figures, strict=True)) + solution.loss_kw / 1e3
 
     recorded = total(
-        distflow_tensors(shunted, *inputs, None, 1e-13, 1000), lambda w, a: (torch.tensor(w) * a).sum(dim=-1)
+        distflow_tensors(shunted, *inputs, warm=None, tolerance=1e-13, max_sweeps=1000),
+        lambda w, a: (torch.tensor(w) * a).sum(dim=-1),
     )
     slopes = torch.autograd.grad(recorded.sum(), inputs)
     for k, (slope, step) in enumerate(zip(slopes, (1.0, 1.0, 1e-4), strict=True)):
@@ -142,7 +149,7 @@ def test_the_compiled_derivative_is_that_of_the_recorded_sweeps(shunted, random_
     found = []
     for solve in (distflow_tensors, distflow_arrays):
         inputs = [torch.tensor(a, requires_grad=True) for a in loads]
-        solution = solve(shunted, *inputs, None, 1e-13, 1000)
+        solution = solve(shunted, *inputs, warm=None, tolerance=1e-13, max_sweeps=1000)
         (solution.v_pu.square().sum() + 1e-3 * solution.loss_kw.sum()).backward()
         found.append([one.grad for one in inputs])
     for one, other in zip(*found, strict=True):
@@ -228,7 +235,7 @@ def _network():
         q_load_kvar=[loads.get(b, (0.0, 0.0))[1] for b in range(5)],
         from_bus=[i for i, _ in ends], to_bus=[j for _, j in ends],
         r_ohm=[ohm[e].real for e in ends], x_ohm=[ohm[e].imag for e in ends],
-        shunt_kw=kw, shunt_kvar=kvar, voltage_ratio=ratio, bus_base_kv=kv,
+        shunt_kw=kw.tolist(), shunt_kvar=kvar.tolist(), voltage_ratio=ratio.tolist(), bus_base_kv=kv,
     )  # fmt: skip
     return net, feeder
 
@@ -239,6 +246,8 @@ def test_lines_with_charging_a_tap_and_fixed_shunts_are_those_of_pandapower():
     solution = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar, tolerance_kva=EXACT_KVA)
     assert solution.converged
     np.testing.assert_allclose(solution.v_pu, net.res_bus.vm_pu, atol=1e-8, rtol=0.0)
+    assert feeder.shunt_kw is not None
+    assert feeder.shunt_kvar is not None
     shunt_kw = feeder.shunt_kw[0] * 1.02**2
     assert solution.p_branch_kw[0] + shunt_kw == pytest.approx(1e3 * net.res_ext_grid.p_mw[0], abs=1e-4)
     shunt_kvar = feeder.shunt_kvar[0] * 1.02**2

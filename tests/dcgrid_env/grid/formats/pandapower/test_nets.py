@@ -212,3 +212,15 @@ def test_voltages_of_a_published_net_are_pandapowers(source, arguments, at):
     feeder = Feeder.from_network(imported.network)
     assert len(imported.v_pu) == feeder.n_bus
     assert_same_feeder(feeder, Feeder.from_network(read_pandapower(pandapower_net(feeder), bus_names=True).network))
+
+
+def test_a_transformer_to_a_bus_out_of_service_is_left_out():
+    net = net_of_all_kinds()
+    with quiet():
+        bus = pp.create_bus(net, 0.4, in_service=False)
+        pp.create_transformer(net, 3, bus, "0.4 MVA 20/0.4 kV")
+        load = pp.create_load(net, bus, 0.01)
+    imported = read_pandapower(net)
+    assert str(bus) not in Feeder.from_network(imported.network).bus_ids
+    assert str(load) in fates(imported)["load", "nothing lost"]
+    assert apart_pu(imported) < 1e-7
