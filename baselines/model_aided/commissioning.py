@@ -286,6 +286,4 @@ def _regressed(site: Site, known: Commissioned, v: np.ndarray, moved: np.ndarray
             base[i, level], gain[i, level] = mean, together / variance
             spread[i, level] = np.sqrt(np.maximum(rest, 0.0) + law.floor_pu**2)
             by_all[i, level] = limit_kvar[rows].mean(axis=0) @ known.by_q
-    return known._replace(
-        key=key, base_pu=base, own_base_pu=own_base, gain=gain, spread_pu=spread, by_all=by_all
-    )
+    return known._replace(key=key, base_pu=base, own_base_pu=own_base, gain=gain, spread_pu=spread, by_all=by_all)

@@ -21,8 +21,8 @@ class OperatingPoints(NamedTuple):
     q_load_kvar: np.ndarray
     """Other loads, kvar, (m, n_leg)."""
     p_agent_kw: np.ndarray
-    """What each agent would draw, kW, an inverter's injection negative, (m, n_agent): data centres at the top clock with
-    nothing queued."""
+    """What each agent would draw, kW, an inverter's injection negative, (m, n_agent); data centres at the top clock
+    with nothing queued."""
 
     @property
     def sun(self) -> np.ndarray:

@@ -1,0 +1,55 @@
+"""The model-aided local law: better than the tuned droop where it is made for, local in use, refusals."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import DcgridVectorEnv, make_scenario
+from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.baselines.model_aided.model_aided import ModelAided
+
+
+@pytest.mark.parametrize("preset", ["ieee33-weak", "ieee33", "robust"])
+def test_it_is_better_than_the_tuned_droop_on_validation(preset):
+    scenario = make_scenario(preset, split="validation")
+    droop = rollout(scenario, make_controller("droop-tuned", scenario), range(4)).costs().mean()
+    assert rollout(scenario, ModelAided(), range(4)).costs().mean() < 0.97 * droop
+
+
+def test_an_agent_acts_on_its_own_observation_alone():
+    scenario = make_scenario("ieee33")
+    env = DcgridVectorEnv(2, scenario)
+    observations, _ = env.reset(seed=[0, 0])
+    width = observations.shape[1] // scenario.n_agents
+    others = observations.copy()
+    others[1, width:] = np.clip(others[1, width:] + 0.1, env.single_observation_space.low[width:],
+                                env.single_observation_space.high[width:])  # fmt: skip
+    law = ModelAided()
+    law.reset(scenario)
+    action = law.act(others)
+    assert (action[0, :2] == action[1, :2]).all()
+    assert not (action[0, 2:] == action[1, 2:]).all()
+    env.close()
+
+
+def test_drawn_buses_must_be_placed():
+    law = ModelAided()
+    scenario = make_scenario("ieee123")
+    law.reset(scenario)
+    env = DcgridVectorEnv(1, scenario)
+    observations, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"call place\(buses\) after reset"):
+        law.act(observations)
+    env.close()
+
+
+@pytest.mark.parametrize("given", [{"floor_pu": 0.0}, {"price": -1.0}, {"hold": float("nan")}])
+def test_what_cannot_be_is_refused(given):
+    (name,) = given
+    with pytest.raises(ValueError, match=f"model-aided: {name} is"):
+        ModelAided(**given)
+
+
+@pytest.mark.parametrize("preset", ["smoothing", "ieee33-weak-ups"])
+def test_devices_that_it_does_not_know_are_refused(preset):
+    with pytest.raises(ValueError, match="model-aided"):
+        ModelAided().reset(make_scenario(preset))
