@@ -1,6 +1,5 @@
 """The model-aided local law: better than the tuned droop where it is made for, local in use, refusals."""
 
-import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, make_scenario
@@ -21,8 +20,7 @@ def test_an_agent_acts_on_its_own_observation_alone():
     observations, _ = env.reset(seed=[0, 0])
     width = observations.shape[1] // scenario.n_agents
     others = observations.copy()
-    others[1, width:] = np.clip(others[1, width:] + 0.1, env.single_observation_space.low[width:],
-                                env.single_observation_space.high[width:])  # fmt: skip
+    others[1, width:] += 0.1
     law = ModelAided()
     law.reset(scenario)
     action = law.act(others)
