@@ -18,6 +18,7 @@ error (for instance S. M. Kay, "Fundamentals of statistical signal processing: e
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -114,7 +115,7 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
     Voltages of moments without a solution, as under an extreme load, are left out.
     """
     s, points = site.scenario, site.points
-    n_dc, n, nodes_of_load = s.n_datacenters, s.n_agents, s.feeder.load_slice
+    n_dc, nodes_of_load = s.n_datacenters, s.feeder.load_slice
     by_p, by_q = (slope[0][:, nodes_of_load] / 1000.0 for slope in sensitivity_to_agents(s, buses[None]))
     levels = _levels(site)
     flow = _Flow(s, points, buses)
@@ -145,7 +146,7 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
     )  # fmt: skip
     moved = rest_all - origin
     known = _regressed(site, known, v, moved, seen)
-    price, lowest = VoltagePrice.of(s), np.arange(n)
+    price = VoltagePrice.of(s)
     for k in range(_ROUNDS):
         e_own = (v + moved @ by_q) @ seen.T - moved * known.own_by_q + (draw - mean_kw) * known.own_by_draw
         v_known, s_known, by_all = estimate(site, known, e_own, draw)
@@ -156,7 +157,7 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
             site.effort, site.law.hold, rest_all / scale, halvings=7,
         )  # fmt: skip
         share = share + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best - share)
-        share = share + site.law.pull * site.scheduled[lowest] * (rest_all / scale - share)
+        share = share + site.law.pull * site.scheduled * (rest_all / scale - share)
         moved = np.clip(share, -limit, limit) * scale - origin
         known = _regressed(site, known, v, moved, seen)
     return known
@@ -225,7 +226,7 @@ class _Flow:
         self.seen = seen[:, feeder.load_slice]
         """Share of each voltage in what an agent sees, (n_agent, k)."""
 
-    def of(self, rows: np.ndarray):
+    def of(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Voltages of some moments as a function of constant setpoints, kvar, (n_agent,)."""
         return lambda q_kvar: self.at(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
 

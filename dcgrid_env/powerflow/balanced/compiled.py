@@ -214,9 +214,8 @@ def _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, w
 def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
-    ``warm`` (lane, branch) holds squared
-    currents to start from, or has no rows. A lane that does not settle from there starts again from no current, with
-    ``max_sweeps``. Returns the number of lanes without a solution.
+    ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A lane that does not settle from there
+    starts again from no current, with ``max_sweeps``. Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
     few = n_lanes <= FEW or n > MOST_IN_BLOCKS
