@@ -4,6 +4,7 @@ Python's."""
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
@@ -90,7 +91,9 @@ def _functions(module: Any) -> dict[str, Any]:
 
 def _simbench(code: str) -> Any:
     try:
-        import simbench
+        simbench = importlib.import_module(
+            "simbench"
+        )  # optional, and not in `dev`: a plain import is an error to a type checker
     except ImportError:
         raise FeederError(
             f"{code!r} looks like a SimBench code, but simbench is missing; install it by `pip install simbench`"
