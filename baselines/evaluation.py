@@ -10,6 +10,7 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
+from dcgrid_env.baselines.controller import with_figures
 from dcgrid_env.baselines.score import Score, score
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
@@ -25,7 +26,7 @@ class Evaluation:
     J: np.ndarray
     """Cost of each episode, (n_episode,), in the order of the seeds."""
     means: Mapping[str, float]
-    """Mean over the episodes of each metric."""
+    """Mean over the episodes of each metric, and of what the controller tells of itself (``controller.Telling``)."""
 
     def score(self, droop: Evaluation, hindsight: Published | None = None) -> Score:
         """Score against the tuned droop on the same episodes, and hindsight's costs of them.
@@ -87,6 +88,6 @@ def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], n
         A ValueError, where the controller fails or cannot drive the scenario, saying what differs.
     """
     recorder = rollout(scenario, controller, seeds, name=name)
-    metrics = recorder.metrics()
+    metrics = with_figures(controller, recorder.metrics())
     means = {name: float(np.mean([m[name] for m in metrics])) for name in metrics[0]}
     return Evaluation(scenario, tuple(seeds), np.array([m["J"] for m in metrics]), means)

@@ -40,7 +40,9 @@ class List(Command):
             "feeder": described(FEEDER_REGISTRY),
             "random feeder": {name: style.about for name, style in STYLES.items()},
             "device": described(DEVICE_REGISTRY),
-            "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
+            "controller": {
+                name: text for name, text in controllers.items() if name not in POLICIES or name.endswith(":")
+            },
             "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
             "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
             "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},

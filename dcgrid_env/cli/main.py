@@ -31,6 +31,7 @@ from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.core.processes import terminated_in_order
 
@@ -47,6 +48,7 @@ DEV = Group(
         "ablate": Ablate,
         "generalise": Generalise,
         "curves": Curves,
+        "transfer": Transfer,
         "sags": Sags,
         "random-feeders": RandomFeederTable,
     },
