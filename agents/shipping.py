@@ -16,7 +16,7 @@ from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.baselines import make_controller
-from dcgrid_env.baselines.evaluation import evaluate
+from dcgrid_env.baselines.evaluation import evaluate, score_over_seeds
 from dcgrid_env.baselines.score import REFERENCE, SPLIT
 from dcgrid_env.core.files import write_bytes
 
@@ -76,6 +76,7 @@ def ship(
         score=(scores[best].value, scores[best].low, scores[best].high),
         seeds=tuple(card.seed or 0 for card in cards),
         seed_scores=tuple(estimate.value for estimate in scores),
+        over_seeds=tuple(score_over_seeds(evaluations, droop)) if len(runs) > 1 else None,
     )
     card = dataclasses.replace(cards[best], scored=scored)
     if card.inputs is None:

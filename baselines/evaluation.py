@@ -11,7 +11,8 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.controller import with_figures
-from dcgrid_env.baselines.score import Score, score
+from dcgrid_env.baselines.score import Estimate, Score, score
+from dcgrid_env.baselines.score import score_over_seeds as over_seeds
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
@@ -49,6 +50,19 @@ class Evaluation:
         if len(self.seeds) < 2:
             raise ValueError("no score: an interval takes at least 2 episodes")
         return score(self.J, droop.J, _costs(self.scenario, self.seeds, hindsight or published(self.scenario)))
+
+
+def score_over_seeds(
+    evaluations: Sequence[Evaluation], droop: Evaluation, hindsight: Published | None = None
+) -> Estimate:
+    """Score of several training seeds' policies on the same episodes, see ``score.score_over_seeds``.
+
+    ValueError where there is no score, see :meth:`Evaluation.score`, or for one seed alone.
+    """
+    for one in evaluations:
+        one.score(droop, hindsight)  # which says why there is none
+    costs = _costs(droop.scenario, droop.seeds, hindsight or published(droop.scenario))
+    return over_seeds([one.J for one in evaluations], droop.J, costs)
 
 
 def _costs(scenario: Scenario, seeds: tuple[int, ...], hindsight: Published | None) -> np.ndarray:

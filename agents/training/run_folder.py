@@ -27,6 +27,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.input_range import recorded
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.core.files import clear_parts, new_folder, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
@@ -93,7 +96,7 @@ class Run:
     """A training run's folder; made by :func:`open_run`."""
 
     def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
-        self.folder = folder
+        self.folder, self.scenarios = folder, tuple(scenarios)
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
         self._before_s = 0.0
@@ -199,10 +202,14 @@ def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> Non
     writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
 
 
-def finish(run: Run) -> None:
-    """Write how long the whole run took into the card of its best policy."""
+def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
+    """Write into the best policy's card how long the whole run took, and the range of its inputs.
+
+    ``scenarios`` are what it was trained on where that is more than what it was judged on, as variants of it.
+    """
     path = run.folder / "policy.json"
-    dataclasses.replace(Card.load(path), training_s=run.seconds).save(path)
+    inputs = recorded(Policy.load(path.with_suffix(SUFFIX)), scenarios or run.scenarios)
+    dataclasses.replace(Card.load(path), training_s=run.seconds, inputs=inputs).save(path)
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:

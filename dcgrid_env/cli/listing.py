@@ -75,5 +75,8 @@ def card_line(card: Card) -> str:
     line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {delay_s} s"
     if n < 2:
         return line
+    if scored.over_seeds is not None:
+        mean, least, most = scored.over_seeds
+        return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f} over seeds and episodes)"
     mean, least, most = sum(scored.seed_scores) / n, min(scored.seed_scores), max(scored.seed_scores)
     return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f})"
