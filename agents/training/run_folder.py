@@ -15,7 +15,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -52,6 +52,20 @@ def device_of(name: str) -> torch.device:
 
 class TrainingError(RuntimeError):
     """A run that cannot begin or go on; the message names file, field, value and remedy."""
+
+
+_watchers: list[Callable[[Mapping[str, float]], None]] = []
+"""What is told of each validation of the trainings in this process."""
+
+
+@contextmanager
+def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
+    """Tell ``watcher`` the figures of each validation within the block; what it raises ends the training."""
+    _watchers.append(watcher)
+    try:
+        yield
+    finally:
+        _watchers.remove(watcher)
 
 
 @contextmanager
@@ -166,6 +180,8 @@ class Run:
             self._writer = SummaryWriter(self.folder, purge_step=self.step)
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
+        for watcher in tuple(_watchers):
+            watcher(row)
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """TrainingError, with the step and the checkpoint that is kept, unless all is finite."""

@@ -10,6 +10,7 @@ import traceback
 
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
+from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
@@ -49,6 +50,7 @@ DEV = Group(
         "generalise": Generalise,
         "curves": Curves,
         "transfer": Transfer,
+        "tune-agent": TuneAgent,
         "sags": Sags,
         "random-feeders": RandomFeederTable,
     },
