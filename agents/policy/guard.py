@@ -142,7 +142,7 @@ class GuardedPolicy:
         known = {name: own for name, own in of_place.items() if own.shape[-1]}
         if not known:
             return np.zeros(next(iter(beyond.values())).shape[: -1 if "joint" in beyond else -2], bool)
-        return (self._of_agents(known) > SOFT).any(-1)
+        return np.asarray((self._of_agents(known) > SOFT).any(-1))
 
     def _stable_share(self, joint: np.ndarray) -> np.ndarray:
         """Share of the policy in each entry of the action at which its slope stays below the bound, (..., n_action)."""
@@ -210,10 +210,9 @@ def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
         members = [scenario.member(i * scenario.feeder.batch) for i in range(FAMILY_MEMBERS)]
     else:
         members = [scenario]
-    alpha = {"alpha_per_s": plain.alpha_per_s}
     k_q = min(largest_stable(member, k_p_mw_per_pu=0.0) for member in members)
     k_q = min(plain.k_q_mvar_per_pu_s, MARGIN * k_q)
-    k_p = min(largest_stable(member, k_q_mvar_per_pu_s=k_q, **alpha) for member in members)
+    k_p = min(largest_stable(member, k_q_mvar_per_pu_s=k_q, alpha_per_s=plain.alpha_per_s) for member in members)
     return Droop(k_p_mw_per_pu=min(plain.k_p_mw_per_pu, MARGIN * k_p), k_q_mvar_per_pu_s=k_q)
 
 

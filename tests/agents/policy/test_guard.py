@@ -79,13 +79,14 @@ def test_in_new_places_the_deviation_is_bounded(toy6, monkeypatch):
     assert np.isfinite([float(np.mean(value)) for value in own.info.values()]).all()
 
 
-def test_in_new_places_the_gain_stays_below_the_bound():
+def test_in_new_places_the_gain_stays_below_the_bound(monkeypatch):
     scenario = make_scenario("ieee33", split="validation", horizon=4)
     own = guarded("ieee33-weak-analytic")
     rollout(scenario, own, [0])
     assert own.episode_figures()[0]["guard_new_places_pct"] == 100.0
     joint = np.zeros((1, len(own._v_step)), np.float32)
-    own.policy.act = lambda o: 50.0 * -o[:, np.flatnonzero(own._v_step)][:, own._owner]  # far too steep
+    at = np.flatnonzero(own._v_step)
+    monkeypatch.setattr(own.policy, "act", lambda seen: -50.0 * seen[:, at][:, own._owner])  # far too steep
     share = own._stable_share(joint)
     reactive, _ = steepest(own.scenario)
     law = (own._law.act(joint - own._v_step) - own._law.act(joint + own._v_step)) / (2 * guard_module.STEP)
@@ -129,7 +130,9 @@ def test_by_its_name_on_the_command_line(toy6, tmp_path):
     )
     assert isinstance(find_controller("guarded:analytic", toy6), GuardedPolicy)
     constant(0.3).save(tmp_path / "own")
-    assert find_controller(f"guarded:{tmp_path / 'own'}.safetensors", toy6).ranges is None
+    filed = find_controller(f"guarded:{tmp_path / 'own'}.safetensors", toy6)
+    assert isinstance(filed, GuardedPolicy)
+    assert filed.ranges is None
     with pytest.raises(ValueError, match="guarded: it guards learned policies, and this is Droop"):
         find_controller("guarded:droop", toy6)
     means = evaluate(found, toy6, range(2)).means
