@@ -1,9 +1,9 @@
 """What each agent's own part of an action was worth in a step: counterfactual advantages from the grid's model.
 
-For each agent and each component of its action, what the team would have paid for the step had this component alone been
-what the policy's mean asks for (a difference reward: D. Wolpert and K. Tumer, "Optimal payoff functions for members of
-collectives", Advances in Complex Systems 4, 2001; with the mean action as the default, J. Foerster et al.,
-"Counterfactual multi-agent policy gradients", arXiv 1705.08926). With c the cost of all voltages V,
+For each agent and each component of its action, what the team would have paid for the step had this component alone
+been what the policy's mean asks for: a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for
+members of collectives", Advances in Complex Systems 4, 2001) whose default is the mean action, as is the baseline of
+J. Foerster et al., "Counterfactual multi-agent policy gradients", arXiv 1705.08926. With c the cost of all voltages V,
 
     q      A = c(V - M (q - q')) - c(V) + effort(q') - effort(q)        M = dV / dq of the agent
     clock  A = c(V + R (p - p')) - c(V) + w (b' - b) / sum(p_rated)     R = dV / dp of the agent, injected
@@ -19,7 +19,7 @@ This uses the feeder's model and the voltages of all nodes. Training alone does:
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,26 +31,17 @@ KNOWN_WEIGHTS = ("voltage", "violation", "backlog", "effort", "leftover")
 """Terms of the cost that an advantage is made of."""
 
 
-class Advantages(NamedTuple):
-    """Of the entries of the joint action, in the order of the agents; above 0 where the team paid less for it."""
-
-    clock: np.ndarray
-    """(lane, n_dc)"""
-    q: np.ndarray
-    """(lane, n_agent)"""
-
-
 def require_one_step(who: str, scenario: Scenario) -> None:
     """ValueError, naming the field, where a step's own cost does not tell what an agent's action is worth."""
     require_known_devices(who, scenario)
     if isinstance(scenario.feeder, RandomFeeders):
-        raise ValueError(f"{who} needs the model of one feeder; {scenario.name!r} has random ones: train analytic there")
+        raise ValueError(f"{who} needs the model of one feeder; {scenario.name!r} has random ones: train analytic")
     for device in scenario.devices:
         for field in ("storage", "smoothing", "routing", "batching", "service", "cooling", "ride_through"):
             if device.count and getattr(device, field, None) is not None:
                 raise ValueError(
-                    f"{who} judges an action by the step that it acts in; scenario {scenario.name!r} has {field} at its "
-                    f"devices of kind {device.kind}, which acts on later steps: train analytic or ppo there"
+                    f"{who} judges an action by the step that it acts in; scenario {scenario.name!r} has {field} at "
+                    f"its devices of kind {device.kind}, which acts on later steps: train analytic or ppo there"
                 )
         if isinstance(device, DataCenters) and work_classes_of(device.clock_law) != 1:
             raise ValueError(f"{who} takes clock laws of one work class; scenario {scenario.name!r} has one of two")
@@ -83,8 +74,8 @@ class Counterfactual:
         self._work = (w.backlog + w.leftover) / rated_kw
         self._buses = np.zeros((0, 0), np.int64)
 
-    def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> Advantages:
-        """Advantages of a step's actions.
+    def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        """Advantage of each entry of a step's joint actions, (lane, n_action): what the team paid less for it.
 
         Parameters
         ----------
@@ -96,10 +87,11 @@ class Counterfactual:
             Joint actions, that which was taken and the policy's mean, (lane, n_action).
         """
         self._place(before.episode.buses)
-        return Advantages(
-            self._of_clock(before, after, action[:, self._is_clock], mean[:, self._is_clock]),
-            self._of_q(after, mean[:, self._is_q]),
-        )
+        advantages = np.empty(action.shape)
+        clock = self._is_clock
+        advantages[:, clock] = self._of_clock(before, after, action[:, clock], mean[:, clock])
+        advantages[:, self._is_q] = self._of_q(after, mean[:, self._is_q])
+        return advantages
 
     def _place(self, buses: np.ndarray) -> None:
         """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (lane, n_agent, n_node)."""

@@ -18,6 +18,7 @@ from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
+from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
@@ -48,6 +49,7 @@ DEV = Group(
         "generalise": Generalise,
         "curves": Curves,
         "sags": Sags,
+        "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
     },
     moved={"tune": "dcgrid tune"},
