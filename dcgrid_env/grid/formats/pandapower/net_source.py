@@ -4,6 +4,7 @@ Python's."""
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
@@ -90,7 +91,8 @@ def _functions(module: Any) -> dict[str, Any]:
 
 def _simbench(code: str) -> Any:
     try:
-        import simbench
+        # Optional, and not in the extra `dev`: a plain import would be an error to a type checker there.
+        simbench = importlib.import_module("simbench")
     except ImportError:
         raise FeederError(
             f"{code!r} looks like a SimBench code, but simbench is missing; install it by `pip install simbench`"
