@@ -63,7 +63,8 @@ def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
         left = w.leftover * waiting.sum(-1) / rated_kw  # put off work is charged at once
         expected = moved.cost_j + left - taken_j
         np.testing.assert_allclose(found[:, entry], expected, rtol=0.3, atol=0.02 * np.abs(found).max())
-    assert (np.abs(found) > 1e-5).all()
+    assert (np.abs(found[:, layout.is_channel("q")]) > 1e-5).all()
+    assert (np.abs(found[:, layout.is_channel("clock")]) > 1e-5).any()
 
 
 def test_by_hand_on_two_voltages():
@@ -182,10 +183,10 @@ def test_nan_stops_the_training(tmp_path, monkeypatch):
         algorithm.main(tiny(tmp_path))
 
 
-def test_it_learns(tmp_path):
-    cfg = tiny(tmp_path, scenario="ieee33-weak", set=("horizon=60",), steps=9_000, num_envs=10, validate_every=5)
+def test_it_is_better_than_the_tuned_droop_after_4500_steps(tmp_path):
+    cfg = tiny(tmp_path, scenario="ieee33", set=("horizon=30",), steps=4_500, num_envs=15, validate_every=1)
     rows = read_curve(algorithm.main(cfg))
-    assert rows[-1]["J"] < 0.9 * rows[0]["J"]
+    assert rows[-1]["J"] < 0.9 * rows[-1]["J_droop"]
 
 
 @pytest.mark.parametrize("scenario", ["ieee34-3ph", "scale-32"])
