@@ -86,6 +86,16 @@ class ModelAided(LocalController):
         if all(buses is not None for buses in fixed):
             self._commission(np.array([[s.feeder.index(bus) for buses in fixed for bus in buses or ()]]))
 
+    @property
+    def site(self) -> Site:
+        """What is the same in all placements, after ``reset``."""
+        return self._site
+
+    @property
+    def known(self) -> Commissioned | None:
+        """What the agents know at their places, stacked over lanes; None before they are placed."""
+        return self._known
+
     def place(self, buses: np.ndarray) -> None:
         """See :class:`Placed`."""
         buses = np.asarray(buses)[:, self._equipment.is_other]
