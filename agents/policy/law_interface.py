@@ -21,15 +21,15 @@ from array_api_compat import array_namespace
 from dcgrid_env.agents.policy.agent_groups import agent_groups, axes
 from dcgrid_env.agents.policy.interface import cut
 from dcgrid_env.agents.policy.law_step import Columns, LawStep, Step
-from dcgrid_env.baselines.model_aided.commissioning import Commissioned, Site
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
 
 SERVED, REACTIVE = 0.3, 0.5
 """Bounds of the corrections: of the dynamic rating, and of the largest reactive power."""
 OF_ALL = (
     "deviation", "change", "surprise", "share", "to_rest", "step", "slope", "violation_slope", "mean_deviation",
-    "spread", "reach", "own_reach", "crowd", "effort", "limit", "draw",
+    "spread", "reach", "own_reach", "crowd", "effort", "draw",
 )  # fmt: skip
-OF_SITES = ("coming", "backlog", "relief", "served", "to_serve", "draw_reach")
+OF_SITES = ("coming", "backlog", "relief", "cut", "to_serve", "draw_reach")
 FEATURES = {"datacenter": (*OF_ALL, *OF_SITES), "inverter": OF_ALL}
 """Names of what the networks see, by the kind of agent."""
 OUTPUTS = {"datacenter": 2, "inverter": 1}
@@ -41,7 +41,7 @@ class LawInterface:
 
     Parameters
     ----------
-    site, known, price
+    site, known
         See ``LawStep``.
     array
         Makes the arrays to compute with out of NumPy ones.
@@ -56,14 +56,13 @@ class LawInterface:
         self,
         site: Site,
         known: Commissioned,
-        price: float,
         *,
         array: Callable[[np.ndarray], Any] = np.asarray,
         clip: Callable[[Any, Any, Any], Any] = cut,
         tops: bool = True,
     ):
         s = site.scenario
-        self.law = LawStep(site, known, price, array)
+        self.law = LawStep(site, known, array)
         self.columns = Columns(s, array)
         self._clip, self._tops, self._n_dc = clip, tops, s.n_datacenters
         is_clock, is_q = axes(s)
@@ -71,14 +70,14 @@ class LawInterface:
         self.groups = agent_groups(s)
         self._rated_kw = array(np.concatenate([device.p_scale_kw for device in s.devices]))
         self._dynamic_kw = array(np.asarray(s.datacenter.p_dynamic_kw))
-        price_of = s.weights.voltage / len(s.feeder.load_nodes)
-        xp, band, law = _namespace(self.law.effort), self.columns.band_pu, self.law
-        reach = law.by_own.mean(-1) / band
-        worth = (price_of * law.by_own.sum(-1)).clip(1e-12, None)
-        own = law.known.own_by_q * law.q_scale / band
-        self._worth = worth
-        still = (_small(reach), _small(own), xp.log1p(law.effort / worth) + 0.0 * reach)
-        self._reach, self._own_reach, self._effort = still
+        band = self.columns.band_pu
+        own = known.by_q * site.q_scale_kvar[:, None]
+        worth = np.maximum(s.weights.voltage * own.mean(-1), 1e-12)
+        still = (own.mean(-1) / band, known.own_by_q * site.q_scale_kvar / band)
+        self._worth, self._reach, self._own_reach = array(worth), *(array(_small(a)) for a in still)
+        self._effort = array(np.log1p(site.effort / worth))
+        drop = known.by_p.mean(-1) * np.concatenate([device.p_scale_kw for device in s.devices]) / band
+        self._drop, self._sum_own = array(_small(drop)), array(np.maximum(own.sum(-1), 1e-12))
 
     def figures(self, joint: Any, past: list[Any]) -> tuple[Step, Mapping[str, Any]]:
         """The law's step after a joint observation, and what each network sees, (lane, n_agent of its kind, n).
@@ -86,31 +85,30 @@ class LawInterface:
         ``past`` holds own powers of earlier times, and is moved on.
         """
         fields = self.columns.of(joint)
-        now = self.columns.seen(fields)
+        now = self.columns.own(fields)
         past.append((now.p_kw, now.q_kvar))
         del past[: -(self.law.scenario.measurement_delay + 1)]
         step = self.law(now, *past[0])
         return step, self._seen(fields, step)
 
     def _seen(self, fields: Mapping[str, Any], step: Step) -> Mapping[str, Any]:
-        law, xp, band, n_dc = self.law, _namespace(step.v_pu), self.columns.band_pu, self._n_dc
+        xp, band, n_dc = _namespace(step.v_pu), self.columns.band_pu, self._n_dc
         e = (step.v_pu - 1.0) / band
         beyond = (xp.tanh(4.0 * (e - 1.0)) + xp.tanh(4.0 * (e + 1.0))) / 2.0
-        to_all = step.by_all.sum(-1) / law.by_own.sum(-1).clip(1e-12, None)
+        to_all = step.by_all.sum(-1) / self._sum_own
         like = 0.0 * step.share
         of_all = [
             fields["v_deviation"], fields["v_change"], step.surprise_pu / band, step.share, step.rest - step.share,
             step.chosen - step.share, step.slope / self._worth, beyond.mean(-1), e.mean(-1),
-            step.s_pu.mean(-1) / band, self._reach + like, self._own_reach + like, xp.log1p(to_all),
-            self._effort + like, step.limit, step.p_kw / self._rated_kw,
+            1.0 / (band * step.inverse_spread.mean(-1)) + like, self._reach + like, self._own_reach + like,
+            xp.log1p(to_all) + like, self._effort + like, step.p_kw / self._rated_kw,
         ]  # fmt: skip
         every = xp.stack(of_all, axis=-1)
         seen = {}
         if n_dc:
-            drop = law.known.by_p[:, :n_dc].mean(-1) / band * self._rated_kw[:n_dc]
             of_sites = [
-                fields["p_ref_next"], fields["backlog"], xp.tanh(step.relief), step.served_kw / self._dynamic_kw,
-                step.all_kw / self._dynamic_kw, _small(drop) + 0.0 * step.all_kw,
+                fields["p_ref_next"], fields["backlog"], xp.tanh(step.relief), step.cut_kw / self._dynamic_kw,
+                step.all_kw / self._dynamic_kw, self._drop[:, :n_dc] + 0.0 * step.all_kw,
             ]  # fmt: skip
             seen["datacenter"] = xp.concat((every[:, :n_dc], xp.stack(of_sites, axis=-1)), axis=-1)
         if "inverter" in self.groups:
@@ -123,22 +121,20 @@ class LawInterface:
         corrected = [REACTIVE * xp.tanh(outputs[kind][..., -1]) for kind in self.groups]
         if self._n_dc:
             less_kw = SERVED * xp.tanh(outputs["datacenter"][..., 0]) * self._dynamic_kw
-            waits = (step.all_kw - step.served_kw + less_kw) / step.all_kw.clip(1e-9, None)
+            waits = (step.cut_kw + less_kw) / step.all_kw.clip(1e-9, None)
             served_kw = step.all_kw * (1.0 - self._clip(waits, 0.0, 1.0))
             clock = self._clip(self.law.clock(step, served_kw), -1.0, 1.0)
             if self._tops:
                 clock = xp.where(served_kw < step.all_kw, clock, 1.0 + 0.0 * clock)
-                by_law = self._clip(self.law.clock(step, step.served_kw), -1.0, 1.0)
-                clock = xp.where(step.cut & (less_kw == 0.0), by_law, clock)
             parts.append(clock)
         q = step.chosen + xp.concat(corrected, axis=-1)
         parts.append(self._clip(q, -1.0, 1.0))
         return xp.concat(parts, axis=-1)[..., self._back]
 
 
-def _small(x: Any) -> Any:
+def _small(x: np.ndarray) -> np.ndarray:
     """Figures of several sizes on a scale that tells the small ones apart."""
-    return _namespace(x).log(x.clip(1e-4, None))
+    return np.log(np.maximum(x, 1e-4))
 
 
 def _namespace(array: Any) -> Any:

@@ -82,7 +82,7 @@ class ModelAidedPolicy(Policy, features="law"):
 
     def _interface_now(self) -> None:
         known = self._law.known
-        self._corrected = None if known is None else LawInterface(self._law.site, known, self._law.price)
+        self._corrected = None if known is None else LawInterface(self._law.site, known)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         if self._corrected is None:

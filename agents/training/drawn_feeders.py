@@ -13,8 +13,10 @@ import numpy as np
 
 from dcgrid_env import Scenario, make_scenario, random_feeder
 
+FAMILY = "drawn-feeders"
+"""What policies trained on it say they were trained on."""
 _SALT = {"train": 1, "validation": 2}
-_STYLES = {"us-mv": 0.6, "rural": 0.3, "urban": 0.1}
+_STYLES = {"us-mv": 0.7, "rural": 0.25, "urban": 0.05}
 _TRACES = {"inference": 0.55, "code": 0.2, "mixed": 0.25}
 _LARGEST_FEEDERS = 1 << 32
 
@@ -22,7 +24,7 @@ _LARGEST_FEEDERS = 1 << 32
 def drawn_scenario(split: str, i: int) -> Scenario:
     """Scenario i of the family's split, ``train`` or ``validation``, on that split's traces and episodes."""
     rng = np.random.default_rng([16, _SALT[split], i])
-    n_bus = round(float(np.exp(rng.uniform(np.log(16), np.log(110)))))
+    n_bus = round(float(np.exp(rng.uniform(np.log(16), np.log(130)))))
     load_kw = float(np.exp(rng.uniform(np.log(1500.0), np.log(9000.0))))
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
     feeder = random_feeder(int(rng.integers(_LARGEST_FEEDERS)), n_bus=n_bus, style=style, load_kw=load_kw)

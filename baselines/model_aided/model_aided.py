@@ -28,7 +28,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, resting
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, resting
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 

@@ -23,7 +23,7 @@ class Algorithm:
     """An algorithm as a member of the group; it is imported when it is asked for, as it needs torch."""
 
     name: str
-    """Its name on the command line, and of its module under ``dcgrid_env.agents.algorithms``."""
+    """Its name on the command line, and of its module under ``dcgrid_env.agents.algorithms``, where - is _."""
     text: str
     """What it does, on one line."""
 
@@ -34,7 +34,7 @@ class Algorithm:
     def module(self) -> ModuleType:
         """Import the algorithm's module; ValueError, saying what to install, where a package is missing."""
         try:
-            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name}")
+            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name.replace('-', '_')}")
         except ImportError as error:
             if (error.name or "").startswith("dcgrid_env"):
                 raise
@@ -42,7 +42,7 @@ class Algorithm:
 
     def configuration(self) -> type[Any]:
         """The class of its configuration, which has the module's name; ValueError as for ``module``."""
-        return getattr(self.module(), self.name.capitalize())
+        return getattr(self.module(), "".join(part.capitalize() for part in self.name.split("-")))
 
     def configured(self, words: Sequence[str], prog: str = "dcgrid train") -> Any:
         """The configuration that options give.
@@ -99,6 +99,7 @@ ALGORITHMS = {
         Algorithm("td3", "Twin delayed deep deterministic policy gradient of Stable-Baselines3."),
         Algorithm("analytic", "Gradients through the power flow, on local observations."),
         Algorithm("safe", "Gradients through the power flow, for monotone networks of bounded gain."),
+        Algorithm("carry-over", "Corrections of the model-aided law, learned on random feeders for any feeder."),
     )
 }
 """Algorithms by their names, each registered by its line."""
