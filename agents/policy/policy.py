@@ -22,6 +22,10 @@ FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Networ
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 """Names of the policies that ship."""
+OBSERVED = "observed"
+"""What a policy's networks see of an agent, where its file says nothing else: the observation."""
+FORMS: dict[str, type[Policy]] = {}
+"""Forms of policies by what their networks see, as files name it; each is there once its module is imported."""
 
 
 class Policy:
@@ -68,6 +72,10 @@ class Policy:
         For networks of neither kind, or settings that there are not.
     """
 
+    def __init_subclass__(cls, features: str) -> None:
+        """Have a file that names these features read as a policy of this form."""
+        FORMS[features] = cls
+
     def __init__(
         self,
         networks: Mapping[str, Family],
@@ -113,7 +121,10 @@ class Policy:
         if env_info.observe != self.observe:
             raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
         self._equipment = EquipmentAgents(env_info)
-        env_info = self._equipment.others
+        self._begin(self._equipment.others)
+
+    def _begin(self, env_info: Scenario) -> None:
+        """Begin episodes, regulators and capacitor banks under their own control."""
         chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
         chosen["gains"] = self.gains
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
@@ -211,6 +222,13 @@ class Policy:
         return path
 
     @classmethod
+    def _read(cls, networks: Mapping[str, Family], about: Mapping[str, Any]) -> Policy:
+        """The policy of these networks and what ``_about`` said; KeyError for what is missing."""
+        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
+        named = {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
+        return cls(networks, **chosen, **named, gains=about.get("gains"), channels=about.get("channels"))
+
+    @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:
         """Read a policy that ships, by its name (``SHIPPED``), or a file.
 
@@ -225,6 +243,9 @@ class Policy:
             names = ", ".join(SHIPPED) or "none"
             raise PolicyError(f"{path}: no policy of that name ships (there are: {names}), nor does it end in {SUFFIX}")
         return _load(path)
+
+
+FORMS[OBSERVED] = Policy
 
 
 def _is_kind(name: str) -> bool:
@@ -246,15 +267,10 @@ def _load(path: Path) -> Policy:
         for array in arrays:
             if array.partition(".")[0] not in networks:
                 raise PolicyError(f"array {array} belongs to none of its networks; export it again")
-        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
-        policy = Policy(
-            networks,
-            **chosen,
-            gains=about.get("gains"),
-            scenario=str(about["scenario"]),
-            made_with=str(about["made_with"]),
-            channels=about.get("channels"),
-        )
+        form = FORMS.get(about.get("features", OBSERVED))
+        if form is None:
+            raise PolicyError(f"features are {about['features']!r}, this dcgrid reads {', '.join(FORMS)}")
+        policy = form._read(networks, about)
     except KeyError as missing:
         raise PolicyError(f"{path}: {missing.args[0]} is missing; export the policy again") from None
     except (PolicyError, TypeError, AttributeError) as error:

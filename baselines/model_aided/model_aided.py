@@ -28,7 +28,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, resting
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, resting
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 
@@ -87,6 +87,16 @@ class ModelAided(LocalController):
         if all(buses is not None for buses in fixed):
             buses = [s.feeder.index(bus) for buses in fixed for bus in buses or ()]
             self._known = commission(self._site, np.array([buses]))
+
+    @property
+    def site(self) -> Site:
+        """What is the same in all placements, after ``reset``."""
+        return self._site
+
+    @property
+    def known(self) -> Commissioned | None:
+        """What the agents know at their places, stacked over lanes; None before they are placed."""
+        return self._known
 
     def place(self, buses: np.ndarray) -> None:
         """See :class:`Placed`."""

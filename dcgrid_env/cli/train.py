@@ -100,6 +100,7 @@ ALGORITHMS = {
         Algorithm("td3", "Twin delayed deep deterministic policy gradient of Stable-Baselines3."),
         Algorithm("analytic", "Gradients through the power flow, on local observations."),
         Algorithm("safe", "Gradients through the power flow, for monotone networks of bounded gain."),
+        Algorithm("carry-over", "Corrections of the model-aided law, learned on random feeders for any feeder."),
     )
 }
 """Algorithms by their names, each registered by its line."""
