@@ -18,6 +18,8 @@ ONE_IDEA = {
     "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
     "sag_study": {"agents/studies/sag_study.py", "dcgrid_env/cli/sag_study.py"},
+    "agent_search": {"agents/studies/agent_search.py", "dcgrid_env/cli/agent_search.py"},
+    "transfer": {"agents/studies/transfer.py", "dcgrid_env/cli/transfer.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }

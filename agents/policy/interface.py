@@ -32,6 +32,8 @@ KINDS = ("joint", "shared")
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
+PLATES = ("draw", "reach", "needed")
+"""Names of the nameplate figures, see :class:`Policy`."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
 """Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""
 
@@ -141,6 +143,16 @@ class PolicyInterface:
         if self.kind == "joint":
             return {"joint": (self._n_observed + more * self.scenario.n_agents, self._n_action)}
         return {kind: (len(own.fields) + more, len(own.channels)) for kind, own in self.groups.items()}
+
+    @property
+    def input_fields(self) -> dict[str, tuple[str, ...]]:
+        """Names of what each network sees, in order; of a joint one each with its agent's name before a dot."""
+        plates = PLATES if self.nameplate else ()
+        if self.kind == "shared":
+            return {kind: (*own.fields, *plates) for kind, own in self.groups.items()}
+        seen, agents = field_names(self.scenario), self.scenario.agents
+        own = [f"{agent}.{name}" for agent in agents for name in seen[agent]]
+        return {"joint": (*own, *(f"{agent}.{plate}" for plate in plates for agent in agents))}
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:

@@ -14,6 +14,7 @@ from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, Pol
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
 from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
+from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
@@ -130,6 +131,7 @@ class Policy:
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
+        warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
         """PolicyError unless there is a network of this name, with the widths and channels of the scenario's agents."""
@@ -162,6 +164,20 @@ class Policy:
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         inputs = self._interface.inputs(joint)
         return self._interface.action(joint, {name: self.networks[name](own) for name, own in inputs.items()})
+
+    def card(self) -> Card | None:
+        """The card that stands beside its file; None where there is none, or it is of other weights."""
+        path = FOLDER / self.source if self.source in SHIPPED else Path(self.source)
+        path = path.with_name(f"{path.name.removesuffix(SUFFIX)}.json")
+        if not path.is_file():
+            return None
+        card = Card.load(path)
+        return card if card.sha256 == self.sha256 else None
+
+    @property
+    def interface(self) -> PolicyInterface:
+        """What stands between its networks and the scenario that it was reset with."""
+        return self._interface
 
     @property
     def sha256(self) -> str:

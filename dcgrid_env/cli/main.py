@@ -10,6 +10,7 @@ import traceback
 
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
+from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
@@ -32,6 +33,7 @@ from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.core.processes import terminated_in_order
 
@@ -48,6 +50,8 @@ DEV = Group(
         "ablate": Ablate,
         "generalise": Generalise,
         "curves": Curves,
+        "transfer": Transfer,
+        "tune-agent": TuneAgent,
         "sags": Sags,
         "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
