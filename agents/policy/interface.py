@@ -85,7 +85,7 @@ class PolicyInterface:
         self.groups = agent_groups(scenario)
         """The agents of each kind."""
         self._n_observed = sum(map(len, names))
-        joined = [name for own in names for name in own]
+        self._joined = joined = tuple(name for own in names for name in own)
         # What a policy without preview is not given.
         fields = (field for device in scenario.devices for field in device.fields(scenario.horizon, scenario.dt_s))
         hidden = {field.name for field in fields if field.of_preview}
@@ -141,6 +141,13 @@ class PolicyInterface:
         if self.kind == "joint":
             return {"joint": (self._n_observed + more * self.scenario.n_agents, self._n_action)}
         return {kind: (len(own.fields) + more, len(own.channels)) for kind, own in self.groups.items()}
+
+    @property
+    def fields(self) -> dict[str, tuple[str, ...]]:
+        """Names of what each network sees, without the nameplate's figures."""
+        if self.kind == "joint":
+            return {"joint": self._joined}
+        return {kind: own.fields for kind, own in self.groups.items()}
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:

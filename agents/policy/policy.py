@@ -10,14 +10,16 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.history_network import HistoryNetwork
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
+from dcgrid_env.agents.policy.memory import Remembers, outputs_of
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
 from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
-FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork)}
+FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 """Families of networks by the name that files have for them."""
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
@@ -119,6 +121,8 @@ class Policy:
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
+        self._memory: dict[str, tuple[np.ndarray, ...]] = {}
+        self._lanes: tuple[int, ...] | None = None
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
         """PolicyError unless there is a network of this name, with the widths and channels of the scenario's agents."""
@@ -149,8 +153,20 @@ class Policy:
         return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
-        inputs = self._interface.inputs(joint)
-        return self._interface.action(joint, {name: self.networks[name](own) for name, own in inputs.items()})
+        lanes = joint.shape[:-1]
+        if self.remembers and self._lanes not in (None, lanes):
+            raise PolicyError(
+                f"{self.source}: remembers episodes of shape {self._lanes} and is given observations of shape {lanes}; "
+                "call reset(scenario) where other episodes begin, and give all lanes at each step"
+            )
+        self._lanes = lanes
+        outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
+        return self._interface.action(joint, outputs)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
+        return any(isinstance(network, Remembers) for network in self.networks.values())
 
     @property
     def sha256(self) -> str:
