@@ -17,7 +17,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -97,7 +96,9 @@ class CommissionedEnv:
             outputs = {}
             for kind, own in seen.items():
                 seen_by.setdefault(kind, []).append(own.detach().flatten(0, -2))
-                outputs[kind] = own.new_zeros(*own.shape[:-1], OUTPUTS[kind]) if networks is None else networks[kind](own)
+                outputs[kind] = (
+                    own.new_zeros(*own.shape[:-1], OUTPUTS[kind]) if networks is None else networks[kind](own)
+                )
             after = env.step(self.interface.action(step, outputs))
             joint, total = after.observation, total + after.cost_j.mean()
         return total / env.scenario.horizon, {kind: torch.cat(rows) for kind, rows in seen_by.items()}

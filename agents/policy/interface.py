@@ -87,7 +87,7 @@ class PolicyInterface:
         self.groups = agent_groups(scenario)
         """The agents of each kind."""
         self._n_observed = sum(map(len, names))
-        joined = [name for own in names for name in own]
+        joined = tuple(name for own in names for name in own)
         # What a policy without preview is not given.
         fields = (field for device in scenario.devices for field in device.fields(scenario.horizon, scenario.dt_s))
         hidden = {field.name for field in fields if field.of_preview}

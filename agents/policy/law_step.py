@@ -189,7 +189,9 @@ class Columns:
         names = [field_names(scenario)[agent] for agent in scenario.agents]
         starts = np.cumsum([0, *map(len, names)])[:-1]
         self._at = {
-            name: array(np.array([a + own.index(name) for a, own in zip(starts, names, strict=True) if name in own], int))
+            name: array(
+                np.array([a + own.index(name) for a, own in zip(starts, names, strict=True) if name in own], int)
+            )
             for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
         }
         self.band_pu = scenario.band_pu or 1.0

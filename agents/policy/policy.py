@@ -10,16 +10,15 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.families import read_network
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
-from dcgrid_env.agents.policy.monotone import MonotoneNetwork
-from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
+from dcgrid_env.agents.policy.memory import Remembers, outputs_of
+from dcgrid_env.agents.policy.neural_network import Family, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
-FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork)}
-"""Families of networks by the name that files have for them."""
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 """Names of the policies that ship."""
@@ -131,6 +130,8 @@ class Policy:
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
+        self._memory: dict[str, tuple[np.ndarray, ...]] = {}
+        self._lanes: tuple[int, ...] | None = None
         warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
@@ -162,8 +163,20 @@ class Policy:
         return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
-        inputs = self._interface.inputs(joint)
-        return self._interface.action(joint, {name: self.networks[name](own) for name, own in inputs.items()})
+        lanes = joint.shape[:-1]
+        if self.remembers and self._lanes not in (None, lanes):
+            raise PolicyError(
+                f"{self.source}: remembers episodes of shape {self._lanes} and is given observations of shape {lanes}; "
+                "call reset(scenario) where other episodes begin, and give all lanes at each step"
+            )
+        self._lanes = lanes
+        outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
+        return self._interface.action(joint, outputs)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
+        return any(isinstance(network, Remembers) for network in self.networks.values())
 
     def card(self) -> Card | None:
         """The card that stands beside its file; None where there is none, or it is of other weights."""
@@ -279,7 +292,7 @@ def _gains(values: Sequence[float]) -> Gains:
 def _load(path: Path) -> Policy:
     about, arrays = unpacked(path)
     try:
-        networks = {name: _network(name, own, arrays) for name, own in about["networks"].items()}
+        networks = {name: read_network(name, own, arrays) for name, own in about["networks"].items()}
         for array in arrays:
             if array.partition(".")[0] not in networks:
                 raise PolicyError(f"array {array} belongs to none of its networks; export it again")
@@ -297,17 +310,3 @@ def _load(path: Path) -> Policy:
         )
     policy.source = str(path)
     return policy
-
-
-def _network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
-    settings = dict(own)
-    family = settings.pop("family")
-    if family not in FAMILIES:
-        raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
-    own_arrays = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
-    try:
-        return FAMILIES[family].read(own_arrays, settings)
-    except KeyError as missing:
-        raise PolicyError(f"{name}: {missing.args[0]} is missing; export the policy again") from None
-    except PolicyError as error:
-        raise PolicyError(f"{name}: {error}") from None
