@@ -45,7 +45,7 @@ def cost_of_step(batch, before, joint):
 
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee13-3ph"])
 def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
-    """Against the environment's own power flow with the one setpoint moved; losses, which it leaves out, are a quarter here."""
+    """Against the environment's power flow with one setpoint moved; losses, which are left out, are a quarter here."""
     scenario = make_scenario(scenario, load_sigma=0.0)
     layout = action_layout(scenario)
     rng = np.random.default_rng(0)
