@@ -26,6 +26,11 @@ _MOMENTS_OF_OPTIMUM = 12
 _ROUNDS = 6
 _CAUTIOUS_ROUNDS = 3  # of these the first, of which each goes only a part of the way
 _PART = 0.6
+# What is put off is served later, and relieves as much less then: that pays where the relief now is so many times what
+# it is in the best moments, or more than it costs never to serve it. Elsewhere, as where the band is always left, the
+# clock stays at its top.
+_BEST_MOMENTS = 0.1
+_TIMES = 2.0
 _CORRELATED = 4.0  # sites count as correlated where their correlation is beyond so many standard errors of chance
 
 
@@ -84,7 +89,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     rest_kvar, rest_at, mean_kw = rest_kvar[order], rest_at[order], draw.mean(axis=0)
     origin = rest_kvar.mean(axis=0)
     none = np.empty(0)
-    known = Commissioned(mean_kw[None], rest_kvar[None], rest_at[None], origin[None], *[none] * 11)
+    known = Commissioned(mean_kw[None], rest_kvar[None], rest_at[None], origin[None], *[none] * 11, np.full((1, n_dc), site.waiting))
     rest_all = resting(site, known, draw)
     v = flow.at(rest_all)
     by_q, by_p = by_q / v.mean(axis=0), by_p / v.mean(axis=0)
@@ -96,15 +101,17 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     known = known._replace(**{k: a[None] for k, a in zip(fields, (by_q, by_p, by_draw, *own), strict=True)})
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
-    span_kw = np.zeros((len(draw), 0))
+    span_kw, relief = np.zeros((2, len(draw), n_dc))
     for k in range(_ROUNDS):
         kvar, own_v = origin + moved, (v + moved @ by_q) @ flow.seen.T
-        best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all)).share * scale
-        kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best - kvar)
+        best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
+        relief = best.relief
+        kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
         kvar = kvar + law.pull * site.scheduled * (rest_all - kvar)
         moved = np.clip(kvar, -limit, limit) - origin
         known = regressed(site, known, v, moved, flow.seen)
-    return known
+    later = _TIMES * np.quantile(relief, _BEST_MOMENTS, axis=0)
+    return known._replace(waiting=np.clip(later, site.waiting, max(site.waiting, site.never))[None])
 
 
 def _levels(site: Site) -> list[np.ndarray]:

@@ -40,7 +40,7 @@ class Seen(NamedTuple):
     p_kw: np.ndarray
     """Draw of the coming second if all work is served that is there, (m, n)."""
     span_kw: np.ndarray
-    """By how much less the lowest clock would draw, (m, n_dc), or (m, 0) to leave the clocks alone."""
+    """By how much less the lowest clock would draw, (m, n_dc)."""
     rest_kvar: np.ndarray
     """u*, (m, n)."""
 
@@ -78,14 +78,14 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
         np.ascontiguousarray(values)
         for values in (
             known.base_pu, known.own_base_pu, known.gain, known.inverse_spread, known.by_all, known.by_q, known.by_p,
-            known.by_draw, level, weight, e_own, seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw,
+            known.by_draw, known.waiting, level, weight, e_own, seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw,
             seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale, site.s_rated_kva, site.q_scale_kvar, site.effort,
         )
     ]  # fmt: skip
 
     def part(first: int, last: int) -> int:
         return kernel(
-            first, last, price.voltage, price.violation, price.band_pu, law.alike, law.hold, site.waiting, *given, *done
+            first, last, price.voltage, price.violation, price.band_pu, law.alike, law.hold, *given, *done
         )
 
     over_lanes(part, n_lane)

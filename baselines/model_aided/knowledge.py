@@ -57,7 +57,17 @@ class Site(NamedTuple):
     def waiting(self) -> float:
         """Price of letting a kW of work wait, that of MPC: charged as if it were left at the end."""
         s = self.scenario
-        return self.law.price * (s.weights.backlog + s.weights.leftover) * s.dt_s / (s.datacenter.p_rated_kw.sum() or 1)
+        return self.law.price * (s.weights.backlog + s.weights.leftover) * self._per_kw
+
+    @property
+    def never(self) -> float:
+        """Price of a kW that is not served to the end, in the mean over the steps that it may be put off at."""
+        s = self.scenario
+        return (s.weights.backlog * s.horizon / 2.0 + s.weights.leftover) * self._per_kw
+
+    @property
+    def _per_kw(self) -> float:
+        return self.scenario.dt_s / (self.scenario.datacenter.p_rated_kw.sum() or 1.0)
 
     def limit_kvar(self, p_kw: np.ndarray) -> np.ndarray:
         """Reactive limit at a draw, of the draw's shape (.., n)."""
@@ -100,6 +110,8 @@ class Commissioned(NamedTuple):
     """1 / s, (m, n, L, k)."""
     by_all: np.ndarray
     """Rise of each voltage when all agents inject their whole limit more, p.u., (m, n, L, k)."""
+    waiting: np.ndarray
+    """Price of letting a kW of work wait, (m, n_dc)."""
 
     def take(self, lanes: np.ndarray) -> Commissioned:
         """The placement of each lane, by its position here."""

@@ -1,4 +1,8 @@
-"""The exact power flow of the moments, for one placement."""
+"""The exact power flow of the moments, for one placement.
+
+Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
+the moments each is of the model with all resistances and all reactances larger or smaller by that share.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,9 @@ class MomentFlow:
     def __init__(self, site: Site, buses: np.ndarray) -> None:
         s = self.scenario = site.scenario
         self.points, self.feeder = site.points, s.model
+        wrong_r, wrong_x = abs(1.0 - s.r_model_share), abs(1.0 - s.x_model_share)
+        signs = ((1, 1), (1, -1), (-1, 1), (-1, -1)) if wrong_r or wrong_x else ()
+        self.feeders = [s.model.scaled(1 + a * wrong_r, 1 + b * wrong_x) for a, b in signs] or [self.feeder]
         nodes = nodes_by_bus(s)[np.arange(s.n_agents), buses]
         self.shares = np.zeros((s.n_agents, self.feeder.n_leg))
         rows = np.arange(s.n_agents)[:, None]
@@ -34,9 +41,12 @@ class MomentFlow:
         s, points = self.scenario, self.points
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
         q = points.q_load_kvar[rows] - q_kvar @ self.shares
-        solution = solver_for(self.feeder, s.power_flow)(self.feeder, p, q, s.source_voltage_pu)
-        v = np.asarray(solution.v_pu)[:, self.feeder.load_slice]
-        solved = np.asarray(solution.converged)
+        of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
+        v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
+        for k, feeder in enumerate(self.feeders):
+            at = of == k
+            solution = solver_for(feeder, s.power_flow)(feeder, p[at], q[at], s.source_voltage_pu)
+            v[at], solved[at] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
         if not solved.any():
             raise ValueError(
                 f"model-aided: the power flow of scenario {s.name!r} has no solution at any of its moments; give the "

@@ -19,8 +19,8 @@ _MOST = 12  # steps of a search
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def decide(
-    first, last, by_voltage, by_violation, band_pu, alike, hold, waiting, base, own_base, gain, inverse_spread, by_all,
-    by_q, by_p, by_draw, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest, s_rated, q_scale,
+    first, last, by_voltage, by_violation, band_pu, alike, hold, base, own_base, gain, inverse_spread, by_all,
+    by_q, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest, s_rated, q_scale,
     effort, new, cut_kw, slope, relief, surprise,
 ):  # fmt: skip
     """Decide for the lanes from ``first`` to before ``last``, writing to ``new .. surprise``.
@@ -49,8 +49,9 @@ def decide(
             p_next = p_kw[m, i]
             if i < span_kw.shape[1]:
                 cut, relief[m, i] = _cut(
-                    e, inverse, by_draw[of, i], by_p[of, i], by_voltage, by_violation, band_pu, span_kw[m, i], waiting
-                )
+                    e, inverse, by_draw[of, i], by_p[of, i], by_voltage, by_violation, band_pu, span_kw[m, i],
+                    waiting[of, i],
+                )  # fmt: skip
                 cut_kw[m, i] = cut
                 p_next -= cut
                 for k in range(n_node):
