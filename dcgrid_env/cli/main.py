@@ -14,6 +14,7 @@ from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
+from dcgrid_env.cli.carry_over import CarryOver
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
@@ -49,6 +50,7 @@ DEV = Group(
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
+        "carry-over": CarryOver,
         "curves": Curves,
         "transfer": Transfer,
         "tune-agent": TuneAgent,
