@@ -12,7 +12,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.families import read_network
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
-from dcgrid_env.agents.policy.memory import Remembers, outputs_of
+from dcgrid_env.agents.policy.memory import Remembers, outputs_of, require_same_episodes
 from dcgrid_env.agents.policy.neural_network import Family, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.agents.policy.unseen import warn_of_unseen
@@ -111,7 +111,7 @@ class Policy:
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
-        self.outputs, self.gains = outputs, None if gains is None else _gains(gains)
+        self.outputs, self.gains = outputs, None if gains is None else Gains.of(gains)
         self.trained_on = scenario
         self.made_with = made_with
         self.source = "policy"
@@ -163,13 +163,9 @@ class Policy:
         return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
-        lanes = joint.shape[:-1]
-        if self.remembers and self._lanes not in (None, lanes):
-            raise PolicyError(
-                f"{self.source}: remembers episodes of shape {self._lanes} and is given observations of shape {lanes}; "
-                "call reset(scenario) where other episodes begin, and give all lanes at each step"
-            )
-        self._lanes = lanes
+        if self.remembers:
+            require_same_episodes(self.source, self._lanes, joint.shape[:-1])
+            self._lanes = joint.shape[:-1]
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
@@ -280,13 +276,6 @@ FORMS[OBSERVED] = Policy
 def _is_kind(name: str) -> bool:
     """Whether a network may have this name beside others: that of a kind, without the dot that ends it in a file."""
     return name not in ("", "joint") and "." not in name
-
-
-def _gains(values: Sequence[float]) -> Gains:
-    figures = [float(value) for value in values]
-    if len(figures) != len(Gains._fields) or not all(0.0 <= value < float("inf") for value in figures):
-        raise PolicyError(f"gains are {values!r}; give {', '.join(Gains._fields)}, each at least 0")
-    return Gains(*figures)
 
 
 def _load(path: Path) -> Policy:
