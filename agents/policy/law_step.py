@@ -203,7 +203,7 @@ class Columns:
         return {name: joint[:, at] for name, at in self._at.items()}
 
     def own(self, fields: Mapping[str, Any]) -> Own:
-        """The same in physical units."""
+        """Change it into physical units."""
         return Own(
             1.0 + self.band_pu * fields["v_deviation"],
             fields["p"] * self._p_scale,

@@ -38,10 +38,11 @@ def outputs_of(
     return outputs
 
 
-def require_same_episodes(source: str, before: tuple[int, ...] | None, now: tuple[int, ...]) -> None:
-    """Raise PolicyError, naming the policy, where what is remembered is of episodes of another shape."""
+def require_same_episodes(source: str, before: tuple[int, ...] | None, now: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape now; PolicyError, naming the policy, where what is remembered is of episodes of another shape."""
     if before not in (None, now):
         raise PolicyError(
             f"{source}: remembers episodes of shape {before} and is given observations of shape {now}; call "
             "reset(scenario) where other episodes begin, and give all lanes at each step"
         )
+    return now

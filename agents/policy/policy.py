@@ -164,8 +164,7 @@ class Policy:
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         if self.remembers:
-            require_same_episodes(self.source, self._lanes, joint.shape[:-1])
-            self._lanes = joint.shape[:-1]
+            self._lanes = require_same_episodes(self.source, self._lanes, joint.shape[:-1])
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
