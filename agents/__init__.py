@@ -5,6 +5,7 @@ Importing the package, or running a policy, needs no torch; the algorithms and `
 
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.guard import GuardedPolicy, guarded
+from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.unseen import UnseenScenarioWarning
@@ -16,6 +17,7 @@ __all__ = [
     "Card",
     "Evaluation",
     "GuardedPolicy",
+    "ModelAidedPolicy",
     "Network",
     "Policy",
     "PolicyError",

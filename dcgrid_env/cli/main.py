@@ -14,11 +14,13 @@ from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
+from dcgrid_env.cli.carry_over import CarryOver
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
+from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
@@ -48,10 +50,12 @@ DEV = Group(
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
+        "carry-over": CarryOver,
         "curves": Curves,
         "transfer": Transfer,
         "tune-agent": TuneAgent,
         "sags": Sags,
+        "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
     },
     moved={"tune": "dcgrid tune"},

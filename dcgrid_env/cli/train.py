@@ -30,7 +30,7 @@ class Algorithm:
     """An algorithm as a member of the group; it is imported when it is asked for, as it needs torch."""
 
     name: str
-    """Its name on the command line, and of its module under ``dcgrid_env.agents.algorithms``."""
+    """Its name on the command line, and, with underscores, of its module under ``dcgrid_env.agents.algorithms``."""
     text: str
     """What it does, on one line."""
 
@@ -41,15 +41,15 @@ class Algorithm:
     def module(self) -> ModuleType:
         """Import the algorithm's module; ValueError, saying what to install, where a package is missing."""
         try:
-            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name}")
+            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name.replace('-', '_')}")
         except ImportError as error:
             if (error.name or "").startswith("dcgrid_env"):
                 raise
             raise ValueError(f"training: {error}; install it {from_clone('agents')}") from None
 
     def configuration(self) -> type[Any]:
-        """The class of its configuration, which has the module's name; ValueError as for ``module``."""
-        return getattr(self.module(), self.name.capitalize())
+        """The class of its configuration, which has the algorithm's name; ValueError as for ``module``."""
+        return getattr(self.module(), "".join(map(str.capitalize, self.name.split("-"))))
 
     def configured(self, words: Sequence[str], prog: str = "dcgrid train") -> Any:
         """The configuration that options give.
@@ -167,10 +167,12 @@ ALGORITHMS = {
     algorithm.name: algorithm
     for algorithm in (
         Algorithm("ppo", "Proximal policy optimisation of Stable-Baselines3, shared or centralised."),
+        Algorithm("ppo-counterfactual", "PPO on what each agent's own action changed in a step, by the grid's model."),
         Algorithm("sac", "Soft actor-critic of Stable-Baselines3, shared or centralised."),
         Algorithm("td3", "Twin delayed deep deterministic policy gradient of Stable-Baselines3."),
         Algorithm("analytic", "Gradients through the power flow, on local observations."),
         Algorithm("safe", "Gradients through the power flow, for monotone networks of bounded gain."),
+        Algorithm("carry-over", "Corrections of the model-aided law, learned on random feeders for any feeder."),
     )
 }
 """Algorithms by their names, each registered by its line."""

@@ -64,6 +64,7 @@ def test_a_run_keeps_to_the_bounds(tmp_path, capsys):
         ({"margin": 1.0}, "margin is 1.0; give more than 0 and less than 1"),
         ({"view": "centralised"}, "a safe policy is shared and local"),
         ({"observe": "feeder"}, "a safe policy is shared and local"),
+        ({"history": 2}, "history is 2; the bound on the gain is that of a policy without one: give 0"),
     ],
 )
 def test_what_cannot_be_safe_is_named(tmp_path, settings, message):
