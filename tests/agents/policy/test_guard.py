@@ -203,8 +203,8 @@ class Counting(Network):
 
 
 def test_what_a_policy_remembers_is_left_alone_where_slopes_are_found(toy6):
-    policy = Policy({kind: Counting([(np.zeros((n, m)), np.zeros(m))]) for kind, n, m in (("datacenter", 9, 2),
-                                                                                         ("inverter", 7, 1))})  # fmt: skip
+    site, inverter = Counting([(np.zeros((9, 2)), np.zeros(2))]), Counting([(np.zeros((7, 1)), np.zeros(1))])
+    policy = Policy({"datacenter": site, "inverter": inverter})
     policy.reset(toy6)
     joint = np.zeros((1, 23), np.float32)
     assert [float(policy.probe(joint)[0, 1]) for _ in range(2)] == [0.0, 0.0]
