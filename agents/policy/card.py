@@ -88,8 +88,8 @@ class Card:
     """Mean J on the validation episodes by which it was selected."""
     scored: Scored | None = None
     inputs: Mapping[str, InputRange] | None = None
-    """Range of what each network was given on the training split, by the network's name; none where that was not
-    recorded."""
+    """Range of what each network was given on the training split, with the nameplate figures, by the network's name;
+    none where that was not recorded."""
     format: int = FORMAT
     """Version of the card's format."""
 

@@ -2,8 +2,8 @@
 
     u = law + clip(w (policy - law), -d, d)        u, law and policy: entries of the action of an agent
 
-- **Range.** w of an agent is 1 while all inputs of its network are in the range that its card holds (``input_range``),
-  and falls to 0 at ``SOFT`` widths of the range beyond it: the law alone. It comes back over ``RETURN_STEPS`` steps.
+- **Range.** w of an agent is 1 while all inputs of its network, and its nameplate whether the network sees it or not,
+  are in the range that its card holds (``input_range``), and falls to 0 at ``SOFT`` widths of the range beyond it: the law alone. It comes back over ``RETURN_STEPS`` steps.
 - **Place.** Where some agent stands in a place, or has a rating, that is outside of the range, the policy was not made
   for this team. Then deviations are bounded too, d is ``DEVIATION`` and not the whole range, and so is the gain: w is
   at most what keeps the slope of u by the own voltage below the linear stability bound (``slope_bounds``), or at the
@@ -28,7 +28,7 @@ import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.input_range import InputRange, by_moments
+from dcgrid_env.agents.policy.input_range import InputRange, by_moments, with_plates
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
@@ -43,7 +43,7 @@ SOFT = 0.1
 """Widths of its range beyond which an input leaves nothing to the policy."""
 RETURN_STEPS = 1000
 """Steps in which an agent that had left the range comes back to the policy."""
-DEVIATION = {"clock": 0.25, "q": 0.3}
+DEVIATION = {"clock": 0.25, "q": 0.2}
 """Largest deviation from the law in places that are not the trained ones, of a range of actions from -1 to 1."""
 MARGIN = 0.5
 """Gain of the untrained law as a share of the stability bound."""
@@ -83,7 +83,8 @@ class GuardedPolicy:
             self.policy.reset(scenario)
         self._law = law_for(env_info) if self.law is None else self.law
         self._law.reset(scenario)
-        fields = self.policy.interface.input_fields
+        self._seen = self.policy.interface if self.ranges is None else with_plates(self.policy)
+        fields = self._seen.input_fields
         self._ranges = by_moments(self.policy.networks, fields) if self.ranges is None else dict(self.ranges)
         for name, own in fields.items():
             if name not in self._ranges or self._ranges[name].fields != own:
@@ -109,9 +110,7 @@ class GuardedPolicy:
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
         law, own = self._law.act(joint), self.policy.act(joint)
-        beyond = {
-            name: self._ranges[name].beyond(inputs) for name, inputs in self.policy.interface.inputs(joint).items()
-        }
+        beyond = {name: self._ranges[name].beyond(own) for name, own in self._seen.inputs(joint).items()}
         if self._new is None:
             self._new = self._in_new_places(beyond)
         within = np.clip(1.0 - self._of_agents(beyond) / SOFT, 0.0, 1.0)

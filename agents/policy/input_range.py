@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario
+from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines import Placed, rollout
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
@@ -44,6 +45,15 @@ class InputRange(NamedTuple):
         return np.array([field.rpartition(".")[2] in OF_PLACE for field in self.fields])
 
 
+def with_plates(policy: Any) -> PolicyInterface:
+    """What the networks of a policy see on the scenario that it was reset with, with the nameplate figures always.
+
+    A policy that does not see its ratings is no less made for those that it was trained with.
+    """
+    own = policy.interface
+    return PolicyInterface(own.scenario, policy.kind, preview=policy.preview, nameplate=True)
+
+
 class _Recorded:
     """A controller that drives as a policy does, and keeps the least and largest of each input of its networks."""
 
@@ -54,12 +64,13 @@ class _Recorded:
     def reset(self, env_info: Scenario) -> None:
         self._equipment = EquipmentAgents(env_info)
         self.policy.reset(self._equipment.others)
+        self.interface = with_plates(self.policy)
 
     def act(self, observations: Any) -> Any:
         return self._equipment.act(observations, self._act)
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
-        for name, inputs in self.policy.interface.inputs(joint).items():
+        for name, inputs in self.interface.inputs(joint).items():
             rows = inputs.reshape(-1, inputs.shape[-1]).astype(np.float64)
             low, high = self.ends.get(name, (np.inf, -np.inf))
             self.ends[name] = np.minimum(low, rows.min(0)), np.maximum(high, rows.max(0))
@@ -67,7 +78,7 @@ class _Recorded:
 
 
 def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODES) -> dict[str, InputRange] | None:
-    """The range of each network's inputs as the policy drives episodes of the training split.
+    """The range of each network's inputs, with the nameplate figures, as the policy drives the training split.
 
     None for a policy that is given a model of the feeder: its inputs are figures of a law, the same on any feeder.
 
@@ -87,7 +98,7 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
         feeder = scenario.feeder
         step = feeder.batch if isinstance(feeder, RandomFeeders) else 1
         rollout(scenario.replace(split="train"), driver, range(0, episodes * step, step))
-    fields = policy.interface.input_fields
+    fields = driver.interface.input_fields
     return {
         name: InputRange(fields[name], tuple(low.tolist()), tuple(high.tolist()))
         for name, (low, high) in driver.ends.items()

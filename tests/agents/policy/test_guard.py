@@ -189,7 +189,7 @@ def test_how_far_beyond_a_range_an_input_lies():
 def test_a_range_of_other_inputs_is_refused(toy6):
     policy = constant(0.3)
     ranges = recorded(policy, [toy6], 2)
-    ranges["inverter"] = ranges["inverter"]._replace(fields=("a",) * 7)
+    ranges["inverter"] = ranges["inverter"]._replace(fields=("a",) * 10)
     with pytest.raises(ControllerError, match="range of inputs of network inverter is of a, a"):
         courses(toy6, GuardedPolicy(policy, ranges))
 
