@@ -38,10 +38,16 @@ def courses(scenario, controller, n=2):
 
 def test_at_home_and_within_the_range_it_is_the_policy_itself(toy6):
     policy = constant(0.3)
-    ranges = recorded(policy, [toy6], 4)
+    ranges = range_of(policy, toy6, 4)
     own = GuardedPolicy(policy, {name: widened(r, 1.0) for name, r in ranges.items()})
     np.testing.assert_array_equal(courses(toy6, own), courses(toy6, policy))
     assert own.episode_figures() == [dict.fromkeys(FIGURES, 0.0)] * 2
+
+
+def range_of(policy, scenario, episodes):
+    ranges = recorded(policy, [scenario], episodes)
+    assert ranges is not None
+    return ranges
 
 
 def widened(own, by):
@@ -52,7 +58,7 @@ def test_beyond_the_range_it_is_the_law(toy6):
     policy, law = constant(0.3), make_controller("droop-tuned", toy6)
     moved = {  # of the voltage alone: places are known
         name: own._replace(low=(5.0, *own.low[1:]), high=(6.0, *own.high[1:]))
-        for name, own in recorded(policy, [toy6], 4).items()
+        for name, own in range_of(policy, toy6, 4).items()
     }
     under = GuardedPolicy(policy, moved)
     np.testing.assert_allclose(courses(toy6, under), courses(toy6, law), atol=1e-6)
@@ -64,7 +70,7 @@ def test_beyond_the_range_it_is_the_law(toy6):
 def test_in_new_places_the_deviation_is_bounded(toy6, monkeypatch):
     monkeypatch.setattr(guard_module, "steepest", lambda scenario: (np.inf, np.inf))
     policy = constant(1.0)
-    ranges = {name: widened(own, 1e3) for name, own in recorded(policy, [toy6], 2).items()}
+    ranges = {name: widened(own, 1e3) for name, own in range_of(policy, toy6, 2).items()}
     at, own = ranges["inverter"].fields.index("r"), ranges["inverter"]
     low, high = ([*end[:at], place, *end[at + 1 :]] for end, place in ((own.low, 5.0), (own.high, 6.0)))
     ranges["inverter"] = own._replace(low=tuple(low), high=tuple(high))
@@ -97,7 +103,7 @@ def test_in_new_places_the_gain_stays_below_the_bound(monkeypatch):
 
 def test_it_comes_back_from_the_law_step_by_step(toy6):
     policy = constant(0.3)
-    ranges = {name: widened(own, 1e3) for name, own in recorded(policy, [toy6], 2).items()}
+    ranges = {name: widened(own, 1e3) for name, own in range_of(policy, toy6, 2).items()}
     own = GuardedPolicy(policy, ranges)
     own.reset(toy6)
     inside = np.zeros((1, len(own._v_step)), np.float32)
@@ -188,7 +194,7 @@ def test_how_far_beyond_a_range_an_input_lies():
 
 def test_a_range_of_other_inputs_is_refused(toy6):
     policy = constant(0.3)
-    ranges = recorded(policy, [toy6], 2)
+    ranges = range_of(policy, toy6, 2)
     ranges["inverter"] = ranges["inverter"]._replace(fields=("a",) * 10)
     with pytest.raises(ControllerError, match="range of inputs of network inverter is of a, a"):
         courses(toy6, GuardedPolicy(policy, ranges))
