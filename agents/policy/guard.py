@@ -43,7 +43,7 @@ SOFT = 0.1
 """Widths of its range beyond which an input leaves nothing to the policy."""
 RETURN_STEPS = 1000
 """Steps in which an agent that had left the range comes back to the policy."""
-DEVIATION = {"clock": 0.25, "q": 0.2}
+DEVIATION = {"clock": 0.25, "q": 0.3}
 """Largest deviation from the law in places that are not the trained ones, of a range of actions from -1 to 1."""
 MARGIN = 0.5
 """Gain of the untrained law as a share of the stability bound."""
