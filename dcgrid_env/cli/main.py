@@ -10,9 +10,11 @@ import traceback
 
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
+from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
+from dcgrid_env.cli.carry_over import CarryOver
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
@@ -32,6 +34,7 @@ from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.core.processes import terminated_in_order
 
@@ -47,7 +50,10 @@ DEV = Group(
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
+        "carry-over": CarryOver,
         "curves": Curves,
+        "transfer": Transfer,
+        "tune-agent": TuneAgent,
         "sags": Sags,
         "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
