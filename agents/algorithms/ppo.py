@@ -8,8 +8,8 @@ grid, as an inverter's clock, counts for nothing in the likelihood; means are dr
 which there is nothing to learn from.
 
 Every agent is paid the team's reward. Where training may use the grid's model, ``ppo-counterfactual``, which pays each
-for what its own action changed, scores higher on the presets where both were compared (docs/training.md); this one needs
-no model and drives devices of every kind, on every cost.
+for what its own action changed, scores higher on the presets where both were compared (docs/training.md). This one
+needs no model, and drives devices of every kind, on every cost.
 """
 
 from __future__ import annotations
