@@ -28,14 +28,17 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, action_layout, end_costs, under_own_control
+from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, end_costs, under_own_control
+from dcgrid_env.agents.policy.history_network import MOST_STEPS
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
+from dcgrid_env.agents.policy.memory import outputs_of
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
-from dcgrid_env.agents.training.episodes import NORMALISED_STEPS, check_batch, episode_seeds, normalising_seeds, windows
+from dcgrid_env.agents.training.episodes import check_batch, episode_seeds, windows
 from dcgrid_env.agents.training.limits import Limits, updated_factor
+from dcgrid_env.agents.training.normalisation import normalisation, remembered_columns
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
-from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
+from dcgrid_env.agents.training.torch_modules import HistoryPerceptron, Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
@@ -59,6 +62,8 @@ class Analytic(Training):
     """At the beginning; it falls to nothing along a cosine."""
     max_grad_norm: float = 1.0
     """Gradients are cut to this norm."""
+    history: int = 0
+    """Steps back to which a policy sees how voltage, powers and coming work have changed; 0 for none."""
     trip_width_pu: float = 0.0
     """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
     gradient of what is exact, which has none of them (docs/ride-through.md)."""
@@ -105,7 +110,9 @@ class Learner:
         self.factors = {"delay": 1.0, "violation": 1.0}
         self.spent_s = {"forward": 0.0, "backward": 0.0}
         torch.manual_seed(cfg.seed)
-        moments = self._moments()
+        self.memory: dict[str, tuple[torch.Tensor, ...]] = {}
+        self.columns = remembered_columns(self.interfaces) if cfg.history else {}
+        moments = normalisation(self.envs, self.interfaces, cfg.seed, self._tensor, self.columns, cfg.history)
         widths = {name: both for interface in self.interfaces for name, both in interface.widths.items()}
         networks = {name: self.network(name, *moments[name], widths[name][1]) for name in widths}
         self.networks = torch.nn.ModuleDict(networks).to(self.device)
@@ -113,29 +120,12 @@ class Learner:
 
     def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
         """A network at its beginning, for agents of this kind."""
+        if self.columns.get(name):
+            return HistoryPerceptron(mean, std, n_out, self.cfg.hidden, self.columns[name], self.cfg.history)
         return Perceptron(mean, std, n_out, self.cfg.hidden)
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.array(array)).to(self.device)
-
-    def _moments(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-        """Mean and standard deviation of what each network sees, over episodes of each grid at random setpoints."""
-        seed, rng, rows_by_network = self.cfg.seed, np.random.default_rng(self.cfg.seed), {}
-        grids = zip(self.envs, self.interfaces, strict=True)
-        for env, interface, seeds in ((*own, of) for own in grids for of in normalising_seeds(own[0].scenario, seed)):
-            clocks = action_layout(env.scenario).is_channel("clock")
-            joint = env.reset(seeds)
-            action = torch.empty(0)
-            while not env.over:
-                if env.step_number % NORMALISED_STEPS == 0:
-                    drawn = rng.uniform(-1.0, 1.0, (len(seeds), len(clocks)))
-                    drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
-                    action = self._tensor(drawn.astype(np.float32))
-                joint = env.step(action).observation
-                for name, own in interface.inputs(joint).items():
-                    rows_by_network.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
-        every = {name: torch.cat(rows) for name, rows in rows_by_network.items()}
-        return {name: (rows.mean(0), rows.std(0).clamp(min=1e-2)) for name, rows in every.items()}
 
     def episodes(
         self, i: int, iteration: int, require_finite: Callable[[str, Iterable[torch.Tensor]], None]
@@ -146,6 +136,7 @@ class Learner:
         """
         cfg, env = self.cfg, self.envs[i]
         joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.num_envs))
+        self.memory = {}
         losses, norm, excess_pu = [], 0.0, 0.0
         waited, arrived = torch.zeros(2, cfg.num_envs, device=self.device)
         for size in windows(env.scenario.horizon, cfg.window):
@@ -170,6 +161,7 @@ class Learner:
             require_finite("a weight is", weights)
             env.cut()
             joint = joint.detach()
+            self.memory = {name: tuple(a.detach() for a in own) for name, own in self.memory.items()}
             losses.append(float(loss.detach()))
             self.spent_s["backward"] += time.perf_counter() - began_s
         delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
@@ -200,8 +192,7 @@ class Learner:
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
         """Joint action after a joint observation of grid i."""
         interface = self.interfaces[i]
-        outputs = {name: self.networks[name](own) for name, own in interface.inputs(joint).items()}
-        return interface.action(joint, outputs)
+        return interface.action(joint, outputs_of(self.networks, interface.inputs(joint), self.memory))  # pyright: ignore
 
     def set_rate(self, learning_rate: float) -> None:
         """Set the optimiser's learning rate from now on."""
@@ -244,6 +235,8 @@ def check_settings(cfg: Analytic) -> None:
     for name in ("vary", "trip_width_pu"):
         if not 0 <= getattr(cfg, name) < math.inf:
             raise ValueError(f"{name} is {getattr(cfg, name)}; give at least 0")
+    if not 0 <= cfg.history <= MOST_STEPS:
+        raise ValueError(f"history is {cfg.history}; give 0 .. {MOST_STEPS} steps")
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
@@ -295,6 +288,6 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
                 advance(iteration, f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
-    finish(run)
+    finish(run, grids)
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.agents.policy.history_network import HistoryNetwork, with_changes
 from dcgrid_env.agents.policy.monotone import UNITS, WIDTH, Head, MonotoneNetwork, head_output
 from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.training.run_folder import torch
@@ -57,6 +58,46 @@ class Perceptron(torch.nn.Module):
         """The network as NumPy arrays."""
         layers = [(numpy_of(layer.weight).T, numpy_of(layer.bias)) for layer in self.layers]  # pyright: ignore
         return Network(layers, "silu", "none", numpy_of(self.mean), numpy_of(self.std), CLIP, numpy_of(self.skip))
+
+
+class HistoryPerceptron(torch.nn.Module):
+    """A perceptron that also sees how its observation changed, see :class:`HistoryNetwork`.
+
+    Parameters
+    ----------
+    mean, std
+        Mean and standard deviation of the observation and of the changes, (n_in + steps len(columns),) each.
+    n_out, hidden
+        See :class:`Perceptron`.
+    columns, steps
+        Columns of the observation whose last ``steps`` changes it sees.
+    """
+
+    def __init__(
+        self,
+        mean: torch.Tensor,
+        std: torch.Tensor,
+        n_out: int,
+        hidden: Sequence[int],
+        columns: Sequence[int],
+        steps: int,
+    ):
+        super().__init__()
+        self.network, self.columns, self.steps = Perceptron(mean, std, n_out, hidden), list(columns), steps
+        with torch.no_grad():  # changes are large beside what they should move: begin near a network without them
+            first = self.network.layers[0]
+            first.weight[:, -steps * len(self.columns) :].mul_(SMALL)  # pyright: ignore
+
+    def advance(
+        self, observation: torch.Tensor, memory: tuple[torch.Tensor, ...] | None
+    ) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
+        """Output, (..., n_out), for observations (..., n_in), and what to remember."""
+        wide, memory = with_changes(observation, memory, self.columns, self.steps)
+        return self.network(wide), memory
+
+    def exported(self) -> HistoryNetwork:
+        """The network as NumPy arrays."""
+        return HistoryNetwork(self.network.exported(), self.columns, self.steps)
 
 
 class Monotone(torch.nn.Module):

@@ -3,7 +3,7 @@
 Steps of the environments with random actions drawn beforehand, resets included; batches of torch tensors on a device,
 with and without the derivative; the power flow alone, with its worst voltage error; the memory of a large batch; other
 libraries on the same feeder and loads. Every rate is the median of several blocks after a warm-up. ``--help`` lists the
-options. ``python -m dcgrid_env.speed sizes`` measures feeders of growing size instead.
+options. ``python -m dcgrid_env.speed sizes`` measures feeders of growing size instead, ``.. training`` a training.
 """
 
 from __future__ import annotations
@@ -110,6 +110,9 @@ def main(args: list[str] | None = None) -> None:
 
         sizes(args[1:])
         return
+    if args[:1] == ["training"]:
+        _training(args[1:])
+        return
     cfg = tyro.cli(Speed, args=args, prog="python -m dcgrid_env.speed", description=__doc__)
     console, rows = Console(), []
     try:
@@ -124,6 +127,22 @@ def main(args: list[str] | None = None) -> None:
             settings = {name: value for name, value in asdict(cfg).items() if name != "json"}
             write_json(cfg.json, {"meta": described, "settings": settings, "rows": [asdict(row) for row in rows]})
     except (ValueError, OSError) as error:
+        print(f"dcgrid: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _training(args: list[str]) -> None:
+    """Measure a training and print it; bad input ends as in :func:`main`."""
+    import tyro
+    from rich.console import Console
+
+    from dcgrid_env.speed import training_rates
+
+    prog, about_it = "python -m dcgrid_env.speed training", training_rates.__doc__
+    cfg = tyro.cli(training_rates.TrainingSpeed, args=args, prog=prog, description=about_it)
+    try:
+        Console().print(table(list(training_rates.training_rows(cfg)), cfg.scenario))
+    except ValueError as error:
         print(f"dcgrid: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 

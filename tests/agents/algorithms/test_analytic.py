@@ -144,8 +144,16 @@ def test_a_run_that_diverges_stops_and_keeps_what_was_good(tmp_path):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"view": "centralised"}, {"preview": False}, {"act": "q"}, {"observe": "neighbours"}],
-    ids=["shared", "centralised", "no preview", "q only", "neighbours"],
+    [
+        {},
+        {"view": "centralised"},
+        {"preview": False},
+        {"act": "q"},
+        {"observe": "neighbours"},
+        {"history": 2},
+        {"history": 3, "view": "centralised", "observe": "feeder"},
+    ],
+    ids=["shared", "centralised", "no preview", "q only", "neighbours", "history", "central history"],
 )
 def test_the_exported_policy_acts_as_the_learner_does(settings):
     cfg = dataclasses.replace(TINY, **settings)
@@ -175,6 +183,19 @@ def test_a_run_learns_from_the_training_split_and_from_variants():
     assert [type(view) for view in learner.interfaces] == [PolicyInterface] * 3
     figures = learner.episodes(2, 1, lambda what, tensors: None)
     assert np.isfinite(list(figures.values())).all()
+
+
+def test_a_history_begins_with_an_episode_and_is_cut_with_its_windows():
+    cfg = dataclasses.replace(QUICK, history=2)
+    learner, again = (Learner(cfg, grids_of(cfg)) for _ in range(2))
+    figures = learner.episodes(0, 1, lambda what, tensors: None)
+    assert all(not a.requires_grad for own in learner.memory.values() for a in own)
+    # what an earlier episode left behind does not show
+    again.memory = {name: tuple(a + 1.0 for a in own) for name, own in learner.memory.items()}
+    assert again.episodes(0, 1, lambda what, tensors: None) == figures
+    # three fields of an inverter are remembered, and four of a data centre
+    assert {name: len(own[0][0, 0]) for name, own in learner.memory.items()} == {"datacenter": 4, "inverter": 3}
+    assert learner.episodes(0, 1, lambda what, tensors: None) != figures
 
 
 @pytest.mark.parametrize(("limit", "rises"), [(1e-7, True), (1e6, False)])
@@ -237,6 +258,7 @@ def test_batches_share_no_episode():
         ({"violation_limit_pu": -1.0}, "violation_limit_pu is -1.0"),
         ({"seed": -1}, "seed is -1; give at least 0"),
         ({"vary": -1}, "vary is -1; give at least 0"),
+        ({"history": -1}, "history is -1; give 0 .. 1000 steps"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env.agents.training.torch_modules import CLIP, Monotone, Perceptron, forgiving_clip
+from dcgrid_env.agents.training.torch_modules import CLIP, HistoryPerceptron, Monotone, Perceptron, forgiving_clip
 
 
 def moments(n, seed=0):
@@ -51,6 +51,31 @@ def test_what_is_exported_stands_still_while_training_goes_on():
     shaken(module, 5)
     np.testing.assert_array_equal(network(seen), before)
     assert not np.allclose(module.exported()(seen), before)
+
+
+@pytest.mark.parametrize("shape", [(4,), (5, 4), (3, 2, 4)])
+def test_what_is_exported_remembers_the_same(shape):
+    torch.manual_seed(0)
+    module = shaken(HistoryPerceptron(*moments(4 + 2 * 3), 2, (8,), [0, 3], 3))
+    network, rng = module.exported(), np.random.default_rng(1)
+    assert (network.n_in, network.n_out) == (4, 2)
+    memory = kept = None
+    for step in range(5):
+        seen = rng.normal(size=shape).astype(np.float32)
+        expected, kept = module.advance(torch.tensor(seen), kept)
+        found, memory = network.advance(seen, memory)
+        np.testing.assert_allclose(found, expected.detach().numpy(), rtol=1e-5, atol=1e-5)
+        assert (np.abs(found - network(seen)).max() > 0.01) == (step > 0)
+
+
+def test_a_history_begins_close_to_a_network_without():
+    torch.manual_seed(0)
+    module = HistoryPerceptron(torch.zeros(10), torch.ones(10), 2, (64, 64), [0, 1], 3)
+    first, memory = module.advance(torch.randn(100, 4), None)
+    wide = torch.cat((torch.zeros(100, 4), torch.randn(100, 6)), -1)
+    assert float(module.network(wide).detach().abs().max()) < 0.1
+    assert float(first.detach().abs().max()) < 0.5
+    assert [tuple(a.shape) for a in memory] == [(100, 2)] * 3
 
 
 def test_observations_are_normalised_and_clipped():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
+from dcgrid_env.agents.algorithms.analytic import Learner
 from dcgrid_env.speed import power_flow_rates, rates, tensors
 from dcgrid_env.speed.environment_rates import memory_row
 from dcgrid_env.speed.measuring import Row
@@ -174,3 +175,14 @@ def test_bad_settings_end_with_one_line_and_status_2(bad, capsys):
 def test_a_memory_measurement_that_fails_says_why():
     with pytest.raises(RuntimeError, match="nowhere"):
         memory_row("nowhere", 1)
+
+
+def test_a_training_is_timed_with_its_updates(monkeypatch, capsys):
+    driven = []
+    monkeypatch.setattr(Learner, "episodes", lambda self, i, iteration, require: driven.append((i, iteration)))
+    rates.main(["training", "--scenario", "toy6", "--num-envs", "2", "--batches", "2", "--history", "1"])
+    assert driven == [(0, 1), (0, 2), (0, 3)]  # the first is not counted
+    assert "processor" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        rates.main(["training", "--batches", "0"])
+    assert capsys.readouterr().err == "dcgrid: batches is 0; give at least 1\n"
