@@ -63,6 +63,8 @@ ELSEWHERE = {
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",
+    "dcgrid dev transfer": "tests/agents/studies",
+    "dcgrid dev tune-agent": "tests/agents/studies",
     "dcgrid dev sags": "tests/agents/studies",
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
