@@ -1,4 +1,4 @@
-"""What docs/forecasts.py measures with: nothing changed is one-step control, and better knowledge is worth something."""
+"""What docs/forecasts.py measures with: one-step control as it is, and that better knowledge is worth something."""
 
 import runpy
 
