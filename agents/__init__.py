@@ -4,10 +4,26 @@ Importing the package, or running a policy, needs no torch; the algorithms and `
 """
 
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.guard import GuardedPolicy, guarded
+from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.unseen import UnseenScenarioWarning
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import find_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
 
-__all__ = ["Card", "Evaluation", "Network", "Policy", "PolicyError", "evaluate", "find_controller", "sb3_vec_env"]
+__all__ = [
+    "Card",
+    "Evaluation",
+    "GuardedPolicy",
+    "ModelAidedPolicy",
+    "Network",
+    "Policy",
+    "PolicyError",
+    "UnseenScenarioWarning",
+    "evaluate",
+    "find_controller",
+    "guarded",
+    "sb3_vec_env",
+]

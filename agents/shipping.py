@@ -8,13 +8,15 @@ from pathlib import Path
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents.controllers import preset_of
-from dcgrid_env.agents.policy.card import Card, Scored
+from dcgrid_env.agents.policy.card import FORMAT, Card, Scored
+from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.baselines import make_controller
-from dcgrid_env.baselines.evaluation import evaluate
+from dcgrid_env.baselines.evaluation import evaluate, score_over_seeds
 from dcgrid_env.baselines.score import REFERENCE, SPLIT
 from dcgrid_env.core.files import write_bytes
 
@@ -59,7 +61,8 @@ def ship(
     test = make_scenario(scenario or trained_on, split=SPLIT)
     seeds = range(episodes)
     droop = evaluate(make_controller(REFERENCE, test), test, seeds)
-    evaluations = [evaluate(policy, test, seeds) for policy, _ in runs]
+    with on_purpose():  # the scenario was asked for
+        evaluations = [evaluate(policy, test, seeds) for policy, _ in runs]
     scores = [evaluation.score(droop).score for evaluation in evaluations]
     best = min(range(len(cards)), key=lambda i: cards[i].validation_J or 0.0)
     scored = Scored(
@@ -73,11 +76,20 @@ def ship(
         score=(scores[best].value, scores[best].low, scores[best].high),
         seeds=tuple(card.seed or 0 for card in cards),
         seed_scores=tuple(estimate.value for estimate in scores),
+        over_seeds=tuple(score_over_seeds(evaluations, droop)) if len(runs) > 1 else None,
     )
     card = dataclasses.replace(cards[best], scored=scored)
+    if card.inputs is None:
+        card = with_inputs(card, runs[best][0])
     write_bytes(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
     card.save(out / f"{name}.json")
     return card
+
+
+def with_inputs(card: Card, policy: Policy) -> Card:
+    """A card with the range of the policy's inputs, as it drives what the card says that it was trained on."""
+    scenarios = trained_scenarios(card.scenario)
+    return dataclasses.replace(card, inputs=recorded(policy, scenarios), format=FORMAT)
 
 
 def _weights(folder: Path) -> Path:

@@ -12,6 +12,7 @@ from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
+from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.registry import (
@@ -38,6 +39,7 @@ __all__ = [
     "ForScenario",
     "Local",
     "LocalController",
+    "ModelAided",
     "Mpc",
     "NoControl",
     "PeakShaving",

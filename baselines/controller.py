@@ -40,6 +40,22 @@ class Placed(Protocol):
         ...
 
 
+@runtime_checkable
+class Telling(Protocol):
+    """A controller with figures of its own to tell of the episodes that it drove, which results hold beside metrics."""
+
+    def episode_figures(self) -> list[dict[str, float]]:
+        """Figures since ``reset``, one mapping a lane, of the same names for all."""
+        ...
+
+
+def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Metrics of episodes, one mapping a lane, with what the controller that drove them has to tell."""
+    if not isinstance(controller, Telling):
+        return metrics
+    return [of_lane | own for of_lane, own in zip(metrics, controller.episode_figures(), strict=True)]
+
+
 class Local(NamedTuple):
     """Local observations in physical units; leading dimensions are those of the observations."""
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
-from dcgrid_env.baselines.score import Score, score
+from dcgrid_env.baselines.controller import with_figures
+from dcgrid_env.baselines.score import Estimate, Score, score
+from dcgrid_env.baselines.score import score_over_seeds as over_seeds
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
@@ -25,7 +27,7 @@ class Evaluation:
     J: np.ndarray
     """Cost of each episode, (n_episode,), in the order of the seeds."""
     means: Mapping[str, float]
-    """Mean over the episodes of each metric."""
+    """Mean over the episodes of each metric, and of what the controller tells of itself (``controller.Telling``)."""
 
     def score(self, droop: Evaluation, hindsight: Published | None = None) -> Score:
         """Score against the tuned droop on the same episodes, and hindsight's costs of them.
@@ -48,6 +50,19 @@ class Evaluation:
         if len(self.seeds) < 2:
             raise ValueError("no score: an interval takes at least 2 episodes")
         return score(self.J, droop.J, _costs(self.scenario, self.seeds, hindsight or published(self.scenario)))
+
+
+def score_over_seeds(
+    evaluations: Sequence[Evaluation], droop: Evaluation, hindsight: Published | None = None
+) -> Estimate:
+    """Score of several training seeds' policies on the same episodes, see ``score.score_over_seeds``.
+
+    ValueError where there is no score, see :meth:`Evaluation.score`, or for one seed alone.
+    """
+    for one in evaluations:
+        one.score(droop, hindsight)  # which says why there is none
+    costs = _costs(droop.scenario, droop.seeds, hindsight or published(droop.scenario))
+    return over_seeds([one.J for one in evaluations], droop.J, costs)
 
 
 def _costs(scenario: Scenario, seeds: tuple[int, ...], hindsight: Published | None) -> np.ndarray:
@@ -87,6 +102,6 @@ def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], n
         A ValueError, where the controller fails or cannot drive the scenario, saying what differs.
     """
     recorder = rollout(scenario, controller, seeds, name=name)
-    metrics = recorder.metrics()
+    metrics = with_figures(controller, recorder.metrics())
     means = {name: float(np.mean([m[name] for m in metrics])) for name in metrics[0]}
     return Evaluation(scenario, tuple(seeds), np.array([m["J"] for m in metrics]), means)

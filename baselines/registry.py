@@ -103,7 +103,9 @@ CONTROLLER_REGISTRY = Registry("dcgrid.controllers", "controller", Controller, E
 """All controllers that have a name: those made by hand, policies, and those of other packages.
 
 An entry is a pair of what it is and a function without arguments that makes a fresh one, or a ``ForScenario``. A name
-that begins with a dot, as ``.safetensors``, stands for the files that end in it; its function takes the path.
+that begins with a dot, as ``.safetensors``, stands for the files that end in it; its function takes the path. One that
+ends in a colon, as ``guarded:``, stands before what names another controller; its function takes that controller, the
+scenario and the file of tuned parameters.
 """
 
 
@@ -142,7 +144,8 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     spec
         A name, see ``make_controller``; ``package.module:Class`` or ``path/to/file.py:Class``, which runs the user's
         code (modules of the working directory are found too), with literals as arguments if the class takes any,
-        ``file.py:Class(gain=0.5)``; or the path of a saved policy, ending in .safetensors (this runs no code).
+        ``file.py:Class(gain=0.5)``; or the path of a saved policy, ending in .safetensors (this runs no code). Before
+        what names a learned policy ``guarded:`` may stand.
     scenario
         What it is to drive; tuned controllers look up their gains by it.
     tuned
@@ -154,6 +157,9 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
         For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario;
         an ``OwnCodeError`` where the user's code fails.
     """
+    before, inner = split_prefix(spec)
+    if before:
+        return CONTROLLER_REGISTRY.make(before, find_controller(inner, scenario, tuned), scenario, tuned)
     reference = parse(spec)
     if reference is not None:
         controller = _construct(spec, reference, load(reference, f"controller {spec!r}"))
@@ -169,6 +175,13 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     if spec not in CONTROLLER_REGISTRY:
         raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
     return make_controller(spec, scenario, tuned)
+
+
+def split_prefix(spec: str) -> tuple[str, str]:
+    """What stands before a controller's name, as ``guarded:``, and that name; the former empty where nothing does."""
+    first, colon, rest = spec.partition(":")
+    is_prefix = bool(colon) and first.isidentifier() and f"{first}:" in CONTROLLER_REGISTRY
+    return (f"{first}:", rest) if is_prefix else ("", spec)
 
 
 def is_file(spec: str) -> bool:

@@ -8,7 +8,7 @@ ALGORITHMS = ("analytic", "ppo", "safe")
 
 
 def cells(scenario: str, algorithm: str) -> list[str]:
-    """Score with interval, scores over seeds, mean delay, minutes of training."""
+    """Score with interval, mean over seeds with its interval (or the range of an older card), delay, minutes."""
     path = FOLDER / f"{scenario}-{algorithm}.json"
     if not path.exists():
         return ["", "", "", ""]
@@ -17,7 +17,12 @@ def cells(scenario: str, algorithm: str) -> list[str]:
     assert found is not None, path
     score, low, high = found.score
     seeds = found.seed_scores
-    spread = f"{min(seeds):.2f} .. {max(seeds):.2f} ({len(seeds)})" if len(seeds) > 1 else "(1)"
+    spread = "(1)"
+    if found.over_seeds is not None:
+        mean, least, most = found.over_seeds
+        spread = f"{mean:.2f} ({least:.2f} .. {most:.2f}; {len(seeds)})"
+    elif len(seeds) > 1:
+        spread = f"{min(seeds):.2f} .. {max(seeds):.2f} ({len(seeds)})"
     return [
         f"{score:.2f} ({low:.2f} .. {high:.2f})",
         spread,

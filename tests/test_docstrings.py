@@ -15,9 +15,16 @@ NO_SENTENCE = re.compile(r"(?:Of|The same|As)\b")
 IN_EVERY_PACKAGE = ("__init__", "__main__")
 ONE_IDEA = {
     "hindsight": {"baselines/model_based/hindsight.py", "dcgrid_env/cli/hindsight.py"},
+    "carry_over": {
+        "agents/algorithms/carry_over.py",
+        "agents/studies/carry_over.py",
+        "dcgrid_env/cli/carry_over.py",
+    },
     "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
     "sag_study": {"agents/studies/sag_study.py", "dcgrid_env/cli/sag_study.py"},
+    "agent_search": {"agents/studies/agent_search.py", "dcgrid_env/cli/agent_search.py"},
+    "transfer": {"agents/studies/transfer.py", "dcgrid_env/cli/transfer.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }

@@ -288,6 +288,6 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
                 advance(iteration, f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
-    finish(run)
+    finish(run, grids)
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

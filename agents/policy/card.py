@@ -12,9 +12,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
+from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.core.files import write_json
 
+FORMAT = 2
+"""Version of the card's format: 2 has ``inputs`` and the interval over seeds and episodes, 1 had neither."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """What the one who trained a policy may say; the rest is filled in."""
 
@@ -41,6 +44,9 @@ class Scored:
     """Training seeds of the same command that were scored; the policy is the one of the best validation J."""
     seed_scores: tuple[float, ...]
     """Their scores, in the same order."""
+    over_seeds: tuple[float, float, float] | None = None
+    """Mean of those scores and the ends of its 95 % interval over seeds and episodes (``score.score_over_seeds``); none
+    for one seed."""
 
     def __post_init__(self) -> None:
         _check(self, str, "scenario", "split", "scenario_hash")
@@ -49,6 +55,8 @@ class Scored:
         _check_all(self, float, "score", 3)
         _check_all(self, int, "seeds")
         _check_all(self, float, "seed_scores", len(self.seeds))
+        if self.over_seeds is not None:
+            _check_all(self, float, "over_seeds", 3)
 
 
 @dataclass(frozen=True)
@@ -79,8 +87,18 @@ class Card:
     validation_J: float | None = None
     """Mean J on the validation episodes by which it was selected."""
     scored: Scored | None = None
+    inputs: Mapping[str, InputRange] | None = None
+    """Range of what each network was given on the training split, by the network's name; none where that was not
+    recorded."""
+    format: int = FORMAT
+    """Version of the card's format."""
 
     def __post_init__(self) -> None:
+        _check(self, int, "format")
+        if not 1 <= self.format <= FORMAT:
+            raise PolicyError(f"card: format is {self.format}, this dcgrid reads 1 to {FORMAT}; update it")
+        for name, own in (self.inputs or {}).items():
+            _check_range(name, own)
         _check(self, str, "version", "sha256", "algorithm", "scenario", "command")
         _check(self, int, "n_parameters")
         _check(self, (int, type(None)), "seed")
@@ -104,13 +122,25 @@ class Card:
             fields = json.loads(text)
             if fields.get("scored") is not None:
                 fields["scored"] = Scored(**{name: _frozen(value) for name, value in fields["scored"].items()})
-            return cls(**fields)
+            if fields.get("inputs") is not None:
+                ranges = {
+                    name: {key: _frozen(value) for key, value in own.items()} for name, own in fields["inputs"].items()
+                }
+                fields["inputs"] = {name: InputRange(**own) for name, own in ranges.items()}
+            return cls(**{"format": 1} | fields)
         except (ValueError, TypeError, AttributeError) as error:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
 
     def save(self, path: str | Path) -> None:
         """Write the card as JSON, whole or not at all."""
-        write_json(Path(path), dataclasses.asdict(self))
+        about = dataclasses.asdict(self)
+        if self.inputs is not None:
+            about["inputs"] = {name: own._asdict() for name, own in self.inputs.items()}
+        write_json(Path(path), about)
+
+
+def _range_of(own: Mapping[str, Any]) -> InputRange:
+    return InputRange(**{name: _frozen(value) for name, value in own.items()})
 
 
 def _frozen(value: Any) -> Any:
@@ -120,6 +150,20 @@ def _frozen(value: Any) -> Any:
 def _check(card: Scored | Card, kind: type | tuple[type, ...], *names: str) -> None:
     for name in names:
         _check_one(name, getattr(card, name), kind)
+
+
+def _check_range(name: str, own: InputRange) -> None:
+    """PolicyError unless a network's range has a name and two finite ends, in order, for each input."""
+    said = f"card: inputs of {name}"
+    if not all(isinstance(part, tuple) and len(part) == len(own.fields) for part in own):
+        raise PolicyError(f"{said} have fields, low and high of different lengths; give one of each for each input")
+    for field, low, high in zip(*own, strict=True):
+        ends = (low, high)
+        finite = all(isinstance(end, int | float) and math.isfinite(end) for end in ends)
+        if not isinstance(field, str) or not finite or low > high:
+            raise PolicyError(
+                f"{said} are {field!r} from {low!r} to {high!r}; give a name and two finite ends in order"
+            )
 
 
 def _check_all(card: Scored | Card, kind: type, name: str, n: int | None = None) -> None:

@@ -25,6 +25,7 @@ from array_api_compat import array_namespace
 
 from dcgrid_env import Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups, axes
+from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 KINDS = ("joint", "shared")
@@ -32,6 +33,8 @@ KINDS = ("joint", "shared")
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
+PLATES = ("draw", "reach", "needed")
+"""Names of the nameplate figures, see :class:`Policy`."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
 """Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""
 
@@ -42,6 +45,14 @@ class Gains(NamedTuple):
     k_p_mw_per_pu: float
     k_q_mvar_per_pu_s: float
     alpha_per_s: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Gains:
+        """The gains in this order; PolicyError unless there are as many, each at least 0 and finite."""
+        figures = [float(value) for value in values]
+        if len(figures) != len(cls._fields) or not all(0.0 <= value < float("inf") for value in figures):
+            raise PolicyError(f"gains are {values!r}; give {', '.join(cls._fields)}, each at least 0")
+        return cls(*figures)
 
 
 def cut(x: Any, low: float, high: float) -> Any:
@@ -85,7 +96,7 @@ class PolicyInterface:
         self.groups = agent_groups(scenario)
         """The agents of each kind."""
         self._n_observed = sum(map(len, names))
-        self._joined = joined = tuple(name for own in names for name in own)
+        joined = tuple(name for own in names for name in own)
         # What a policy without preview is not given.
         fields = (field for device in scenario.devices for field in device.fields(scenario.horizon, scenario.dt_s))
         hidden = {field.name for field in fields if field.of_preview}
@@ -143,11 +154,14 @@ class PolicyInterface:
         return {kind: (len(own.fields) + more, len(own.channels)) for kind, own in self.groups.items()}
 
     @property
-    def fields(self) -> dict[str, tuple[str, ...]]:
-        """Names of what each network sees, without the nameplate's figures."""
-        if self.kind == "joint":
-            return {"joint": self._joined}
-        return {kind: own.fields for kind, own in self.groups.items()}
+    def input_fields(self) -> dict[str, tuple[str, ...]]:
+        """Names of what each network sees, in order; of a joint one each with its agent's name before a dot."""
+        plates = PLATES if self.nameplate else ()
+        if self.kind == "shared":
+            return {kind: (*own.fields, *plates) for kind, own in self.groups.items()}
+        seen, agents = field_names(self.scenario), self.scenario.agents
+        own = [f"{agent}.{name}" for agent in agents for name in seen[agent]]
+        return {"joint": (*own, *(f"{agent}.{plate}" for plate in plates for agent in agents))}
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:

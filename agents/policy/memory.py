@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from dcgrid_env.agents.policy.neural_network import PolicyError
+
 
 @runtime_checkable
 class Remembers(Protocol):
@@ -34,3 +36,13 @@ def outputs_of(
         else:
             outputs[name] = network(own)
     return outputs
+
+
+def require_same_episodes(source: str, before: tuple[int, ...] | None, now: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape now; PolicyError, naming the policy, where what is remembered is of episodes of another shape."""
+    if before not in (None, now):
+        raise PolicyError(
+            f"{source}: remembers episodes of shape {before} and is given observations of shape {now}; call "
+            "reset(scenario) where other episodes begin, and give all lanes at each step"
+        )
+    return now

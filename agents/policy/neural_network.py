@@ -32,7 +32,7 @@ class Family(Protocol):
     """What a policy asks of a network: to be run, and to be written as arrays and settings and read again."""
 
     family: ClassVar[str]
-    """Its name in files, and in ``policy.FAMILIES``."""
+    """Its name in files, and in ``families.FAMILIES``."""
 
     @property
     def n_in(self) -> int:

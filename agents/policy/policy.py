@@ -10,20 +10,22 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.history_network import HistoryNetwork
+from dcgrid_env.agents.policy.families import read_network
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
-from dcgrid_env.agents.policy.memory import Remembers, outputs_of
-from dcgrid_env.agents.policy.monotone import MonotoneNetwork
-from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
+from dcgrid_env.agents.policy.memory import Remembers, outputs_of, require_same_episodes
+from dcgrid_env.agents.policy.neural_network import Family, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
+from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 
-FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
-"""Families of networks by the name that files have for them."""
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 """Names of the policies that ship."""
+OBSERVED = "observed"
+"""What a policy's networks see of an agent, where its file says nothing else: the observation."""
+FORMS: dict[str, type[Policy]] = {}
+"""Forms of policies by what their networks see, as files name it; each is there once its module is imported."""
 
 
 class Policy:
@@ -70,6 +72,10 @@ class Policy:
         For networks of neither kind, or settings that there are not.
     """
 
+    def __init_subclass__(cls, features: str) -> None:
+        """Have a file that names these features read as a policy of this form."""
+        FORMS[features] = cls
+
     def __init__(
         self,
         networks: Mapping[str, Family],
@@ -105,7 +111,7 @@ class Policy:
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
-        self.outputs, self.gains = outputs, None if gains is None else _gains(gains)
+        self.outputs, self.gains = outputs, None if gains is None else Gains.of(gains)
         self.trained_on = scenario
         self.made_with = made_with
         self.source = "policy"
@@ -115,7 +121,10 @@ class Policy:
         if env_info.observe != self.observe:
             raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
         self._equipment = EquipmentAgents(env_info)
-        env_info = self._equipment.others
+        self._begin(self._equipment.others)
+
+    def _begin(self, env_info: Scenario) -> None:
+        """Begin episodes, regulators and capacitor banks under their own control."""
         chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
         chosen["gains"] = self.gains
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
@@ -123,6 +132,7 @@ class Policy:
             self._check_fits(name, self._interface, env_info)
         self._memory: dict[str, tuple[np.ndarray, ...]] = {}
         self._lanes: tuple[int, ...] | None = None
+        warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
         """PolicyError unless there is a network of this name, with the widths and channels of the scenario's agents."""
@@ -153,13 +163,8 @@ class Policy:
         return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
-        lanes = joint.shape[:-1]
-        if self.remembers and self._lanes not in (None, lanes):
-            raise PolicyError(
-                f"{self.source}: remembers episodes of shape {self._lanes} and is given observations of shape {lanes}; "
-                "call reset(scenario) where other episodes begin, and give all lanes at each step"
-            )
-        self._lanes = lanes
+        if self.remembers:
+            self._lanes = require_same_episodes(self.source, self._lanes, joint.shape[:-1])
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
@@ -167,6 +172,20 @@ class Policy:
     def remembers(self) -> bool:
         """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
         return any(isinstance(network, Remembers) for network in self.networks.values())
+
+    def card(self) -> Card | None:
+        """The card that stands beside its file; None where there is none, or it is of other weights."""
+        path = FOLDER / self.source if self.source in SHIPPED else Path(self.source)
+        path = path.with_name(f"{path.name.removesuffix(SUFFIX)}.json")
+        if not path.is_file():
+            return None
+        card = Card.load(path)
+        return card if card.sha256 == self.sha256 else None
+
+    @property
+    def interface(self) -> PolicyInterface:
+        """What stands between its networks and the scenario that it was reset with."""
+        return self._interface
 
     @property
     def sha256(self) -> str:
@@ -227,6 +246,13 @@ class Policy:
         return path
 
     @classmethod
+    def _read(cls, networks: Mapping[str, Family], about: Mapping[str, Any]) -> Policy:
+        """The policy of these networks and what ``_about`` said; KeyError for what is missing."""
+        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
+        named = {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
+        return cls(networks, **chosen, **named, gains=about.get("gains"), channels=about.get("channels"))
+
+    @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:
         """Read a policy that ships, by its name (``SHIPPED``), or a file.
 
@@ -243,34 +269,25 @@ class Policy:
         return _load(path)
 
 
+FORMS[OBSERVED] = Policy
+
+
 def _is_kind(name: str) -> bool:
     """Whether a network may have this name beside others: that of a kind, without the dot that ends it in a file."""
     return name not in ("", "joint") and "." not in name
 
 
-def _gains(values: Sequence[float]) -> Gains:
-    figures = [float(value) for value in values]
-    if len(figures) != len(Gains._fields) or not all(0.0 <= value < float("inf") for value in figures):
-        raise PolicyError(f"gains are {values!r}; give {', '.join(Gains._fields)}, each at least 0")
-    return Gains(*figures)
-
-
 def _load(path: Path) -> Policy:
     about, arrays = unpacked(path)
     try:
-        networks = {name: _network(name, own, arrays) for name, own in about["networks"].items()}
+        networks = {name: read_network(name, own, arrays) for name, own in about["networks"].items()}
         for array in arrays:
             if array.partition(".")[0] not in networks:
                 raise PolicyError(f"array {array} belongs to none of its networks; export it again")
-        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
-        policy = Policy(
-            networks,
-            **chosen,
-            gains=about.get("gains"),
-            scenario=str(about["scenario"]),
-            made_with=str(about["made_with"]),
-            channels=about.get("channels"),
-        )
+        form = FORMS.get(about.get("features", OBSERVED))
+        if form is None:
+            raise PolicyError(f"features are {about['features']!r}, this dcgrid reads {', '.join(FORMS)}")
+        policy = form._read(networks, about)
     except KeyError as missing:
         raise PolicyError(f"{path}: {missing.args[0]} is missing; export the policy again") from None
     except (PolicyError, TypeError, AttributeError) as error:
@@ -281,17 +298,3 @@ def _load(path: Path) -> Policy:
         )
     policy.source = str(path)
     return policy
-
-
-def _network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
-    settings = dict(own)
-    family = settings.pop("family")
-    if family not in FAMILIES:
-        raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
-    own_arrays = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
-    try:
-        return FAMILIES[family].read(own_arrays, settings)
-    except KeyError as missing:
-        raise PolicyError(f"{name}: {missing.args[0]} is missing; export the policy again") from None
-    except PolicyError as error:
-        raise PolicyError(f"{name}: {error}") from None

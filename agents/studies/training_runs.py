@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
+import io
 import json
 import shlex
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -76,6 +78,25 @@ def _log(path: Path) -> Iterator[TextIO]:
     finally:
         if path.stat().st_size == 0:
             path.unlink()
+
+
+def train_seed(config: Any) -> tuple[Path, str | None]:
+    """Do a run in the folder that its algorithm gives it, going on where it stopped; the folder, and why it failed.
+
+    What it says is not shown. Its policy names the command of this seed alone.
+    """
+    from dcgrid_env.agents.training.run_folder import TrainingError
+
+    words = shlex.split(command(config))
+    before, sys.argv = sys.argv, words
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            main = importlib.import_module(type(config).__module__).main
+            return main(dataclasses.replace(config, resume=True)), None
+    except TrainingError as error:
+        return Path(), str(error)
+    finally:
+        sys.argv = before
 
 
 def train_all(configs: Sequence[Any], jobs: int) -> Iterator[tuple[Any, str | None]]:

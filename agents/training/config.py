@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -79,7 +80,7 @@ class Training:
     @classmethod
     def algorithm(cls) -> str:
         """Name of the algorithm on the command line."""
-        return cls.__name__.lower()
+        return re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
 
 
 MOST_SEEDS = 2**24

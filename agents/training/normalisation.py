@@ -20,8 +20,11 @@ LEAST_SPREAD, LEAST_CHANGE = 1e-2, 1e-3
 
 def remembered_columns(interfaces: Sequence[PolicyInterface]) -> dict[str, list[int]]:
     """Where what each network sees has the fields of ``REMEMBERED``."""
-    fields = {name: own for interface in interfaces for name, own in interface.fields.items()}
-    return {name: [i for i, field in enumerate(own) if field in REMEMBERED] for name, own in fields.items()}
+    fields = {name: own for interface in interfaces for name, own in interface.input_fields.items()}
+    return {
+        name: [i for i, field in enumerate(own) if field.rpartition(".")[2] in REMEMBERED]
+        for name, own in fields.items()
+    }
 
 
 def normalisation(

@@ -15,7 +15,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.input_range import recorded
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.core.files import clear_parts, new_folder, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
@@ -49,6 +52,20 @@ def device_of(name: str) -> torch.device:
 
 class TrainingError(RuntimeError):
     """A run that cannot begin or go on; the message names file, field, value and remedy."""
+
+
+_watchers: list[Callable[[Mapping[str, float]], None]] = []
+"""What is told of each validation of the trainings in this process."""
+
+
+@contextmanager
+def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
+    """Tell ``watcher`` the figures of each validation within the block; what it raises ends the training."""
+    _watchers.append(watcher)
+    try:
+        yield
+    finally:
+        _watchers.remove(watcher)
 
 
 @contextmanager
@@ -93,7 +110,7 @@ class Run:
     """A training run's folder; made by :func:`open_run`."""
 
     def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
-        self.folder = folder
+        self.folder, self.scenarios = folder, tuple(scenarios)
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
         self._before_s = 0.0
@@ -163,6 +180,8 @@ class Run:
             self._writer = SummaryWriter(self.folder, purge_step=self.step)
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
+        for watcher in tuple(_watchers):
+            watcher(row)
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """TrainingError, with the step and the checkpoint that is kept, unless all is finite."""
@@ -199,10 +218,14 @@ def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> Non
     writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
 
 
-def finish(run: Run) -> None:
-    """Write how long the whole run took into the card of its best policy."""
+def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
+    """Write into the best policy's card how long the whole run took, and the range of its inputs.
+
+    ``scenarios`` are what it was trained on where that is more than what it was judged on, as variants of it.
+    """
     path = run.folder / "policy.json"
-    dataclasses.replace(Card.load(path), training_s=run.seconds).save(path)
+    inputs = recorded(Policy.load(path.with_suffix(SUFFIX)), scenarios or run.scenarios)
+    dataclasses.replace(Card.load(path), training_s=run.seconds, inputs=inputs).save(path)
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:

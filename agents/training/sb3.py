@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,11 +87,18 @@ def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterato
     ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
     """
     vec_env = vec_env_for(cfg, outputs)
-    name = algorithm if cfg.view == "shared" else f"{algorithm}-centralised"
+    with run_of(cfg, algorithm if cfg.view == "shared" else f"{algorithm}-centralised") as run:
+        yield run, vec_env
+
+
+def run_of(cfg: Training, name: str) -> AbstractContextManager[Run]:
+    """The run's folder, held for the block, by default named after the scenario, ``name`` and the seed.
+
+    TrainingError for one that cannot be gone on from.
+    """
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     folder = cfg.out or Path("results/train") / f"{file_name(judged_on.name)}-{name}-{cfg.seed}"
-    with open_run(folder, cfg, cfg.resume, [judged_on]) as run:
-        yield run, vec_env
+    return open_run(folder, cfg, cfg.resume, [judged_on])
 
 
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
@@ -140,7 +147,7 @@ def episode_seed(seed: int, iteration: int, n_envs: int) -> int:
 
 
 def train(
-    cfg: Config,
+    cfg: Training,
     run: Run,
     vec_env: JointVecEnv,
     model: BaseAlgorithm,

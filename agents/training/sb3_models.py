@@ -29,6 +29,18 @@ def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
 
     Both by an episode in each environment, under clocks near the top and random setpoints; fixed from then on.
     """
+    each, paid = random_episode(vec_env, seed)
+    vec_env.reward_mean, vec_env.reward_scale = float(np.mean(paid)), float((1.0 - gamma) / (np.std(paid) + 1e-8))
+    each = each.astype(np.float64)
+    moments = {"mean": each.mean(axis=0), "std": np.maximum(each.std(axis=0), SMALLEST_STD)}
+    return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}
+
+
+def random_episode(vec_env: JointVecEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """What an episode in each environment shows and pays, under clocks near the top and random reactive setpoints.
+
+    Observations, (step and lane, n_observation), and rewards, (step, lane).
+    """
     rng = np.random.default_rng(seed)
     shape = (vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]
     constant, observed, paid = rng.uniform(-1.0, 1.0, shape), [], []
@@ -40,10 +52,7 @@ def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
         action = np.where(vec_env.clocks, 1.0 - np.abs(drawn), constant + drawn)
         observation, reward, *_ = vec_env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
         paid.append(reward)
-    vec_env.reward_mean, vec_env.reward_scale = float(np.mean(paid)), float((1.0 - gamma) / (np.std(paid) + 1e-8))
-    each = np.concatenate(observed).astype(np.float64)
-    moments = {"mean": each.mean(axis=0), "std": np.maximum(each.std(axis=0), SMALLEST_STD)}
-    return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}
+    return np.concatenate(observed), np.array(paid)
 
 
 class Normalised(BaseFeaturesExtractor):

@@ -16,7 +16,8 @@ import numpy as np
 
 from dcgrid_env import Recorder, Scenario, __version__, scenario_hash
 from dcgrid_env.baselines import Controller, Placed, find_controller, rollout
-from dcgrid_env.baselines.registry import is_file
+from dcgrid_env.baselines.controller import with_figures
+from dcgrid_env.baselines.registry import is_file, split_prefix
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import SPLIT
@@ -132,6 +133,7 @@ def run(task: Task) -> dict[str, Any]:
     except (Exception, SystemExit) as error:  # whatever the user's code does, the others go on
         return _failure(unit, f"failed: {described(error)}")
     metrics, counts = _figures(recorder, unit.episodes)
+    metrics = with_figures(controller, metrics)
     return {
         "unit": asdict(unit),
         "observes": observed(controller, scenario),
@@ -157,6 +159,7 @@ def controller_hash(controller: Controller, spec: str = "") -> str:
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
+    _, spec = split_prefix(spec)
     reference = parse(spec)
     file = Path(spec) if is_file(spec) else reference.path if reference else None
     if file is not None:

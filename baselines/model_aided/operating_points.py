@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, forecast
+from dcgrid_env import Feeder, Scenario, forecast
 
 FIRST_SEED = 1 << 44
 """The training episodes that moments are drawn from begin at this seed, far from those that policies are trained on."""
@@ -16,6 +16,8 @@ EPISODES = 48
 class OperatingPoints(NamedTuple):
     """Moments of an operation without control, m of them; nothing of them depends on where agents stand."""
 
+    scenario: Scenario
+    """What they are drawn from."""
     p_load_kw: np.ndarray
     """Other loads, kW, (m, n_leg)."""
     q_load_kvar: np.ndarray
@@ -28,6 +30,26 @@ class OperatingPoints(NamedTuple):
     def sun(self) -> np.ndarray:
         """What the inverters inject together, kW, (m,), by which moments are ordered by their sun."""
         return np.maximum(-self.p_agent_kw, 0.0).sum(axis=1)
+
+    def on(self, scenario: Scenario) -> OperatingPoints:
+        """The same moments on another member of the same random feeders, without drawing episodes.
+
+        Each bus has the share of its nominal load that the bus at its place has here, or where that has no load, that
+        of another one. ValueError where a feeder is not balanced or the buses are not as many.
+        """
+        here, there = self.scenario.feeder, scenario.feeder
+        if not (isinstance(here, Feeder) and isinstance(there, Feeder) and here.n_bus == there.n_bus):
+            raise ValueError(
+                f"moments of {here.name!r} can be carried over to balanced feeders of as many buses alone, and not to "
+                f"{there.name!r}; draw them anew"
+            )
+        loaded = np.flatnonzero(here.p_load_kw > 0.0)
+        at = loaded[np.arange(here.n_bus) % len(loaded)]
+        at[loaded] = loaded
+        share = self.p_load_kw[:, at] / here.p_load_kw[at]
+        fixed_kvar = there.capacitor_kvar if scenario.capacitors else 0.0
+        p_kw, q_kvar = share * there.p_load_kw, share * there.q_load_kvar - fixed_kvar
+        return OperatingPoints(scenario, p_kw, q_kvar, self.p_agent_kw)
 
 
 def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
@@ -49,4 +71,4 @@ def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
         steps = rng.choice(scenario.horizon, min(each, scenario.horizon), replace=False)
         drawn = np.concatenate((episode.p_ref_kw, -episode.p_inverter_kw), axis=1)
         parts.append((episode.p_load_kw[steps], episode.q_load_kvar[steps], drawn[steps]))
-    return OperatingPoints(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return OperatingPoints(scenario, *(np.concatenate(column) for column in zip(*parts, strict=True)))

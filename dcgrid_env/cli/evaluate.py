@@ -33,7 +33,8 @@ class Evaluate(Command):
 
     policy: tyro.conf.Positional[str]
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
-    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)')."""
+    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)'). Before a policy guarded: may
+    stand, which keeps it near the tuned droop where it was not trained to act."""
     scenario: str | None = None
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own; the one that the policy was trained on unless given."""
@@ -105,25 +106,30 @@ ROWS = (
 
 
 def _file(policy: str) -> str:
-    """The policy's file where a training run's folder is named."""
-    return str(Path(policy) / "policy.safetensors") if Path(policy).is_dir() else policy
+    """The policy's file where a training run's folder is named, maybe behind ``guarded:``."""
+    from dcgrid_env.baselines.registry import split_prefix
+
+    before, inner = split_prefix(policy)
+    return before + (str(Path(inner) / "policy.safetensors") if Path(inner).is_dir() else inner)
 
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
     from dcgrid_env import PRESETS
     from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
+    from dcgrid_env.baselines.registry import split_prefix
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     if cfg.scenario is not None:
         return ScenarioSpec(cfg.scenario, cfg.set)
-    about = Path(cfg.policy) / "config.json"
+    _, inner = split_prefix(cfg.policy)
+    about = Path(inner) / "config.json"
     if about.is_file():
         trained = json.loads(about.read_text(encoding="utf-8"))
         where, overrides = str(trained.get("scenario", "")), tuple(trained.get("set", ()))
         if where and "," not in where:
             return ScenarioSpec(where, (*overrides, *cfg.set))
-    file = _file(cfg.policy)
+    file = _file(inner)
     where = Policy.load(file).trained_on if file in SHIPPED or file.endswith(SUFFIX) else ""
     if where not in PRESETS:
         raise ValueError(f"policy {file!r} is of no preset of its own; say on which --scenario (dcgrid list)")
@@ -201,6 +207,7 @@ def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Estimate],
 def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     """What must not be overlooked: delay that pays for voltage, and rules that measure nothing and do better."""
     from dcgrid_env import METRICS
+    from dcgrid_env.agents.policy.guard import guard_line
     from dcgrid_env.baselines.score import REFERENCE, STATIC
 
     said, own = [], evaluations[policy].means
@@ -211,6 +218,8 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
             f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(own[delay.name])} s, "
             f"there {delay.text(droop[delay.name])} s"
         )
+    if line := guard_line(policy, own):
+        said.append(line)
     best = min(
         (name for name in STATIC if name in evaluations), key=lambda name: evaluations[name].means["J"], default=policy
     )

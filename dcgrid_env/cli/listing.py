@@ -40,7 +40,9 @@ class List(Command):
             "feeder": described(FEEDER_REGISTRY),
             "random feeder": {name: style.about for name, style in STYLES.items()},
             "device": described(DEVICE_REGISTRY),
-            "controller": {name: text for name, text in controllers.items() if name not in POLICIES},
+            "controller": {
+                name: text for name, text in controllers.items() if name not in POLICIES or name.endswith(":")
+            },
             "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
             "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
             "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
@@ -73,5 +75,8 @@ def card_line(card: Card) -> str:
     line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {delay_s} s"
     if n < 2:
         return line
+    if scored.over_seeds is not None:
+        mean, least, most = scored.over_seeds
+        return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f} over seeds and episodes)"
     mean, least, most = sum(scored.seed_scores) / n, min(scored.seed_scores), max(scored.seed_scores)
     return f"{line}; {n} seeds {mean:.3f} ({least:.3f} to {most:.3f})"

@@ -10,14 +10,17 @@ import traceback
 
 from dcgrid_env import __version__
 from dcgrid_env.cli.ablate import Ablate
+from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
+from dcgrid_env.cli.carry_over import CarryOver
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
+from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
@@ -31,6 +34,7 @@ from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.core.processes import terminated_in_order
 
@@ -46,8 +50,12 @@ DEV = Group(
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
+        "carry-over": CarryOver,
         "curves": Curves,
+        "transfer": Transfer,
+        "tune-agent": TuneAgent,
         "sags": Sags,
+        "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
     },
     moved={"tune": "dcgrid tune"},

@@ -47,7 +47,8 @@ class Run(Command):
     """Steps of an episode instead of the scenario's own, as --set horizon=N has it; 86400 are a day of steps of 1 s."""
     controllers: str = "none,inverters,droop"
     """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
-    'file.py:Class(gain=0.5)', or saved policies (.safetensors). A path must not hold a comma."""
+    'file.py:Class(gain=0.5)', or saved policies (.safetensors); guarded: before a policy keeps it near the tuned droop.
+    A path must not hold a comma."""
     episodes: int = 8
     """Number of episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0
@@ -71,6 +72,7 @@ class Run(Command):
     def run(self) -> None:
         """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
         from dcgrid_env import scenario_hash
+        from dcgrid_env.agents.policy.guard import guard_line
         from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.laws import stability
@@ -108,6 +110,8 @@ class Run(Command):
         for name, controller in controllers.items():
             if said := stability.warning(scenario.member(self.seed), controller):
                 console.print(f"{name}: {said}")
+            if line := guard_line(name, runs.metrics[name][0]):
+                console.print(f"{line} (first episode)")
         about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
         write_json(self.out / "results.json", {"meta": about, "episodes": records})
         runs.draw(self.out / "figure.png")

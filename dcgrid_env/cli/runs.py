@@ -69,6 +69,7 @@ class Runs:
         """Run a controller."""
         from dcgrid_env import ParquetCourse
         from dcgrid_env.baselines import rollout, streaming_rollout
+        from dcgrid_env.baselines.controller import with_figures
         from dcgrid_env.baselines.file_names import file_name
         from dcgrid_env.rendering import Envelope
 
@@ -86,7 +87,7 @@ class Runs:
                 self._drawn[name] = run.lane(0)
                 for sink in sinks:
                     sink.add([run.lane(i) for i in range(len(self.seeds))], 0)
-            self.metrics[name] = run.metrics()
+            self.metrics[name] = with_figures(controller, run.metrics())
 
     def draw(self, path: Path) -> None:
         """Draw the first episode under each controller."""

@@ -6,6 +6,7 @@ Each algorithm is a module of `dcgrid_env.agents` with a configuration dataclass
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +15,14 @@ from typing import Any
 
 import tyro
 
-from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import processes
+from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.install import from_clone
+
+SEEDS = "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own."
+"""What the help of every algorithm says of the option that stands beside its configuration."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +30,7 @@ class Algorithm:
     """An algorithm as a member of the group; it is imported when it is asked for, as it needs torch."""
 
     name: str
-    """Its name on the command line, and of its module under ``dcgrid_env.agents.algorithms``."""
+    """Its name on the command line, and, with underscores, of its module under ``dcgrid_env.agents.algorithms``."""
     text: str
     """What it does, on one line."""
 
@@ -34,15 +41,15 @@ class Algorithm:
     def module(self) -> ModuleType:
         """Import the algorithm's module; ValueError, saying what to install, where a package is missing."""
         try:
-            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name}")
+            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name.replace('-', '_')}")
         except ImportError as error:
             if (error.name or "").startswith("dcgrid_env"):
                 raise
             raise ValueError(f"training: {error}; install it {from_clone('agents')}") from None
 
     def configuration(self) -> type[Any]:
-        """The class of its configuration, which has the module's name; ValueError as for ``module``."""
-        return getattr(self.module(), self.name.capitalize())
+        """The class of its configuration, which has the algorithm's name; ValueError as for ``module``."""
+        return getattr(self.module(), "".join(map(str.capitalize, self.name.split("-"))))
 
     def configured(self, words: Sequence[str], prog: str = "dcgrid train") -> Any:
         """The configuration that options give.
@@ -59,11 +66,16 @@ class Algorithm:
         except argparse.ArgumentError:  # one without a value, which the whole command line reports below
             begin = kind()
         about = (self.module().__doc__ or "").strip()
+        about = f"{about}\n\n{SEEDS}"
         return tyro.cli(kind, args=words, default=begin, prog=prog, description=about)
 
     def parse(self, words: Sequence[str], prog: str) -> Command:
-        """Read the algorithm's own options; ValueError where torch is not installed."""
-        return Training(self.module(), self.configured(words, prog))
+        """Read the algorithm's own options; ValueError where torch is not installed, or for seeds that cannot be."""
+        n, words = _seeds(words)
+        configuration = self.configured(words, prog)
+        if n is None:
+            return Training(self.module(), configuration)
+        return Seeds(tuple(of_seed(configuration, configuration.seed + i) for i in range(n)))
 
 
 @dataclass(frozen=True)
@@ -91,14 +103,76 @@ class Training(Command):
             raise ValueError(error) from error
 
 
+@dataclass(frozen=True)
+class Seeds(Command):
+    """Train a policy for each of several seeds, several at once."""
+
+    configurations: tuple[Any, ...]
+    """One for each seed."""
+
+    @property
+    def resumes(self) -> str:
+        """How to go on: each seed from its last checkpoint."""
+        return GOES_ON
+
+    def run(self) -> None:
+        """Train what has not been trained, print each seed's cost on validation. ValueError where a seed fails."""
+        from dcgrid_env.agents import Card
+        from dcgrid_env.agents.studies.training_runs import train_seed
+        from dcgrid_env.core.processes import Died, each
+
+        first = self.configurations[0]
+        if line := shipped_settings(first):
+            print(line)
+        console, folders = plain_console(), {}
+        with progress_bar(console) as progress:
+            bar = progress.add_task("seeds", total=len(self.configurations))
+            for configuration, result in each(train_seed, self.configurations, processes(None)):
+                if isinstance(result, Died):
+                    raise ValueError(f"seed {configuration.seed}: its process ended with exit code {result.exit_code}")
+                folder, failure = result
+                if failure is not None:
+                    raise ValueError(f"seed {configuration.seed}: {failure}")
+                folders[configuration.seed] = folder
+                progress.advance(bar)
+        cards = {seed: Card.load(folders[seed] / "policy.json") for seed in sorted(folders)}
+        for seed, card in cards.items():
+            cost, spent_s = f"J {card.validation_J:.4f} on validation", f"{card.training_s:.0f} s"
+            say(console, f"seed {seed}: {cost}, {spent_s}, {folders[seed]}")
+        costs, where = [card.validation_J or 0.0 for card in cards.values()], " ".join(str(folders[s]) for s in cards)
+        say(console, f"J {sum(costs) / len(costs):.4f} on average, {min(costs):.4f} to {max(costs):.4f}")
+        say(console, f"`dcgrid dev ship {where} --name NAME` scores them on test")
+
+
+def of_seed(configuration: Any, seed: int) -> Any:
+    """A configuration with this seed, in a folder of its own within the one that is given."""
+    out = configuration.out and configuration.out / f"seed-{seed}"
+    return dataclasses.replace(configuration, seed=seed, out=out)
+
+
+def _seeds(words: Sequence[str]) -> tuple[int | None, list[str]]:
+    """How many seeds are asked for, None for the one of --seed, and the other words; ValueError for what cannot be."""
+    option = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    option.add_argument("--seeds", type=int)
+    try:
+        given, others = option.parse_known_args(words)
+    except argparse.ArgumentError as error:
+        raise ValueError(f"seeds: {error.message}; give the number of training seeds, such as --seeds 5") from None
+    if given.seeds is not None and given.seeds < 1:
+        raise ValueError(f"seeds is {given.seeds}; give at least 1")
+    return given.seeds, others
+
+
 ALGORITHMS = {
     algorithm.name: algorithm
     for algorithm in (
         Algorithm("ppo", "Proximal policy optimisation of Stable-Baselines3, shared or centralised."),
+        Algorithm("ppo-counterfactual", "PPO on what each agent's own action changed in a step, by the grid's model."),
         Algorithm("sac", "Soft actor-critic of Stable-Baselines3, shared or centralised."),
         Algorithm("td3", "Twin delayed deep deterministic policy gradient of Stable-Baselines3."),
         Algorithm("analytic", "Gradients through the power flow, on local observations."),
         Algorithm("safe", "Gradients through the power flow, for monotone networks of bounded gain."),
+        Algorithm("carry-over", "Corrections of the model-aided law, learned on random feeders for any feeder."),
     )
 }
 """Algorithms by their names, each registered by its line."""

@@ -105,7 +105,7 @@ class Registry(Mapping[str, Entry]):
 
     def unknown(self, name: Any) -> str:
         """What to say of a name that nothing stands for: which names there are, and what could not be loaded."""
-        listed = ", ".join(known for known in self if not known.startswith("."))
+        listed = ", ".join(filter(is_name, self))
         said = [f"unknown {self.kind} {name!r}; there are {listed}", *self._refused]
         if not self._is_installed:
             said.append(f"the installed metadata of {OWN_DISTRIBUTION} is older than its code: install it again")
@@ -142,6 +142,11 @@ class Registry(Mapping[str, Entry]):
         said = f"entry point {point.name!r} ({self.group}, {point.value}) of {_origin(point)} {why}"
         self._refused.append(said)
         warnings.warn_explicit(said, PluginWarning, filename=_origin(point), lineno=0)  # no line of ours is to blame
+
+
+def is_name(entry: str) -> bool:
+    """Whether an entry is a name by itself, not an ending of files or what stands before another name."""
+    return not (entry.startswith(".") or entry.endswith(":"))
 
 
 def _check(handed_over: Any) -> None:

@@ -43,6 +43,12 @@ def test_the_best_on_validation_ships_with_the_scores_of_all(tmp_path):
     assert scored.seeds == (5, 6, 7)
     assert scored.seed_scores[1] == scored.score[0]
     assert len(set(scored.seed_scores)) == 3
+    assert scored.over_seeds is not None
+    mean, low, high = scored.over_seeds
+    assert mean == pytest.approx(np.mean(scored.seed_scores))
+    assert min(scored.seed_scores) <= low < mean < high <= max(scored.seed_scores)
+    assert card.inputs is not None
+    assert set(card.inputs) == {"datacenter", "inverter"}
 
 
 def test_a_policy_can_be_scored_on_another_scenario_than_its_own(tmp_path):

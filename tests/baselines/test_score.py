@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env.baselines.score import score
+from dcgrid_env.baselines.score import score, score_over_seeds
 
 RNG = np.random.default_rng(0)
 DROOP = RNG.uniform(1.0, 5.0, 100)
@@ -61,3 +61,34 @@ def test_the_interquartile_mean_is_that_of_the_middle_half():
 def test_what_cannot_be_scored_is_named(j, j_droop, j_hindsight, message):
     with pytest.raises(ValueError, match=message):
         score(j, j_droop, j_hindsight)
+
+
+def test_one_seed_five_times_has_the_interval_over_episodes():
+    own = 0.4 * DROOP + 0.6 * BEST + RNG.normal(0.0, 0.2, 100)
+    one, many = score(own, DROOP, BEST).score, score_over_seeds([own] * 5, DROOP, BEST)
+    assert many.value == pytest.approx(one.value)
+    assert many[1:] == pytest.approx(one[1:], abs=0.01)
+
+
+def test_the_interval_over_seeds_covers_the_algorithm_that_over_episodes_misses():
+    """Seeds that lie far apart: the mean over all seeds that could be is 0.5."""
+    covered, missed = 0, 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        each = rng.normal(0.5, 0.2, 10)
+        gained = each[:, None] * (DROOP - BEST)
+        found = score_over_seeds(DROOP - gained, DROOP, BEST, seed)
+        assert found.value == pytest.approx(each.mean())
+        covered += found.low < 0.5 < found.high
+        of_mean = score(DROOP - gained.mean(axis=0), DROOP, BEST, seed).score
+        missed += not of_mean.low < 0.5 < of_mean.high
+    assert covered >= 48  # a percentile bootstrap over ten is somewhat narrow
+    assert missed >= 40
+
+
+def test_the_score_over_seeds_takes_several_and_says_so():
+    assert score_over_seeds([DROOP, BEST], DROOP, BEST) == score_over_seeds([DROOP, BEST], DROOP, BEST)
+    with pytest.raises(ValueError, match=r"j has shape \(1, 100\); give costs of at least 2 training seeds"):
+        score_over_seeds([DROOP], DROOP, BEST)
+    with pytest.raises(ValueError, match="j is nan in an episode"):
+        score_over_seeds([DROOP, np.full(100, np.nan)], DROOP, BEST)

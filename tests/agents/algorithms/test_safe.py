@@ -5,8 +5,9 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Policy
-from dcgrid_env.agents.algorithms.safe import Safe, bounds, main
+from dcgrid_env.agents.algorithms.safe import Safe, main
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
+from dcgrid_env.agents.policy.slope_bounds import slope_bounds
 from dcgrid_env.baselines.laws.stability import spectral_radius
 
 
@@ -17,7 +18,7 @@ def alike():
 
 def test_the_reactive_bound_is_the_integrating_droops():
     scenario = alike()
-    slope, _ = bounds(scenario)
+    slope, _ = slope_bounds(scenario)
     k_q = slope * 0.825 / scenario.band_pu / scenario.dt_s
     buses = (4, 3, 5)
     assert spectral_radius(scenario, buses, 0.0, 0.999 * k_q) <= 1.0
@@ -26,7 +27,7 @@ def test_the_reactive_bound_is_the_integrating_droops():
 
 def test_the_clocks_bound_is_the_proportional_droops_that_serves_its_backlog_at_once():
     scenario = alike()
-    _, slope = bounds(scenario)
+    _, slope = slope_bounds(scenario)
     half_range_mw = 0.5 * (1.0 - 210.0 / 1410.0) * 0.77 * 2.5
     k_p = slope * half_range_mw / scenario.band_pu
     buses = (4, 3, 5)
@@ -35,7 +36,7 @@ def test_the_clocks_bound_is_the_proportional_droops_that_serves_its_backlog_at_
 
 
 def test_a_late_measurement_tightens_the_reactive_bound():
-    now, late = (bounds(alike().replace(measurement_delay=m))[0] for m in (0, 2))
+    now, late = (slope_bounds(alike().replace(measurement_delay=m))[0] for m in (0, 2))
     assert late / now == pytest.approx(np.sin(np.pi / 10))
     # The scalar loop q' = q - k q(t - 2): within the bound the roots of z^3 - z^2 + k are within the unit circle.
     for k, inside in ((2.0 * late / now * 0.999, True), (2.0 * late / now * 1.001, False)):
@@ -45,7 +46,7 @@ def test_a_late_measurement_tightens_the_reactive_bound():
 def test_a_run_keeps_to_the_bounds(tmp_path, capsys):
     cfg = Safe("toy6", out=tmp_path / "run", updates=2, num_envs=2, validation_episodes=2, margin=0.4, hidden=(4,))
     policy = Policy.load(main(cfg) / "policy.safetensors")
-    reactive, clock = bounds(make_scenario("toy6"))
+    reactive, clock = slope_bounds(make_scenario("toy6"))
     networks = policy.networks
     site, inverter = networks["datacenter"], networks["inverter"]
     assert isinstance(site, MonotoneNetwork)

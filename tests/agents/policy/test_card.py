@@ -11,6 +11,7 @@ from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
 from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import Scored
+from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.agents.shipping import without_horizon
 
@@ -58,9 +59,36 @@ def test_a_field_that_cannot_be_is_named(field, value, message):
         dataclasses.replace(CARD, **{field: value})
 
 
+def test_a_card_of_the_first_format_loads(tmp_path):
+    path = tmp_path / "card.json"
+    CARD.save(path)
+    old = json.loads(path.read_text())
+    del old["inputs"], old["format"], old["scored"]["over_seeds"]
+    path.write_text(json.dumps(old))
+    assert Card.load(path) == dataclasses.replace(CARD, format=1)
+    path.write_text(json.dumps(old | {"format": 3}))
+    with pytest.raises(PolicyError, match="format is 3, this dcgrid reads 1 to 2; update it"):
+        Card.load(path)
+
+
+def test_the_range_of_inputs_comes_back_and_is_checked(tmp_path):
+    own = InputRange(("v_deviation", "r"), (-1.0, 0.2), (1.0, 0.2))
+    card = dataclasses.replace(CARD, inputs={"inverter": own})
+    card.save(tmp_path / "card.json")
+    assert Card.load(tmp_path / "card.json") == card
+    for broken, message in (
+        (own._replace(low=(1.5, 0.2)), "inputs of inverter are 'v_deviation' from 1.5 to 1.0; give a name and two"),
+        (own._replace(high=(np.inf, 0.2)), "from -1.0 to inf"),
+        (own._replace(low=(0.2,)), "of different lengths"),
+    ):
+        with pytest.raises(PolicyError, match=message):
+            dataclasses.replace(CARD, inputs={"inverter": broken})
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
+        ("over_seeds", (0.5,), r"card: over_seeds is \(0.5,\); give 3 figures"),
         ("J", np.inf, "card: J is inf; give a finite figure"),
         ("score", (0.5, 0.4), r"card: score is \(0.5, 0.4\); give 3 figures"),
         ("seed_scores", (0.5,), r"card: seed_scores is \(0.5,\); give 2 figures"),
@@ -111,6 +139,7 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
     assert card.scored.scenario in PRESETS
     assert card.scored.split == "test"
     assert card.seed in card.scored.seeds
+    assert card.inputs is not None  # what a guard falls back by
     assert card.scored.score[0] == card.scored.seed_scores[card.scored.seeds.index(card.seed)]
     assert card.scored.scenario_hash == scenario_hash(make_scenario(card.scored.scenario, split="test"))
 

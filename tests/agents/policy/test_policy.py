@@ -76,6 +76,7 @@ def test_the_card_stands_beside_the_weights(tmp_path):
     assert not list(tmp_path.glob("other*"))
 
 
+@pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 def test_shared_networks_act_for_each_agent_alone_on_any_feeder():
     policy = shared()
     for name in ("toy6", "ieee123"):

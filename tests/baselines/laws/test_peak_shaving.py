@@ -52,6 +52,7 @@ def test_it_holds_the_voltage_and_leaves_clocks_and_reactive_power_to_the_droop(
     assert outside[1] < 0.7 * outside[0]
 
 
+@pytest.mark.slow
 def test_it_is_worth_something_and_less_than_hindsight():
     s = ieee33_weak_ups(split="validation")
     shaved, droop = (rollout(s, law, range(4)).costs() for law in (find_controller("peak-shaving", s), Droop()))

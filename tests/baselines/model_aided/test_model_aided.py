@@ -2,7 +2,7 @@
 
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, make_scenario
+from dcgrid_env import DcgridVectorEnv, field_names, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 
@@ -18,7 +18,7 @@ def test_an_agent_acts_on_its_own_observation_alone():
     scenario = make_scenario("ieee33")
     env = DcgridVectorEnv(2, scenario)
     observations, _ = env.reset(seed=[0, 0])
-    width = observations.shape[1] // scenario.n_agents
+    width = len(field_names(scenario)["dc_0"])
     others = observations.copy()
     others[1, width:] += 0.1
     law = ModelAided()

@@ -2,6 +2,7 @@
 
 import pytest
 
+from dcgrid_env.agents import Card
 from dcgrid_env.agents.studies import ablation, pareto
 from dcgrid_env.cli.main import main
 
@@ -122,3 +123,23 @@ def test_an_interruption_says_that_the_same_command_goes_on(here, monkeypatch, c
     monkeypatch.setattr(analytic, "main", interrupted)
     code, error = stopped(capsys, "dev", "pareto", "--scenario", "toy6", *TINY)
     assert (code, error) == (130, "dcgrid: interrupted; the same command goes on from there\n")
+
+
+def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("dcgrid_env.cli.train.processes", lambda jobs: 1)
+    words = ["train", "analytic", "--scenario", "toy6", "--set", "horizon=10", "--seeds", "2", "--seed", "3"]
+    main([*words, "--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--hidden", "4", "--out", "runs"])
+    said = capsys.readouterr().out
+    assert "seed 3: J" in said
+    assert "seed 4: J" in said
+    assert "`dcgrid dev ship runs/seed-3 runs/seed-4 --name NAME`" in said
+    for seed in (3, 4):
+        card = Card.load(tmp_path / "runs" / f"seed-{seed}" / "policy.json")
+        assert card.seed == seed
+        assert "--seeds" not in card.command
+        assert f"--seed {seed}" in card.command
+    for asked in ("0", "many"):
+        with pytest.raises(SystemExit):
+            main(["train", "analytic", "--seeds", asked])
+        assert capsys.readouterr().err.startswith("dcgrid: seeds")

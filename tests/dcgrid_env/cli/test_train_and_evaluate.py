@@ -133,6 +133,7 @@ def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
         assert f"score {own.score(droop).score.value:.3f} 0.000" in printed
 
 
+@pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
     path = policy().save(tmp_path / "mine")
     main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])

@@ -115,6 +115,7 @@ def test_a_batch_a_tensor_environment_and_a_forecast_have_the_same_day(name):
     np.testing.assert_allclose(recorder.lane(1).v_pu[-1], env.state.v_pu[1], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_day_of_minutes_runs_to_its_end_under_control():
     found = rollout(make_scenario("mixed", split="test", **DAY), NoControl(), range(2)).metrics()
     assert [figures["steps"] for figures in found] == [1440.0] * 2

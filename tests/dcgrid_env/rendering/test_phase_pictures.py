@@ -164,7 +164,7 @@ def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides
     fresh.close()
     fresh.reset(seed=0)
     rng = np.random.default_rng(1)
-    for _ in range(30):
+    for _ in range(12):
         action = rng.uniform(-1, 1, env.action_space.shape)
         env.step(action)
         fresh.step(action)

@@ -97,7 +97,9 @@ def test_the_kept_background_changes_nothing():
     np.testing.assert_array_equal(env.render(), fresh.render())
 
 
-@pytest.mark.parametrize("scenario", ["toy6", pytest.param("ieee123", marks=pytest.mark.slow), "training"])
+@pytest.mark.parametrize(
+    "scenario", ["toy6", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ieee123", "training"))]
+)
 def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario):
     """Axes that grow and names that move, one at a time, against a picture that is drawn for the first time."""
     env, fresh = make(scenario, horizon=60), make(scenario, horizon=60)

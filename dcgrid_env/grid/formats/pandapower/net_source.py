@@ -91,9 +91,8 @@ def _functions(module: Any) -> dict[str, Any]:
 
 def _simbench(code: str) -> Any:
     try:
-        simbench = importlib.import_module(
-            "simbench"
-        )  # optional, and not in `dev`: a plain import is an error to a type checker
+        # Optional, and not in the extra `dev`: a plain import would be an error to a type checker there.
+        simbench = importlib.import_module("simbench")
     except ImportError:
         raise FeederError(
             f"{code!r} looks like a SimBench code, but simbench is missing; install it by `pip install simbench`"

@@ -1,0 +1,121 @@
+"""The range of inputs that a policy's networks have seen: recorded as it drives its own scenario, kept on its card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env import RandomFeeders, Scenario
+from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.baselines import rollout
+from dcgrid_env.baselines.equipment_agents import EquipmentAgents
+
+EPISODES = 64
+"""Episodes of the training split over which a range is recorded, on each scenario."""
+MOMENTS = 3.0
+"""Standard deviations about the mean that stand for the range where none was recorded."""
+SMALLEST_SPAN = 1e-2
+"""Least width of a range by which a distance is measured: what never moved in training has no width of its own."""
+OF_PLACE = ("r", "x", "draw", "reach")
+"""Inputs that say where an agent stands and how large it is, and do not move within an episode."""
+
+
+class InputRange(NamedTuple):
+    """What one network has been given, input by input."""
+
+    fields: tuple[str, ...]
+    """Names of its inputs, see ``PolicyInterface.input_fields``."""
+    low: tuple[float, ...]
+    """Least figure of each."""
+    high: tuple[float, ...]
+    """Largest figure of each."""
+
+    def beyond(self, inputs: np.ndarray) -> np.ndarray:
+        """How far each input lies outside, in widths of its range, 0 within it: (..., n_in) as ``inputs``."""
+        low, high = np.array(self.low), np.array(self.high)
+        width = np.maximum(high - low, SMALLEST_SPAN)
+        return np.maximum(np.maximum(low - inputs, inputs - high) / width, 0.0)
+
+    @property
+    def of_place(self) -> np.ndarray:
+        """Which inputs say where the agent stands, bool, (n_in,)."""
+        return np.array([field.rpartition(".")[2] in OF_PLACE for field in self.fields])
+
+
+class _Recorded:
+    """A controller that drives as a policy does, and keeps the least and largest of each input of its networks."""
+
+    def __init__(self, policy: Any):
+        self.policy, self.observe = policy, policy.observe
+        self.ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    def reset(self, env_info: Scenario) -> None:
+        self._equipment = EquipmentAgents(env_info)
+        self.policy.reset(self._equipment.others)
+
+    def act(self, observations: Any) -> Any:
+        return self._equipment.act(observations, self._act)
+
+    def _act(self, joint: np.ndarray) -> np.ndarray:
+        for name, inputs in self.policy.interface.inputs(joint).items():
+            rows = inputs.reshape(-1, inputs.shape[-1]).astype(np.float64)
+            low, high = self.ends.get(name, (np.inf, -np.inf))
+            self.ends[name] = np.minimum(low, rows.min(0)), np.maximum(high, rows.max(0))
+        return self.policy.act(joint)
+
+
+def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODES) -> dict[str, InputRange]:
+    """The range of each network's inputs as the policy drives episodes of the training split.
+
+    Parameters
+    ----------
+    policy
+        A :class:`Policy`.
+    scenarios
+        What it was trained on, whatever their split.
+    episodes
+        Seeds 0, 1, .. of each; of random feeders one on each of so many.
+    """
+    driver = _Recorded(policy)
+    for scenario in scenarios:
+        feeder = scenario.feeder
+        step = feeder.batch if isinstance(feeder, RandomFeeders) else 1
+        rollout(scenario.replace(split="train"), driver, range(0, episodes * step, step))
+    fields = policy.interface.input_fields
+    return {
+        name: InputRange(fields[name], tuple(low.tolist()), tuple(high.tolist()))
+        for name, (low, high) in driver.ends.items()
+    }
+
+
+def by_moments(networks: Mapping[str, Any], fields: Mapping[str, tuple[str, ...]]) -> dict[str, InputRange]:
+    """Ranges for a policy without recorded ones: ``MOMENTS`` standard deviations about the mean of its normalisation.
+
+    An input that is not normalised has no limits.
+
+    Raises
+    ------
+    PolicyError
+        Where no input of a network is normalised, so that nothing is known of its range.
+    """
+    ranges = {}
+    for name, own in fields.items():
+        low, high = np.full(len(own), -np.inf), np.full(len(own), np.inf)
+        for part, columns in _normalised(networks[name]):
+            low[columns], high[columns] = part.mean - MOMENTS * part.std, part.mean + MOMENTS * part.std
+        if not np.isfinite(low).any():
+            raise PolicyError(
+                f"guard: the range of inputs of network {name} is not known, neither from a card nor from moments of "
+                "its inputs; train it again, or record its range (dcgrid_env.agents.policy.input_range.recorded)"
+            )
+        ranges[name] = InputRange(own, tuple(low.tolist()), tuple(high.tolist()))
+    return ranges
+
+
+def _normalised(network: Any) -> list[tuple[Any, Any]]:
+    """Parts of a network with moments of their inputs, and which of its inputs those are."""
+    parts = [(network, slice(None))] if hasattr(network, "mean") else []
+    parts += [(head.context, head.columns) for head in getattr(network, "heads", ())]
+    return [(part, columns) for part, columns in parts if part.mean is not None and part.std is not None]

@@ -1,0 +1,239 @@
+"""The model-aided law's second for a policy on top of it: its decisions, the figures behind them, and their derivative.
+
+The decisions are those of ``baselines.model_aided.decide``, whatever the arrays. On torch tensors they get the
+derivative of the implicit function, as both are zeros of rising functions: with F(t, x) = 0
+
+    dt/dx = -(dF/dx) / (dF/dt)
+
+where no limit stops t, and 0 where one does. So a policy is trained through the law on what it acts on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace
+
+from dcgrid_env import Scenario, field_names
+from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
+from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, resting
+
+_LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
+"""What the agents know by level of the sun."""
+
+
+class Own(NamedTuple):
+    """What agents see at their own buses, in physical units, (lane, n_agent) and of sites (lane, n_dc)."""
+
+    v_pu: Any
+    p_kw: Any
+    q_kvar: Any
+    p_ref_next_kw: Any
+    backlog_kws: Any
+
+
+class Step(NamedTuple):
+    """The law's decisions and the figures that they are made from, (lane, n_agent), of sites (lane, n_dc)."""
+
+    v_pu: Any
+    """Estimate of every voltage if no setpoint moves, at the draws decided on, (lane, n_agent, node)."""
+    inverse_spread: Any
+    """1 over its standard deviation, (lane or 1, n_agent, node)."""
+    by_all: Any
+    """Rise of each voltage when all inject their whole limit more, (lane or 1, n_agent, node)."""
+    surprise_pu: Any
+    """Own voltage without the own part, less what is expected of it."""
+    share: Any
+    """Setpoint now, as a share of the largest reactive power."""
+    rest: Any
+    """The static optimum u*, the same share."""
+    chosen: Any
+    """The law's new setpoint, the same share."""
+    slope: Any
+    """Slope of the expected cost by the own setpoint."""
+    relief: Any
+    """What the first kW less relieves the expected cost by, over the price of letting it wait."""
+    p_kw: Any
+    """Draw if all work is served that is there."""
+    all_kw: Any
+    """Dynamic power that serves all work that is there, up to the top clock."""
+    cut_kw: Any
+    """How much less the law serves."""
+    ceiling_kw: Any
+    """Dynamic power of the top clock."""
+
+
+class LawStep:
+    """The law's second in a scenario, for what its agents know of a placement, or of one a lane.
+
+    ``array`` makes the arrays to compute with out of NumPy ones.
+    """
+
+    def __init__(self, site: Site, known: Commissioned, array: Callable[[np.ndarray], Any]):
+        s = site.scenario
+        self.site, self.scenario, self._array = site, s, array
+        self._known = known
+        self._price = VoltagePrice.of(s)
+        self.known = Commissioned(*map(array, known))
+        self.own = array(known.by_q * site.q_scale_kvar[:, None])
+        """What each agent does to every voltage by its whole reactive power, p.u., (placement, n_agent, node)."""
+        self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
+        self._dc = {name: array(np.asarray(getattr(s.datacenter, name))) for name in ("p_idle_kw", "p_dynamic_kw")}
+        self._n_dc = s.n_datacenters
+
+    def __call__(self, now: Own, then_kw: Any, then_kvar: Any) -> Step:
+        """The law's decisions; own powers of the time that the voltage was measured, (lane, n_agent)."""
+        known, site, n_dc, like = self.known, self.site, self._n_dc, self._like
+        idle_kw, all_kw, ceiling_kw = self._work(now)
+        p_kw = _joined((idle_kw + all_kw, now.p_kw[:, n_dc:]))
+        v_host, then, kvar, p_host = (_host(a) for a in (now.v_pu, (then_kw, then_kvar), now.q_kvar, p_kw))
+        slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
+        span_kw = _host(all_kw) - np.minimum(_host(ceiling_kw) * slowest, _host(all_kw))
+        rest_kvar = resting(site, self._known, p_host)
+        best = decide(site, self._known, Seen(v_host, *then, kvar, p_host, span_kw, rest_kvar))
+        base, own_base, gain, inverse, by_all = self._at_level(v_host, *then)
+        e_own = now.v_pu - known.own_by_q * (then_kvar - known.origin_kvar)
+        surprise = e_own + known.own_by_draw * (then_kw - known.mean_kw) - own_base
+        v = base + gain * surprise[..., None] + known.by_q * (now.q_kvar - known.origin_kvar)[..., None]
+        v = v - known.by_draw * (p_kw - known.mean_kw)[..., None]
+        share, rest = now.q_kvar / self._scale, like(rest_kvar) / self._scale
+        cut_kw, chosen = like(best.cut_kw), like(best.share)
+        if _tracks(v):
+            inside = like((best.cut_kw > 0.0) & (best.cut_kw < span_kw))
+            cut_kw = self._cut(v[:, :n_dc], inverse[:, :n_dc], cut_kw, inside)
+        if n_dc:
+            v = _joined((v[:, :n_dc] + known.by_draw[:, :n_dc] * cut_kw[..., None], v[:, n_dc:]), 1)
+        if _tracks(v):
+            chosen = self._respond(v, inverse, site.law.alike * by_all, share, chosen, rest, p_host)
+        chosen = chosen + site.law.pull * self._pulled * (rest - chosen)
+        relief = like(best.relief) / (site.waiting or 1e-12)
+        return Step(
+            v, inverse, by_all, surprise, share, rest, chosen, like(best.slope), relief, p_kw, all_kw, cut_kw,
+            ceiling_kw,
+        )  # fmt: skip
+
+    def clock(self, step: Step, served_kw: Any) -> Any:
+        """Clock that serves so much, in [-1, 1] where there is one, (lane, n_dc)."""
+        slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
+        return 2.0 * (served_kw / step.ceiling_kw - slowest) / ((1.0 - slowest) or 1.0) - 1.0
+
+    def _like(self, values: np.ndarray) -> Any:
+        return self._array(np.asarray(values))
+
+    @property
+    def _pulled(self) -> Any:
+        return self._like(np.asarray(self.site.scheduled, dtype=float))
+
+    def _work(self, now: Own) -> tuple[Any, Any, Any]:
+        """Idle floor, dynamic power that serves all work that is there, and that of the top clock, kW, (lane, n_dc)."""
+        s, xp, idle = self.scenario, _namespace(now.v_pu), self._dc["p_idle_kw"]
+        p_ref_kw = now.p_ref_next_kw
+        if not s.preview:
+            p_ref_kw = xp.maximum(self.known.mean_kw[:, : self._n_dc], idle) + 0.0 * now.backlog_kws
+        arrives_kw = (p_ref_kw - idle).clip(0.0, None)
+        ceiling_kw = xp.maximum(self._dc["p_dynamic_kw"], arrives_kw)
+        return xp.minimum(p_ref_kw, idle), xp.minimum(ceiling_kw, arrives_kw + now.backlog_kws / s.dt_s), ceiling_kw
+
+    def _at_level(self, v_pu: np.ndarray, then_kw: np.ndarray, then_kvar: np.ndarray) -> list[Any]:
+        """What the agents know at the level of the sun that they see, see ``_LEVELLED``; at one level of it as it is."""
+        known = self._known
+        if known.key.shape[-1] == 1:
+            return [getattr(self.known, name)[:, :, 0] for name in _LEVELLED]
+        e_own = own_error(known, v_pu, then_kw, then_kvar)
+        key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
+        low, weight = between(np.where(self.site.scheduled, then_kw, e_own), key)
+        lane = np.arange(len(low))[:, None] if len(known.key) > 1 else np.zeros((1, 1), int)
+        agent, out = np.arange(low.shape[1]), []
+        for name in _LEVELLED:
+            a, b = (getattr(known, name)[lane, agent, low + more] for more in (0, 1))
+            part = weight if a.ndim == 2 else weight[..., None]
+            out.append(self._like(a + part * (b - a)))
+        return out
+
+    def _cut(self, v: Any, inverse: Any, cut_kw: Any, inside: Any) -> Any:
+        """``cut_kw`` with its derivative."""
+        by_p, by_draw = self.known.by_p[:, : self._n_dc], self.known.by_draw[:, : self._n_dc]
+        then = v + by_draw * cut_kw[..., None]
+        slope, curve = self._slopes(then, inverse)
+        return _implicit(cut_kw, (slope * by_p).sum(-1), (curve * by_p * by_draw).sum(-1), inside)
+
+    def _respond(
+        self, v: Any, inverse: Any, by_all: Any, share: Any, chosen: Any, rest: Any, p_kw: np.ndarray
+    ) -> Any:  # fmt: skip
+        """``chosen`` with its derivative."""
+        limit = self._like(self.site.limit_kvar(p_kw)) / self._scale
+        slope, curve = self._slopes(v + (chosen - share)[..., None] * by_all, inverse)
+        rise = (slope * self.own).sum(-1) + self.site.law.hold * (chosen - rest)
+        steep = (curve * self.own * by_all).sum(-1) + self.site.law.hold
+        inside = (abs(chosen) < 0.999 * limit) & (abs(chosen) > 0.0)
+        return _implicit(chosen, rise, steep, inside)
+
+    def _slopes(self, v: Any, inverse: Any) -> tuple[Any, Any]:
+        """Slope of the expected cost by each expected voltage, and its slope; see ``VoltagePrice``."""
+        import torch
+
+        price, x, b = self._price, (v - 1.0) * inverse, self._price.band_pu * inverse
+        phi = torch.special.ndtr
+        slope = price.voltage * (2.0 * phi(x) - 1.0) + price.violation * (phi(x - b) - phi(-x - b))
+        density = [torch.exp(-0.5 * z.detach() ** 2) / (2.0 * np.pi) ** 0.5 for z in (x, x - b, x + b)]
+        return slope, (2.0 * price.voltage * density[0] + price.violation * (density[1] + density[2])) * inverse
+
+
+class Columns:
+    """Reads what the agents see out of a joint observation, for NumPy and torch alike."""
+
+    def __init__(self, scenario: Scenario, array: Callable[[np.ndarray], Any]):
+        names = [field_names(scenario)[agent] for agent in scenario.agents]
+        starts = np.cumsum([0, *map(len, names)])[:-1]
+        self._at = {
+            name: array(
+                np.array([a + own.index(name) for a, own in zip(starts, names, strict=True) if name in own], int)
+            )
+            for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
+        }
+        self.band_pu = scenario.band_pu or 1.0
+        self._p_scale = array(np.concatenate([device.p_scale_kw for device in scenario.devices]))
+        self._q_scale, self._rated_kw = array(scenario.q_scale_kvar), array(np.asarray(scenario.datacenter.p_rated_kw))
+
+    def of(self, joint: Any) -> Mapping[str, Any]:
+        """Fields by name, as observed, of the agents that have them."""
+        return {name: joint[:, at] for name, at in self._at.items()}
+
+    def own(self, fields: Mapping[str, Any]) -> Own:
+        """Change it into physical units."""
+        return Own(
+            1.0 + self.band_pu * fields["v_deviation"],
+            fields["p"] * self._p_scale,
+            fields["q"] * self._q_scale,
+            fields["p_ref_next"] * self._rated_kw,
+            fields["backlog"] * self._rated_kw,
+        )
+
+
+def _implicit(found: Any, function: Any, steep: Any, inside: Any) -> Any:
+    """``found`` with the derivative of the implicit function where ``inside``, else none."""
+    moved = (function - function.detach()) / steep.detach().clip(1e-9, None)
+    return found - _namespace(found).where(inside, moved, 0.0 * moved)
+
+
+def _joined(parts: tuple[Any, ...], axis: int = -1) -> Any:
+    return _namespace(parts[0]).concat(parts, axis=axis)
+
+
+def _host(values: Any) -> Any:
+    """NumPy's form of an array, float64, or of each of several."""
+    if isinstance(values, tuple):
+        return tuple(map(_host, values))
+    return values if isinstance(values, np.ndarray) else values.detach().cpu().double().numpy()
+
+
+def _tracks(x: Any) -> bool:
+    """Whether it is a tensor whose derivative is asked for."""
+    return bool(getattr(x, "requires_grad", False))
+
+
+def _namespace(array: Any) -> Any:
+    return np if isinstance(array, np.ndarray) else array_namespace(array)

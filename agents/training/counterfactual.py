@@ -1,0 +1,137 @@
+"""What each agent's own part of an action was worth in a step: counterfactual advantages from the grid's model.
+
+For each agent and each component of its action, what the team would have paid for the step had this component alone
+been what the policy's mean asks for: a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for
+members of collectives", Advances in Complex Systems 4, 2001) whose default is the mean action, as is the baseline of
+J. Foerster et al., "Counterfactual multi-agent policy gradients", arXiv 1705.08926. With c the cost of all voltages V,
+
+    q      A = c(V - M (q - q')) - c(V) + effort(q') - effort(q)        M = dV / dq of the agent
+    clock  A = c(V + R (p - p')) - c(V) + w (b' - b) / sum(p_rated)     R = dV / dp of the agent, injected
+
+where q' is what the converter would have dispatched under the mean action, p' and b' what the site would have drawn and
+left queued under the mean clock, found by the device's own step. Work put off is charged there and then, at
+w = w_backlog + w_leftover for each second at full load: as if it waited as long as what is left at an episode's end is
+charged for, which is a bias. What a step does to later ones else, and what a changed draw leaves the converter, is left
+out.
+
+This uses the feeder's model and the voltages of all nodes. Training alone does: the policy acts on what an agent sees.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Feeder, RandomFeeders, Scenario, action_layout, sensitivity_to_agents
+from dcgrid_env.baselines.controller import require_known_devices
+from dcgrid_env.devices import DataCenters, Work, work_classes_of
+
+KNOWN_WEIGHTS = ("voltage", "violation", "backlog", "effort", "leftover")
+"""Terms of the cost that an advantage is made of."""
+
+
+def require_one_step(who: str, scenario: Scenario) -> None:
+    """ValueError, naming the field, where a step's own cost does not tell what an agent's action is worth."""
+    require_known_devices(who, scenario)
+    if isinstance(scenario.feeder, RandomFeeders):
+        raise ValueError(f"{who} needs the model of one feeder; {scenario.name!r} has random ones: train analytic")
+    for device in scenario.devices:
+        for field in ("storage", "smoothing", "routing", "batching", "service", "cooling", "ride_through"):
+            if device.count and getattr(device, field, None) is not None:
+                raise ValueError(
+                    f"{who} judges an action by the step that it acts in; scenario {scenario.name!r} has {field} at "
+                    f"its devices of kind {device.kind}, which acts on later steps: train analytic or ppo there"
+                )
+        if isinstance(device, DataCenters) and work_classes_of(device.clock_law) != 1:
+            raise ValueError(f"{who} takes clock laws of one work class; scenario {scenario.name!r} has one of two")
+    if scenario.voltage_cost != "l1":
+        raise ValueError(f"{who}: voltage_cost is {scenario.voltage_cost!r}; make the scenario with 'l1'")
+    for name, weight in scenario.weights._asdict().items():
+        if weight and name not in KNOWN_WEIGHTS:
+            raise ValueError(f"{who} does not know what weights.{name} = {weight:g} charges; set it to 0, or train ppo")
+
+
+class Counterfactual:
+    """Advantages of the actions in a batch of lanes.
+
+    Parameters
+    ----------
+    scenario
+        What is stepped; ``require_one_step`` says which.
+    """
+
+    def __init__(self, scenario: Scenario):
+        require_one_step("a counterfactual advantage", scenario)
+        self.scenario = scenario
+        layout, w = action_layout(scenario), scenario.weights
+        self._is_clock, self._is_q = layout.is_channel("clock"), layout.is_channel("q")
+        self._site: Any = next(device for device in scenario.devices if isinstance(device, DataCenters))
+        n_node, rated_kw = len(scenario.feeder.load_nodes), float(scenario.datacenter.p_rated_kw.sum()) or 1.0
+        self._voltage, self._violation = w.voltage / n_node, w.violation / n_node
+        converters_kva = np.concatenate([device.converter_kva for device in scenario.devices])
+        self._effort = w.effort / scenario.n_agents / converters_kva
+        self._work = (w.backlog + w.leftover) / rated_kw
+        self._buses = np.zeros((0, 0), np.int64)
+
+    def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        """Advantage of each entry of a step's joint actions, (lane, n_action): what the team paid less for it.
+
+        Parameters
+        ----------
+        before
+            What the batch's ``save()`` gave before the step.
+        after
+            The state at its end, before any new episode began.
+        action, mean
+            Joint actions, that which was taken and the policy's mean, (lane, n_action).
+        """
+        self._place(before.episode.buses)
+        advantages = np.empty(action.shape)
+        clock = self._is_clock
+        advantages[:, clock] = self._of_clock(before, after, action[:, clock], mean[:, clock])
+        advantages[:, self._is_q] = self._of_q(after, mean[:, self._is_q])
+        return advantages
+
+    def _place(self, buses: np.ndarray) -> None:
+        """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (lane, n_agent, n_node)."""
+        if not np.array_equal(buses, self._buses):
+            by_p, by_q = sensitivity_to_agents(self.scenario, buses)
+            judged, n_dc = self.scenario.feeder.load_slice, self.scenario.n_datacenters
+            self._by_p, self._by_q = by_p[:, :n_dc, judged] / 1e3, by_q[..., judged] / 1e3
+            self._buses = buses
+
+    def _of_q(self, after: Any, mean: np.ndarray) -> np.ndarray:
+        limit = after.q_limit_kvar
+        q_mean = np.clip(mean * self.scenario.q_scale_kvar, -limit, limit)
+        effort = self._effort * (np.abs(q_mean) - np.abs(after.q_kvar))
+        return effort - self._saved(after, self._by_q, after.q_kvar - q_mean)
+
+    def _of_clock(self, before: Any, after: Any, clock: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        site, dt_s = self._site, self.scenario.dt_s
+        params, work = site.parameters, Work(before.p_ref_next_kw, None)
+        (own, p_kw), (own_mean, p_mean) = (
+            site.step(params, before.state.devices[0], (_mhz(params, each),), work, dt_s) for each in (clock, mean)
+        )
+        connected = after.p_kw[:, : self.scenario.n_datacenters] > 0.0  # a site that a fault has taken draws nothing
+        waiting = self._work * (own_mean.backlog_kws - own.backlog_kws)
+        return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
+
+    def _saved(self, after: Any, by: np.ndarray, injected: np.ndarray) -> np.ndarray:
+        """What all voltages cost more with this injection of each agent than without it, (lane, agent)."""
+        v = after.v_pu[:, None, self.scenario.feeder.load_slice]
+        moved = by * injected[..., None]
+        if isinstance(self.scenario.feeder, Feeder):
+            moved = moved / v  # LinDistFlow is linear in the square of the voltage
+        return self._cost(v) - self._cost(v - moved)
+
+    def _cost(self, v_pu: np.ndarray) -> np.ndarray:
+        """Cost of voltages, (..., n_node), summed over the nodes."""
+        deviation = np.abs(v_pu - 1.0)
+        beyond = np.maximum(deviation - self.scenario.band_pu, 0.0)
+        return self._voltage * deviation.sum(-1) + self._violation * beyond.sum(-1)
+
+
+def _mhz(params: Any, clock: np.ndarray) -> np.ndarray:
+    """Clock setpoints, MHz, of actions in [-1, 1]."""
+    return params.f_min_mhz + 0.5 * (clock + 1.0) * (params.f_max_mhz - params.f_min_mhz)

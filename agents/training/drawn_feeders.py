@@ -1,0 +1,73 @@
+"""Scenarios on random feeders to train on what is to carry over: a named family, the same for the same number.
+
+Scenario i of a split has a feeder of its own (``random_feeder``) and beside it draws how many data centres and inverters
+there are, where they stand and how large they are, the substation's voltage, how much the load fluctuates, and what
+work comes. Ratings are shares of the feeder's load, so that a small feeder has small devices. No two splits share one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dcgrid_env import Scenario, make_scenario, random_feeder
+
+FAMILY = "drawn-feeders"
+"""What policies trained on it say they were trained on."""
+_SALT = {"train": 1, "validation": 2}
+_STYLES = {"us-mv": 0.7, "rural": 0.25, "urban": 0.05}
+_TRACES = {"inference": 0.55, "code": 0.2, "mixed": 0.25}
+_LARGEST_FEEDERS = 1 << 32
+
+
+def drawn_scenario(split: str, i: int) -> Scenario:
+    """Scenario i of the family's split, ``train`` or ``validation``, on that split's traces and episodes."""
+    rng = np.random.default_rng([16, _SALT[split], i])
+    n_bus = round(float(np.exp(rng.uniform(np.log(16), np.log(130)))))
+    load_kw = float(np.exp(rng.uniform(np.log(1500.0), np.log(9000.0))))
+    style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
+    feeder = random_feeder(int(rng.integers(_LARGEST_FEEDERS)), n_bus=n_bus, style=style, load_kw=load_kw)
+    n_dc, n_inv = int(rng.integers(1, 7)), int(rng.integers(2, 9))
+    buses = rng.choice(_loaded(feeder), n_dc + n_inv, replace=False)
+    sun = rng.random() < 0.2
+    sites_kw = load_kw * rng.uniform(0.3, 1.2) * _parts(rng, n_dc)
+    kva = load_kw * np.exp(rng.uniform(np.log(0.1), np.log(1.0))) * (2.5 if sun else 1.0) * _parts(rng, n_inv)
+    return make_scenario("ieee33").replace(
+        name=f"drawn-{split}-{i}",
+        feeder=feeder,
+        v0_pu=float(rng.uniform(1.0, 1.05)),
+        n_datacenters=n_dc,
+        datacenter_buses=tuple(feeder.bus_ids[at] for at in buses[:n_dc]),
+        p_rated_kw=tuple(sites_kw),
+        s_rated_share=float(rng.uniform(1.02, 1.1)),
+        inverter_buses=tuple(feeder.bus_ids[at] for at in buses[n_dc:]),
+        inverter_s_kva=tuple(kva),
+        inverter_trace="pv" if sun else None,
+        trace=str(rng.choice(list(_TRACES), p=list(_TRACES.values()))),
+        site_correlation=float(rng.random() < 0.15),
+        load_sigma=float(rng.uniform(0.02, 0.08)),
+        split=split,
+    )
+
+
+def drawn_scenarios(split: str) -> Iterator[Scenario]:
+    """Every scenario of a split, 0, 1, .., without end."""
+    i = 0
+    while True:
+        yield drawn_scenario(split, i)
+        i += 1
+
+
+def _loaded(feeder: object) -> np.ndarray:
+    """Positions of buses with a load, at least as many as devices may stand on."""
+    load_kw = np.asarray(feeder.p_load_kw)  # pyright: ignore[reportAttributeAccessIssue]
+    at = np.flatnonzero(load_kw > 0)
+    at = at[at > 0]
+    return at if len(at) >= 14 else np.arange(1, len(load_kw))
+
+
+def _parts(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Shares of n devices, which add up to 1, none above three times another."""
+    weights = np.exp(rng.uniform(0.0, np.log(3.0), n))
+    return weights / weights.sum()

@@ -1,0 +1,146 @@
+"""What an agent knows from its commissioning: of the scenario, whatever the placement, and of a placement."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints
+
+
+class Law(NamedTuple):
+    """Settings of the law, see ``ModelAided``."""
+
+    floor_pu: float = 0.001
+    alike: float = 0.7
+    hold: float = 0.01
+    pull: float = 0.3
+    price: float = 1.0
+
+
+class Site(NamedTuple):
+    """What is the same in all placements of a scenario."""
+
+    scenario: Scenario
+    points: OperatingPoints
+    law: Law
+
+    @property
+    def scheduled(self) -> np.ndarray:
+        """Which agents read the sun from their own injection, bool, (n,)."""
+        at = np.arange(self.scenario.n_agents)
+        return (at >= self.scenario.n_datacenters) & (self.scenario.schedule is not None)
+
+    @property
+    def q_scale_kvar(self) -> np.ndarray:
+        """Reactive limit at zero active power, (n,)."""
+        return self.scenario.q_scale_kvar
+
+    @property
+    def s_rated_kva(self) -> np.ndarray:
+        """Ratings of the converters, (n,)."""
+        return np.concatenate([device.converter_kva for device in self.scenario.devices])
+
+    @property
+    def share_of_kvar(self) -> np.ndarray:
+        """The reactive limit, 1 where there is none, (n,)."""
+        return np.where(self.q_scale_kvar > 0.0, self.q_scale_kvar, 1.0)
+
+    @property
+    def effort(self) -> np.ndarray:
+        """Price of a whole limit of reactive power, (n,)."""
+        return self.scenario.weights.effort / self.scenario.n_agents / self.s_rated_kva * self.q_scale_kvar
+
+    @property
+    def waiting(self) -> float:
+        """Price of letting a kW of work wait, that of MPC: charged as if it were left at the end."""
+        s = self.scenario
+        return self.law.price * (s.weights.backlog + s.weights.leftover) * self._per_kw
+
+    @property
+    def never(self) -> float:
+        """Price of a kW that is not served to the end, in the mean over the steps that it may be put off at."""
+        s = self.scenario
+        return (s.weights.backlog * s.horizon / 2.0 + s.weights.leftover) * self._per_kw
+
+    @property
+    def _per_kw(self) -> float:
+        return self.scenario.dt_s / (self.scenario.datacenter.p_rated_kw.sum() or 1.0)
+
+    def limit_kvar(self, p_kw: np.ndarray) -> np.ndarray:
+        """Reactive limit at a draw, of the draw's shape (.., n)."""
+        return np.minimum(self.q_scale_kvar, np.sqrt(np.maximum(self.s_rated_kva**2 - p_kw**2, 0.0)))
+
+
+class Commissioned(NamedTuple):
+    """What agents know of placements: m of them, n agents, L levels, k nodes but the source's.
+
+    ``known.take(lanes)`` has one a lane, where lanes are at different placements; one alone serves all lanes.
+    """
+
+    mean_kw: np.ndarray
+    """Mean draw, (m, n)."""
+    rest_kvar: np.ndarray
+    """u* at each level of the sun, (m, L, n); one level without a schedule."""
+    rest_at: np.ndarray
+    """Mean of these levels, draw of an inverter as a share of its rating (negative), rising, (m, L)."""
+    origin_kvar: np.ndarray
+    """The setpoint that deviations are counted from, (m, n)."""
+    by_q: np.ndarray
+    """X: rise of each voltage by own injection, p.u. per kvar, (m, n, k)."""
+    by_p: np.ndarray
+    """R: drop of each voltage by own draw, p.u. per kW, (m, n, k)."""
+    by_draw: np.ndarray
+    """D: drop that comes with each kW drawn, p.u. per kW, (m, n, k)."""
+    own_by_q: np.ndarray
+    """X at the own bus, (m, n)."""
+    own_by_draw: np.ndarray
+    """D at the own bus, (m, n)."""
+    key: np.ndarray
+    """What a level is known by: own draw of an inverter under a schedule, kW, else E_i, p.u., rising, (m, n, L)."""
+    base_pu: np.ndarray
+    """Mean of E_k, (m, n, L, k)."""
+    own_base_pu: np.ndarray
+    """Mean of E_i, (m, n, L)."""
+    gain: np.ndarray
+    """g, (m, n, L, k)."""
+    inverse_spread: np.ndarray
+    """1 / s, (m, n, L, k)."""
+    by_all: np.ndarray
+    """Rise of each voltage when all agents inject their whole limit more, p.u., (m, n, L, k)."""
+    waiting: np.ndarray
+    """Price of letting a kW of work wait, (m, n_dc)."""
+
+    def take(self, lanes: np.ndarray) -> Commissioned:
+        """The placement of each lane, by its position here."""
+        return Commissioned(*(field[lanes] for field in self))
+
+
+def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
+    """u* as an agent has it at its draw, kvar, (lane, n): of the sun that an inverter reads off, else the mean level's.
+
+    ``p_kw`` is (lane, n), ``known`` of one placement or of one a lane.
+    """
+    lanes = np.broadcast_to(known.rest_kvar, (len(p_kw), *known.rest_kvar.shape[1:]))
+    at = np.broadcast_to(known.rest_at, (len(p_kw), known.rest_at.shape[1]))
+    out = lanes.mean(axis=1)
+    kva, rows = site.scenario.scheduled_kva, np.arange(len(p_kw))
+    for j in np.flatnonzero(site.scheduled):
+        share = p_kw[:, j] / (kva[j - site.scenario.n_datacenters] or 1.0)
+        low, weight = between(share[:, None], at[:, None])
+        a, b = (lanes[rows, low[:, 0] + more, j] for more in (0, 1))
+        out[:, j] = a + weight[:, 0] * (b - a)
+    return out
+
+
+def between(value: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The knot below a value, and how far it is on the way to the next, 0 to 1, held at the ends; knots (.., L)."""
+    n = knots.shape[-1]
+    if n == 1:
+        return np.zeros(value.shape, int), np.zeros(value.shape)
+    low = (value[..., None] >= knots[..., 1:-1]).sum(axis=-1)
+    wide = np.broadcast_to(knots, (*value.shape, n))
+    a, b = (np.take_along_axis(wide, (low + more)[..., None], -1)[..., 0] for more in (0, 1))
+    return low, np.clip((value - a) / np.maximum(b - a, 1e-12), 0.0, 1.0)

@@ -1,0 +1,55 @@
+"""The exact power flow of the moments, for one placement.
+
+Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
+the moments each is of the model with all resistances and all reactances larger or smaller by that share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dcgrid_env import nodes_by_bus, solver_for
+from dcgrid_env.baselines.model_aided.knowledge import Site
+
+
+class MomentFlow:
+    """The feeder as agents know it, at the moments of a site, with agents at positions ``buses`` of ``bus_ids``."""
+
+    def __init__(self, site: Site, buses: np.ndarray) -> None:
+        s = self.scenario = site.scenario
+        self.points, self.feeder = site.points, s.model
+        wrong_r, wrong_x = abs(1.0 - s.r_model_share), abs(1.0 - s.x_model_share)
+        signs = ((1, 1), (1, -1), (-1, 1), (-1, -1)) if wrong_r or wrong_x else ()
+        self.feeders = [s.model.scaled(1 + a * wrong_r, 1 + b * wrong_x) for a, b in signs] or [self.feeder]
+        nodes = nodes_by_bus(s)[np.arange(s.n_agents), buses]
+        self.shares = np.zeros((s.n_agents, self.feeder.n_leg))
+        rows = np.arange(s.n_agents)[:, None]
+        np.add.at(self.shares, (rows, self.feeder.first_device_leg + nodes), 1.0 / nodes.shape[1])
+        seen = np.zeros((s.n_agents, self.feeder.n_node))
+        np.add.at(seen, (rows, nodes), 1.0 / nodes.shape[1])
+        self.seen = seen[:, self.feeder.load_slice]
+        """Share of each voltage in what an agent sees, (n_agent, k)."""
+
+    def of(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Voltages of some moments as a function of constant setpoints, kvar, (n_agent,)."""
+        return lambda q_kvar: self.at(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
+
+    def at(self, q_kvar: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Voltages of moments under setpoints, (m, n_agent), p.u., (m, k); the mean where there is no solution."""
+        s, points = self.scenario, self.points
+        p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
+        q = points.q_load_kvar[rows] - q_kvar @ self.shares
+        of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
+        v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
+        for k, feeder in enumerate(self.feeders):
+            at = of == k
+            solution = solver_for(feeder, s.power_flow)(feeder, p[at], q[at], s.source_voltage_pu)
+            v[at], solved[at] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
+        if not solved.any():
+            raise ValueError(
+                f"model-aided: the power flow of scenario {s.name!r} has no solution at any of its moments; give the "
+                "feeder less load"
+            )
+        return np.where(solved[:, None], v, v[solved].mean(axis=0))

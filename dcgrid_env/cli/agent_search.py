@@ -1,0 +1,98 @@
+"""The command ``dcgrid dev tune-agent``."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.names import one_scenario
+from dcgrid_env.cli.settings import alone_in
+from dcgrid_env.cli.terminal import plain_console, say
+
+
+@dataclass(frozen=True)
+class TuneAgent(Command):
+    """Search over an algorithm's settings for a scenario, on the validation split, and print the best as TOML.
+
+    Trials are kept in OUT: an interrupted search goes on where it was, and a larger --trials adds to it. What is
+    printed at the end stands in agents/training/preset_settings.toml as it is.
+    """
+
+    algorithm: tyro.conf.Positional[str]
+    """The algorithm (dcgrid train)."""
+    scenario: str = "ieee33-weak"
+    """Name of the preset."""
+    trials: int = 20
+    """Trainings in all; the first has the settings that a training begins with anyway."""
+    fixed: tuple[str, ...] = ()
+    """Fields of the algorithm's configuration for all trials, FIELD=VALUE, for instance --fixed steps=500000."""
+    seed: int = 0
+    """Seed of the search; the same one gives the same trials."""
+    out: Path | None = None
+    """Folder of the search; results/tune-agent/SCENARIO-ALGORITHM unless given."""
+
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been tried is not tried again."""
+        return GOES_ON
+
+    def run(self) -> None:
+        """Search, print each trial, then the best. ValueError for a setting that cannot be, before anything is done."""
+        from dcgrid_env.agents.studies.agent_search import SECONDS, best_as_toml, ended, require_optuna, search, seconds
+        from dcgrid_env.agents.studies.search_spaces import SPACES
+
+        require_optuna()
+        if self.algorithm not in SPACES:
+            raise ValueError(f"algorithm is {self.algorithm!r}; there are spaces for {', '.join(SPACES)}")
+        if self.trials < 1 or self.seed < 0:
+            raise ValueError(f"trials is {self.trials} and seed {self.seed}; give at least 1 and at least 0")
+        base = self._base()
+        folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
+        console = plain_console()
+
+        def shown(trial: Any) -> None:
+            cost = "stopped" if trial.state.name == "PRUNED" else f"J {trial.value:.4f}"
+            own = ", ".join(
+                f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+                for name, value in trial.params.items()
+            )
+            say(console, f"{trial.number}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {own}")
+
+        silent = contextlib.redirect_stdout(io.StringIO())  # what each training says
+        with alone_in(folder, "dcgrid dev tune-agent"), silent:
+            study = search(base, self.trials, self.seed, folder, self._given(), shown)
+        trials = ended(study)
+        stopped = sum(trial.state.name == "PRUNED" for trial in trials)
+        if len(trials) == stopped:
+            raise ValueError(f"all {stopped} trials were stopped or diverged; look at {folder}")
+        say(
+            console,
+            f"best: trial {study.best_trial.number}, J {study.best_value:.4f} on validation; {len(trials)} trials, "
+            f"{stopped} of them stopped, {seconds(study):.0f} s of training",
+        )
+        print(best_as_toml(study, base))
+
+    def _given(self) -> dict[str, Any]:
+        """Values of the fields that are fixed; ValueError for one that cannot be read."""
+        from dcgrid_env.baselines.scenario_spec import read_overrides
+
+        given = read_overrides(self.fixed)
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+
+    def _base(self) -> Any:
+        """The configuration that all trials begin from; ValueError for a field or value that cannot be."""
+        from dcgrid_env.cli.train import ALGORITHMS
+
+        kind, given = ALGORITHMS[self.algorithm].configuration(), self._given()
+        names = {field.name for field in dataclasses.fields(kind)} - {"scenario", "out", "resume"}
+        if unknown := next((name for name in given if name not in names), None):
+            listed = ", ".join(sorted(names))
+            raise ValueError(f"fixed: {unknown} is no setting of {self.algorithm}; there are {listed}")
+        return kind.for_scenario(one_scenario(self.scenario), **given)

@@ -1,0 +1,58 @@
+"""The command ``dcgrid dev carry-over``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.names import scenario_names, split_names
+from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.cli.trainings import MOST_EPISODES
+from dcgrid_env.core.versions import meta
+
+
+@dataclass(frozen=True)
+class CarryOver(Command):
+    """Score controllers and policies on feeders that they never saw: named ones, and each random one of zero-shot."""
+
+    controllers: str = "model-aided"
+    """Names of controllers, or files of policies, separated by commas."""
+    scenarios: str = "ieee33,ieee123,das69,khodr141,ieee33-weak,mixed,toy6,sync,bursty,training,robust,zero-shot"
+    """Names of scenarios, separated by commas (dcgrid list)."""
+    split: str = "test"
+    """Split of the episodes; there is a score on test alone."""
+    episodes: int = 100
+    """Episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    worst: int = 5
+    """How many of the worst random feeders to show."""
+    out: Path | None = None
+    """Folder for carry-over.md; nothing is written unless given."""
+
+    def run(self) -> None:
+        """Drive, score, print. ValueError for a setting that cannot be, before anything is run."""
+        from dcgrid_env.agents.studies import carry_over
+
+        names, scenarios = split_names(self.controllers), scenario_names(self.scenarios)
+        if not names:
+            raise ValueError("controllers is empty; name at least one")
+        if not 2 <= self.episodes <= MOST_EPISODES or self.worst < 1:
+            raise ValueError(
+                f"episodes is {self.episodes} and worst {self.worst}; give 2 to {MOST_EPISODES}, and at least 1"
+            )
+        if self.out is not None:
+            check_folder(self.out)
+        console, results = plain_console(), []
+        for scenario in scenarios:
+            with working(console, scenario):
+                results.append(carry_over.tried(names, scenario, self.split, self.episodes))
+        shown = carry_over.scores_table(results, self.episodes)
+        of_feeders = [table for one in results if (table := carry_over.feeders_table(one, self.worst)) is not None]
+        for table in (shown, *of_feeders):
+            console.print(table.rich(console.width))
+        if self.out is not None:
+            from dcgrid_env.core.files import write_text
+
+            write_text(self.out / "carry-over.md", carry_over.markdown(shown, of_feeders, meta()["command"]))
+            say(console, f"wrote {self.out / 'carry-over.md'}")

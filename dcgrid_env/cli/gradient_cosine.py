@@ -1,0 +1,42 @@
+"""The command ``dcgrid dev gradient-cosine``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.names import scenario_names
+
+
+@dataclass(frozen=True)
+class GradientCosine(Command):
+    """Compare two independent estimates of PPO's policy gradient, by the team's return and by counterfactual
+    advantages: the table of docs/decisions/0014-counterfactual-advantages.md."""
+
+    scenarios: str = "ieee33-weak,das69,khodr141,mixed,toy6"
+    """Names of scenarios (dcgrid list), separated by commas."""
+    num_envs: int = 24
+    """Environments of each estimate."""
+    steps: int = 40
+    """Steps of each environment."""
+    seeds: int = 5
+    """Pairs of estimates, each with networks and episodes of its own."""
+    gamma: float = 0.97
+    """Discount of the team's return."""
+
+    def run(self) -> None:
+        """Print the table. ValueError for a setting that cannot be."""
+        import numpy as np
+
+        from dcgrid_env.agents.studies.gradient_agreement import agreement
+
+        for field in ("num_envs", "steps", "seeds"):
+            if getattr(self, field) < 1:
+                raise ValueError(f"{field} is {getattr(self, field)}; give at least 1")
+        if not 0.0 < self.gamma <= 1.0:
+            raise ValueError(f"gamma is {self.gamma}; give more than 0 and at most 1")
+        print("| scenario | the team's return | counterfactual advantage |\n|---|---|---|")
+        for scenario in scenario_names(self.scenarios):
+            found = [agreement(scenario, seed, self.num_envs, self.steps, self.gamma) for seed in range(self.seeds)]
+            cells = (f"{np.mean(each):.3f} ({min(each):.3f} .. {max(each):.3f})" for each in zip(*found, strict=True))
+            print(f"| `{scenario}` | {' | '.join(cells)} |", flush=True)

@@ -1,0 +1,37 @@
+"""Training on random feeders: it begins as the law, learns repeatably, goes on after a kill; the family repeats."""
+
+import pytest
+
+from dcgrid_env import scenario_hash
+from dcgrid_env.agents import ModelAidedPolicy, Policy
+from dcgrid_env.agents.algorithms.carry_over import CarryOver, main
+from dcgrid_env.agents.training.drawn_feeders import drawn_scenario
+from dcgrid_env.agents.training.run_folder import read_curve
+
+TINY = {"updates": 2, "feeders": 1, "num_envs": 2, "steps": 3, "hidden": (4,), "validation_feeders": 1,
+        "validation_episodes": 1, "validate_every": 1, "checkpoint_every": 1}  # fmt: skip
+
+
+def test_it_begins_as_the_law_and_learns(tmp_path):
+    main(CarryOver(**TINY, out=tmp_path))
+    first, second = read_curve(tmp_path)
+    assert first["loss"] == pytest.approx(1.0, abs=1e-6)  # the quotient to the law on the same episodes
+    assert second["loss"] != 1.0
+    policy = Policy.load(tmp_path / "policy.safetensors")
+    assert isinstance(policy, ModelAidedPolicy)
+    assert policy.trained_on == "drawn-feeders"
+
+
+@pytest.mark.parametrize("given", [{"feeders": 0}, {"steps": 0}, {"scenario": "ieee33"}, {"device": "cuda"}])
+def test_settings_that_cannot_be_are_refused(given, tmp_path):
+    (field,) = given
+    with pytest.raises(ValueError, match=field):
+        main(CarryOver(**{**TINY, **given}, out=tmp_path))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_number_is_always_the_same_scenario():
+    hashes = {scenario_hash(drawn_scenario(split, i)) for split in ("train", "validation") for i in (0, 1)}
+    assert len(hashes) == 4
+    assert scenario_hash(drawn_scenario("train", 1)) in hashes
+    assert drawn_scenario("validation", 0).split == "validation"

@@ -1,0 +1,110 @@
+"""The search over an algorithm's settings: its spaces, that it goes on and is the same again, and what it prints."""
+
+import dataclasses
+import tomllib
+
+import pytest
+
+from dcgrid_env.agents.algorithms import analytic
+from dcgrid_env.agents.algorithms.analytic import Analytic
+from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.studies.search_spaces import SPACES, Choice, within
+from dcgrid_env.agents.training import run_folder
+from dcgrid_env.agents.training.preset_settings import PATH
+from dcgrid_env.cli.main import main
+from dcgrid_env.cli.train import ALGORITHMS
+
+pytest.importorskip("optuna")
+from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, search
+
+
+@pytest.mark.parametrize("algorithm", SPACES)
+def test_defaults_and_what_ships_lie_within_the_spaces(algorithm):
+    kind, shipped = ALGORITHMS[algorithm].configuration(), tomllib.loads(PATH.read_text()).get(algorithm, {})
+    for name, space in SPACES[algorithm].items():
+        assert name in {field.name for field in dataclasses.fields(kind)}
+        assert within(space, getattr(kind(), name)), name
+        for scenario, settings in shipped.items():
+            assert within(space, settings.get(name, getattr(kind(), name))), (scenario, name)
+        if not isinstance(space, Choice):
+            assert 0.0 < space.low < space.high if space.log else space.low < space.high
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """Trainings that are a formula: the cost of a validation falls to the distance from a rate of 0.02."""
+    done = []
+
+    def fake(cfg):
+        done.append(cfg)
+        cost = abs(cfg.learning_rate - 0.02)
+        for left in (0.2, 0.1, 0.0):
+            for watcher in tuple(run_folder._watchers):
+                watcher({"J": 1.0 + cost * (1.0 + left)})
+        Card("0", 1, "0" * 64, validation_J=1.0 + cost).save(cfg.out / "policy.json")
+        return cfg.out
+
+    monkeypatch.setattr(analytic, "main", fake)
+    return done
+
+
+def test_a_search_is_the_same_again_and_in_parts(tmp_path, trained):
+    base = Analytic(scenario="toy6", max_grad_norm=2.0)
+    whole = search(base, 8, 5, tmp_path / "whole", ("max_grad_norm",))
+    for n in (3, 8):
+        parts = search(base, n, 5, tmp_path / "parts", ("max_grad_norm",))
+        assert len(ended(parts)) == n
+    assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
+    assert len(trained) == 16
+    assert all(cfg.max_grad_norm == 2.0 for cfg in trained)
+    other = search(base, 3, 6, tmp_path / "other", ("max_grad_norm",))
+    assert other.trials[0].params == whole.trials[0].params == {"learning_rate": 1e-2, "window": 40, "num_envs": 128}
+    assert other.trials[1].params != whole.trials[1].params
+    with pytest.raises(ValueError, match=r"journal.log: seed of the search was 5 and is 6 now"):
+        search(base, 9, 6, tmp_path / "parts", ("max_grad_norm",))
+
+
+def test_it_finds_what_is_better_and_stops_what_is_not(tmp_path, trained):
+    study = search(Analytic(scenario="toy6"), 12, 0, tmp_path / "run")
+    assert study.best_value < study.trials[0].value
+    assert any(trial.state.name == "PRUNED" for trial in study.trials)
+    own = tomllib.loads(best_as_toml(study, Analytic(scenario="toy6")))["analytic"]["toy6"]
+    assert own["learning_rate"] == pytest.approx(study.best_params["learning_rate"], rel=0.01)
+    assert set(own) <= set(SPACES["analytic"])
+
+
+def test_an_interrupted_trial_is_done_again(tmp_path, trained, monkeypatch):
+    base, whole = Analytic(scenario="toy6"), None
+    whole = search(base, 3, 0, tmp_path / "whole")
+    calls, fake = [], analytic.main
+
+    def broken(cfg):
+        calls.append(cfg)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return fake(cfg)
+
+    monkeypatch.setattr(analytic, "main", broken)
+    with pytest.raises(KeyboardInterrupt):
+        search(base, 3, 0, tmp_path / "run")
+    again = search(base, 3, 0, tmp_path / "run")
+    assert [trial.params for trial in ended(again)] == [trial.params for trial in whole.trials]
+
+
+def test_the_command(tmp_path, trained, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["dev", "tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--fixed", "updates=7"]
+    main(words)
+    said = capsys.readouterr().out
+    assert "0: J 1.0100, 0 s: learning_rate 0.01, window 40" in said
+    assert "3 trials, 0 of them stopped" in said
+    assert "[analytic.toy6]\nupdates = 7" in said
+    assert (tmp_path / "results/tune-agent/toy6-analytic/journal.log").exists()
+    for asked, message in (
+        (["dev", "tune-agent", "dqn"], "algorithm is 'dqn'; there are spaces for analytic, safe, ppo"),
+        ([*words[:-1], "colour=1"], "fixed: colour is no setting of analytic"),
+        ([*words, "--trials", "0"], "trials is 0"),
+    ):
+        with pytest.raises(SystemExit):
+            main(asked)
+        assert message in capsys.readouterr().err
