@@ -120,6 +120,11 @@ class Commissioned(NamedTuple):
         return Commissioned(*(field[lanes] for field in self))
 
 
+def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
+    """u* as an agent has it at its draw, kvar, (lane, n)."""
+    return by_sun(site, known.rest_kvar, known.rest_at, p_kw)
+
+
 def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> np.ndarray:
     """Interpolate figures of the levels of the sun to what an inverter reads off its draw; others have the mean.
 

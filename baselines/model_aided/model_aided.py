@@ -28,7 +28,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 
@@ -120,7 +120,7 @@ class ModelAided(LocalController):
         work = self._work(flat, known)
         p_kw = flat.p_kw.copy()
         p_kw[:, :n_dc] = work.idle_kw + work.all_kw
-        rest_kvar = by_sun(site, known.rest_kvar, known.rest_at, p_kw)
+        rest_kvar = resting(site, known, p_kw)
         then_kw, then_kvar = self._when_measured(flat)
         v_pu, kvar = flat.v_pu, flat.q_kvar
         # All begin without reactive power, and know it: they go on as if they stood at u*.
