@@ -19,7 +19,7 @@ from array_api_compat import array_namespace
 from dcgrid_env import Scenario, field_names
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 
 _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 """What the agents know by level of the sun."""
@@ -101,7 +101,7 @@ class LawStep:
         known, site, n_dc, like = self.known, self.site, self._n_dc, self._like
         idle_kw, all_kw, ceiling_kw = self._work(now)
         p_kw = _joined((idle_kw + all_kw, now.p_kw[:, n_dc:]))
-        rest_kvar = by_sun(site, self._known.rest_kvar, self._known.rest_at, _host(p_kw))
+        rest_kvar = resting(site, self._known, _host(p_kw))
         then_kw, then_kvar = past.when_measured(now, self.scenario.measurement_delay)
         # All begin without reactive power, and go on as if they stood at u*, as in the law.
         if past.steps <= self.scenario.measurement_delay:
