@@ -111,7 +111,7 @@ class Corrections(torch.nn.ModuleDict):
     def __init__(self, moments: Mapping[str, tuple[torch.Tensor, torch.Tensor]], hidden: Sequence[int]):
         super().__init__({kind: Perceptron(*moments[kind], OUTPUTS[kind], hidden) for kind in moments})
         for network in self.values():
-            torch.nn.init.zeros_(network.layers[-1].weight)  # pyright: ignore[reportArgumentType,reportIndexIssue]
+            torch.nn.init.zeros_(network.layers[-1].weight)  # pyright: ignore
 
     def policy(self) -> ModelAidedPolicy:
         """The policy as it stands, as NumPy arrays."""
@@ -199,7 +199,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
             )
             figures = _update(cfg, run, networks, optimiser, update)
             if update % cfg.validate_every == 0 or update == cfg.updates:
-                validated = judge(networks)
+                validated = judge(networks)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
                 if validated["J"] < best:
                     best = validated["J"]
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}

@@ -19,7 +19,7 @@ from array_api_compat import array_namespace
 from dcgrid_env import Scenario, field_names
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 
 _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 """What the agents know by level of the sun."""
@@ -101,7 +101,7 @@ class LawStep:
         known, site, n_dc, like = self.known, self.site, self._n_dc, self._like
         idle_kw, all_kw, ceiling_kw = self._work(now)
         p_kw = _joined((idle_kw + all_kw, now.p_kw[:, n_dc:]))
-        rest_kvar = by_sun(site, self._known.rest_kvar, self._known.rest_at, _host(p_kw))
+        rest_kvar = resting(site, self._known, _host(p_kw))
         then_kw, then_kvar = past.when_measured(now, self.scenario.measurement_delay)
         # All begin without reactive power, and go on as if they stood at u*, as in the law.
         if past.steps <= self.scenario.measurement_delay:
@@ -110,10 +110,11 @@ class LawStep:
         if past.steps == 0:
             now = now._replace(q_kvar=like(rest_kvar))
         past.steps += 1
-        v_host, then, kvar, p_host = (_host(a) for a in (now.v_pu, (then_kw, then_kvar), now.q_kvar, p_kw))
+        then = _host(then_kw), _host(then_kvar)
+        v_host, kvar, p_host = _host(now.v_pu), _host(now.q_kvar), _host(p_kw)
         slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
         span_kw = _host(all_kw) - np.minimum(_host(ceiling_kw) * slowest, _host(all_kw))
-        best = decide(site, self._known, Seen(v_host, *then, kvar, p_host, span_kw, rest_kvar))
+        best = decide(site, self._known, Seen(v_host, then[0], then[1], kvar, p_host, span_kw, rest_kvar))
         base, own_base, gain, inverse, by_all = self._at_level(v_host, *then)
         e_own = now.v_pu - known.own_by_q * (then_kvar - known.origin_kvar)
         surprise = e_own + known.own_by_draw * (then_kw - known.mean_kw) - own_base
@@ -244,9 +245,7 @@ def _joined(parts: tuple[Any, ...], axis: int = -1) -> Any:
 
 
 def _host(values: Any) -> Any:
-    """NumPy's form of an array, float64, or of each of several."""
-    if isinstance(values, tuple):
-        return tuple(map(_host, values))
+    """NumPy's form of an array, float64."""
     return values if isinstance(values, np.ndarray) else values.detach().cpu().double().numpy()
 
 
