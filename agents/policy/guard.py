@@ -3,7 +3,8 @@
     u = law + clip(w (policy - law), -d, d)        u, law and policy: entries of the action of an agent
 
 - **Range.** w of an agent is 1 while all inputs of its network, and its nameplate whether the network sees it or not,
-  are in the range that its card holds (``input_range``), and falls to 0 at ``SOFT`` widths of the range beyond it: the law alone. It comes back over ``RETURN_STEPS`` steps.
+  are in the range that its card holds (``input_range``), and falls to 0 at ``SOFT`` widths of the range beyond it: the
+  law alone. It comes back over ``RETURN_STEPS`` steps.
 - **Place.** Where some agent stands in a place, or has a rating, that is outside of the range, the policy was not made
   for this team. Then deviations are bounded too, d is ``DEVIATION`` and not the whole range, and so is the gain: w is
   at most what keeps the slope of u by the own voltage below the linear stability bound (``slope_bounds``), or at the
