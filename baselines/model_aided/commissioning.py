@@ -13,7 +13,7 @@ import numpy as np
 from dcgrid_env import Scenario, sensitivity_to_agents
 from dcgrid_env.baselines.controller import require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, resting
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun
 from dcgrid_env.baselines.model_aided.moment_flow import MomentFlow
 from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints, operating_points
 from dcgrid_env.baselines.model_aided.regression import regressed
@@ -26,6 +26,8 @@ _MOMENTS_OF_OPTIMUM = 12
 _ROUNDS = 6
 _CAUTIOUS_ROUNDS = 3  # of these the first, of which each goes only a part of the way
 _PART = 0.6
+_ON_THE_WAY = 0.1  # share of the moments at which all stand between nothing and their response
+_MISSING = 0.05  # share of the moments at which an agent is without reactive power, as one that is lost
 # What is put off is served later, and relieves as much less then: that pays where the relief now is so many times what
 # it is in the best moments, or more than it costs never to serve it. Elsewhere, as where the band is always left, the
 # clock stays at its top.
@@ -88,19 +90,20 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     order = np.argsort(rest_at, kind="stable")
     rest_kvar, rest_at, mean_kw = rest_kvar[order], rest_at[order], draw.mean(axis=0)
     origin = rest_kvar.mean(axis=0)
-    none = np.empty(0)
-    known = Commissioned(mean_kw[None], rest_kvar[None], rest_at[None], origin[None], *[none] * 11, np.full((1, n_dc), site.waiting))
-    rest_all = resting(site, known, draw)
+    rest_all = by_sun(site, rest_kvar[None], rest_at[None], draw)
     v = flow.at(rest_all)
     by_q, by_p = by_q / v.mean(axis=0), by_p / v.mean(axis=0)
     v = v - (rest_all - origin) @ by_q  # at the origin, by the model
     by_draw = by_p.copy()
     by_draw[:n_dc] += _correlated(draw[:, :n_dc]) @ by_p[:n_dc]
-    own = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
-    fields = ("by_q", "by_p", "by_draw", "own_by_q", "own_by_draw")
-    known = known._replace(**{k: a[None] for k, a in zip(fields, (by_q, by_p, by_draw, *own), strict=True)})
+    own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
+    start = rest_kvar @ (by_q @ flow.seen.T)
+    slopes = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_p, by_draw, own_by_q, own_by_draw)
+    waiting, none = np.full((1, n_dc), site.waiting), np.empty(0)
+    known = Commissioned(*(field[None] for field in slopes), *[none] * 6, waiting)
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
+    there = _there(rng, *draw.shape)
     span_kw, relief = np.zeros((2, len(draw), n_dc))
     for k in range(_ROUNDS):
         kvar, own_v = origin + moved, (v + moved @ by_q) @ flow.seen.T
@@ -108,10 +111,21 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
         relief = best.relief
         kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
         kvar = kvar + law.pull * site.scheduled * (rest_all - kvar)
-        moved = np.clip(kvar, -limit, limit) - origin
+        moved = there * np.clip(kvar, -limit, limit) - origin
         known = regressed(site, known, v, moved, flow.seen)
     later = _TIMES * np.quantile(relief, _BEST_MOMENTS, axis=0)
     return known._replace(waiting=np.clip(later, site.waiting, max(site.waiting, site.never))[None])
+
+
+def _there(rng: np.random.Generator, m: int, n: int) -> np.ndarray:
+    """Share of its setpoint that each agent has at each moment, (m, n).
+
+    Mostly all of it. What an agent infers from a surprise must hold too where others are not where they should be:
+    from moments at which all are, gains follow that are wrong beyond them, and joint setpoints far from u* that agree
+    with each other.
+    """
+    on_the_way = np.where(rng.random((m, 1)) < _ON_THE_WAY, rng.random((m, 1)), 1.0)
+    return on_the_way * (rng.random((m, n)) >= _MISSING)
 
 
 def _levels(site: Site) -> list[np.ndarray]:

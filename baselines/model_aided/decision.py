@@ -78,15 +78,14 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
         np.ascontiguousarray(values)
         for values in (
             known.base_pu, known.own_base_pu, known.gain, known.inverse_spread, known.by_all, known.by_q, known.by_p,
-            known.by_draw, known.waiting, level, weight, e_own, seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw,
-            seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale, site.s_rated_kva, site.q_scale_kvar, site.effort,
+            known.by_draw, known.waiting, level, weight, e_own, seen.kvar - known.origin_kvar,
+            seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale,
+            site.s_rated_kva, site.q_scale_kvar, site.effort,
         )
     ]  # fmt: skip
 
     def part(first: int, last: int) -> int:
-        return kernel(
-            first, last, price.voltage, price.violation, price.band_pu, law.alike, law.hold, *given, *done
-        )
+        return kernel(first, last, price.voltage, price.violation, price.band_pu, law.alike, law.hold, *given, *done)
 
     over_lanes(part, n_lane)
     return done

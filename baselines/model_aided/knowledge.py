@@ -13,8 +13,8 @@ from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints
 class Law(NamedTuple):
     """Settings of the law, see ``ModelAided``."""
 
-    floor_pu: float = 0.001
-    alike: float = 0.7
+    floor_pu: float = 0.0003
+    alike: float = 0.8
     hold: float = 0.01
     pull: float = 0.3
     price: float = 1.0
@@ -86,6 +86,8 @@ class Commissioned(NamedTuple):
     """u* at each level of the sun, (m, L, n); one level without a schedule."""
     rest_at: np.ndarray
     """Mean of these levels, draw of an inverter as a share of its rating (negative), rising, (m, L)."""
+    start_pu: np.ndarray
+    """Rise of the own voltage when all go from no reactive power to u*, at each level, (m, L, n)."""
     origin_kvar: np.ndarray
     """The setpoint that deviations are counted from, (m, n)."""
     by_q: np.ndarray
@@ -119,12 +121,24 @@ class Commissioned(NamedTuple):
 
 
 def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
-    """u* as an agent has it at its draw, kvar, (lane, n): of the sun that an inverter reads off, else the mean level's.
+    """u* as an agent has it at its draw, kvar, (lane, n)."""
+    return by_sun(site, known.rest_kvar, known.rest_at, p_kw)
 
-    ``p_kw`` is (lane, n), ``known`` of one placement or of one a lane.
+
+def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> np.ndarray:
+    """Interpolate figures of the levels of the sun to what an inverter reads off its draw; others have the mean.
+
+    Parameters
+    ----------
+    site
+        Says which agents see the sun.
+    values, at
+        Figures by level, such as ``Commissioned.rest_kvar``, (m, L, n), and ``rest_at``, (m, L); m is 1, or the lanes.
+    p_kw
+        Draws, (lane, n).
     """
-    lanes = np.broadcast_to(known.rest_kvar, (len(p_kw), *known.rest_kvar.shape[1:]))
-    at = np.broadcast_to(known.rest_at, (len(p_kw), known.rest_at.shape[1]))
+    lanes = np.broadcast_to(values, (len(p_kw), *values.shape[1:]))
+    at = np.broadcast_to(at, (len(p_kw), at.shape[1]))
     out = lanes.mean(axis=1)
     kva, rows = site.scenario.scheduled_kva, np.arange(len(p_kw))
     for j in np.flatnonzero(site.scheduled):

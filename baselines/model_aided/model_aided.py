@@ -28,7 +28,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, resting
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 
@@ -62,8 +62,8 @@ class ModelAided(LocalController):
         Price of letting work wait, as a share of what MPC charges.
     """
 
-    floor_pu: float = 0.001
-    alike: float = 0.7
+    floor_pu: float = 0.0003
+    alike: float = 0.8
     hold: float = 0.01
     pull: float = 0.3
     price: float = 1.0
@@ -81,6 +81,7 @@ class ModelAided(LocalController):
         super().reset(env_info)
         s = self.scenario
         self._site = site_of(s, Law(self.floor_pu, self.alike, self.hold, self.pull, self.price))
+        self._steps = 0
         self._known: Commissioned | None = None
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
         fixed = [device.buses for device in s.devices if device.count]
@@ -120,8 +121,16 @@ class ModelAided(LocalController):
         p_kw = flat.p_kw.copy()
         p_kw[:, :n_dc] = work.idle_kw + work.all_kw
         rest_kvar = resting(site, known, p_kw)
-        then = self._when_measured(flat)
-        best = decide(site, known, Seen(flat.v_pu, *then, flat.q_kvar, p_kw, work.all_kw - work.least_kw, rest_kvar))
+        then_kw, then_kvar = self._when_measured(flat)
+        v_pu, kvar = flat.v_pu, flat.q_kvar
+        # All begin without reactive power, and know it: they go on as if they stood at u*.
+        if self._steps <= s.measurement_delay:
+            v_pu, then_kvar = v_pu + by_sun(site, known.start_pu, known.rest_at, then_kw), rest_kvar
+        if self._steps == 0:
+            kvar = rest_kvar
+        self._steps += 1
+        seen = Seen(v_pu, then_kw, then_kvar, kvar, p_kw, work.all_kw - work.least_kw, rest_kvar)
+        best = decide(site, known, seen)
         # Where all work is to be served the clock may as well be at its top.
         f_mhz = np.where(best.cut_kw > 0.0, (work.all_kw - best.cut_kw) / work.ceiling_kw, 1.0) * s.f_max_mhz
         q_kvar = best.share * site.q_scale_kvar

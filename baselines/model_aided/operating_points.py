@@ -32,7 +32,7 @@ class OperatingPoints(NamedTuple):
         return np.maximum(-self.p_agent_kw, 0.0).sum(axis=1)
 
     def on(self, scenario: Scenario) -> OperatingPoints:
-        """The same moments on another member of the same random feeders, without drawing episodes.
+        """Carry the moments over to another member of the same random feeders, without drawing episodes.
 
         Each bus has the share of its nominal load that the bus at its place has here, or where that has no load, that
         of another one. ValueError where a feeder is not balanced or the buses are not as many.

@@ -24,7 +24,7 @@ def regressed(site: Site, known: Commissioned, v: np.ndarray, moved: np.ndarray,
     Parameters
     ----------
     site, known
-        Of these ``key .. by_all`` are made.
+        What is known so far; ``key .. by_all`` are made here.
     v
         Voltages of the moments at the origin of the setpoints, p.u., (m, k).
     moved

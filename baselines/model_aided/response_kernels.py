@@ -20,8 +20,8 @@ _MOST = 12  # steps of a search
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def decide(
     first, last, by_voltage, by_violation, band_pu, alike, hold, base, own_base, gain, inverse_spread, by_all,
-    by_q, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest, s_rated, q_scale,
-    effort, new, cut_kw, slope, relief, surprise,
+    by_q, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest, s_rated,
+    q_scale, effort, new, cut_kw, slope, relief, surprise,
 ):  # fmt: skip
     """Decide for the lanes from ``first`` to before ``last``, writing to ``new .. surprise``.
 
