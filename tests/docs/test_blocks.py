@@ -44,6 +44,7 @@ SHORTER = {
     "dcgrid train analytic": TRAINING,
     "dcgrid train analytic --vary 4": TRAINING | {"--vary": "1"},
     "dcgrid train safe": TRAINING,
+    "dcgrid train carry-over": TRAINING | {"--feeders": "1", "--steps": "2", "--validation-feeders": "1"},
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
@@ -63,6 +64,7 @@ ELSEWHERE = {
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",
+    "dcgrid dev carry-over": "tests/agents/studies",
     "dcgrid dev sags": "tests/agents/studies",
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
