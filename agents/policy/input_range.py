@@ -74,10 +74,12 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     policy
         A :class:`Policy`.
     scenarios
-        What it was trained on, whatever their split.
+        What it was trained on, whatever their split; without any there are no ranges.
     episodes
         Seeds 0, 1, .. of each; of random feeders one on each of so many.
     """
+    if not scenarios:
+        return {}
     driver = _Recorded(policy)
     for scenario in scenarios:
         feeder = scenario.feeder
