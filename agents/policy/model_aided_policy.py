@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
 from dcgrid_env.agents.policy.law_step import Past
 from dcgrid_env.agents.policy.neural_network import Family, PolicyError
@@ -75,6 +76,11 @@ class ModelAidedPolicy(Policy, features="law"):
                     f"{', '.join(self.networks)}"
                 )
         self._interface_now()
+
+    @property
+    def interface(self) -> PolicyInterface:
+        """PolicyError: its networks see figures of a law and not observations, and are bounded by themselves."""
+        raise PolicyError(f"{self.source}: corrects the model-aided law within bounds, and has no guard beside that")
 
     def place(self, buses: np.ndarray) -> None:
         """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), given after ``reset`` and before ``act``."""

@@ -7,12 +7,13 @@ import torch
 from dcgrid_env import field_names, make_scenario
 from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
+from dcgrid_env.baselines.model_aided.knowledge import Law
 
 
 def steps(preset, array, joint):
     scenario = make_scenario(preset)
     buses = [scenario.feeder.index(bus) for device in scenario.devices for bus in device.buses]
-    site = site_of(scenario)
+    site = site_of(scenario, Law(floor_pu=0.003))  # smooth, so that differences are near derivatives
     columns = Columns(scenario, array)
     now, past = columns.own(columns.of(joint)), Past()
     past.steps = 1  # the first begins elsewhere
@@ -40,21 +41,23 @@ def test_tensors_and_arrays_come_to_the_same(preset):
         np.testing.assert_allclose(its.numpy(), ours, rtol=0, atol=1e-9)
 
 
-def test_the_derivative_is_that_of_the_decisions():
-    joint = observed("ieee33-weak")
-    voltages = [i for i in range(joint.shape[1]) if abs(joint[0, i]) > 0.4 and joint[0, i] < 0.0]
+@pytest.mark.parametrize("of", ["cut_kw", "chosen"])
+def test_the_derivative_is_that_of_the_decisions(of):
+    joint, apart = observed("ieee33-weak"), 5e-3  # of the band
+    names = [name for own in field_names(make_scenario("ieee33-weak")).values() for name in own]
+    columns = [i for i, name in enumerate(names) if name == "v_deviation"]
     leaf = double(joint).requires_grad_()
-    done = steps("ieee33-weak", double, leaf)
-    assert (done.cut_kw > 0.0).any()
-    assert (abs(done.chosen) < 0.99).any()
-    apart = 5e-3  # of the band: above what the search leaves open
-    for of in ("cut_kw", "chosen"):
-        (slope,) = torch.autograd.grad(getattr(done, of).sum(), leaf, retain_graph=True)
-        for i in voltages:
-            moved = []
-            for sign in (1.0, -1.0):
-                there = joint.copy()
-                there[:, i] += sign * apart
-                moved.append(getattr(steps("ieee33-weak", np.asarray, there), of).sum())
-            by_difference = (moved[0] - moved[1]) / (2.0 * apart)
-            assert float(slope[:, i].sum()) == pytest.approx(by_difference, rel=0.1, abs=0.05)
+    now = getattr(steps("ieee33-weak", double, leaf), of)
+    (slope,) = torch.autograd.grad(now.sum(), leaf)
+    compared = 0
+    for agent, column in zip(range(now.shape[1]), columns, strict=False):
+        below, above = (joint.copy() for _ in range(2))
+        below[:, column] -= apart
+        above[:, column] += apart
+        low, high = (getattr(steps("ieee33-weak", np.asarray, there), of)[:, agent] for there in (below, above))
+        left, right = (now[:, agent].detach().numpy() - low) / apart, (high - now[:, agent].detach().numpy()) / apart
+        straight = (abs(left - right) < 0.2 * abs(left)) & (left != 0.0)  # elsewhere a limit or a kink is between
+        expected = (high - low)[straight] / (2.0 * apart)
+        np.testing.assert_allclose(slope[:, column].numpy()[straight], expected, rtol=0.1)
+        compared += straight.sum()
+    assert compared >= 2
