@@ -64,6 +64,10 @@ def ship(
     with on_purpose():  # the scenario was asked for
         evaluations = [evaluate(policy, test, seeds) for policy, _ in runs]
     scores = [evaluation.score(droop).score for evaluation in evaluations]
+    over_seeds = None
+    if len(runs) > 1:
+        mean, low, high = score_over_seeds(evaluations, droop)
+        over_seeds = (mean, low, high)
     best = min(range(len(cards)), key=lambda i: cards[i].validation_J or 0.0)
     scored = Scored(
         scenario=test.name,
@@ -76,7 +80,7 @@ def ship(
         score=(scores[best].value, scores[best].low, scores[best].high),
         seeds=tuple(card.seed or 0 for card in cards),
         seed_scores=tuple(estimate.value for estimate in scores),
-        over_seeds=tuple(score_over_seeds(evaluations, droop)) if len(runs) > 1 else None,
+        over_seeds=over_seeds,
     )
     card = dataclasses.replace(cards[best], scored=scored)
     if card.inputs is None:

@@ -4,7 +4,7 @@ from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
 
-ALGORITHMS = ("analytic", "ppo", "safe")
+ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
 
 
 def cells(scenario: str, algorithm: str) -> list[str]:

@@ -15,11 +15,7 @@ NO_SENTENCE = re.compile(r"(?:Of|The same|As)\b")
 IN_EVERY_PACKAGE = ("__init__", "__main__")
 ONE_IDEA = {
     "hindsight": {"baselines/model_based/hindsight.py", "dcgrid_env/cli/hindsight.py"},
-    "carry_over": {
-        "agents/algorithms/carry_over.py",
-        "agents/studies/carry_over.py",
-        "dcgrid_env/cli/carry_over.py",
-    },
+    "unseen_feeders": {"agents/studies/unseen_feeders.py", "dcgrid_env/cli/unseen_feeders.py"},
     "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
     "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
     "sag_study": {"agents/studies/sag_study.py", "dcgrid_env/cli/sag_study.py"},

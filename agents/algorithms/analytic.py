@@ -39,7 +39,7 @@ from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.normalisation import normalisation, remembered_columns
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import HistoryPerceptron, Perceptron, forgiving_clip
-from dcgrid_env.agents.training.validation import Validation, made_with
+from dcgrid_env.agents.training.validation import Validation, made_with, stepped
 from dcgrid_env.agents.training.variants import scenarios, variant
 from dcgrid_env.baselines.file_names import file_name
 
@@ -284,7 +284,7 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
                     best = cfg.limits.merit(validated)
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": validated["J"]}
                     policy.save(run.folder / "policy.safetensors", card | {"algorithm": algorithm})
-                run.record(validated | figures | model.progress())
+                run.record(validated | figures | model.progress() | stepped(grids, cfg.num_envs, iteration))
                 advance(iteration, f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})

@@ -1,13 +1,13 @@
-"""A policy that carries over: corrections of the model-aided law, learned on random feeders by gradients through the grid.
+"""A policy that carries over: corrections of the model-aided law, learned on random feeders.
 
 Each scenario of a batch is another one of ``training.drawn_feeders``: another feeder, other places, numbers and ratings
 of devices, another substation voltage, other work. Its agents are commissioned as the law's are
 (``baselines.model_aided``), the networks correct the law (``policy.law_interface``), at first by nothing, and the cost
 of whole episodes is followed down its gradient, which goes through the grid and through the law (``policy.law_step``):
 
-    loss = mean over the batch's scenarios of  J under the policy / J under the law on the same episodes
+    loss = mean over the batch's scenarios of the logarithm of J
 
-The quotient lets a feeder that is hard count no more than one that is easy. What is kept is the policy with the least
+The logarithm lets a feeder that is hard count no more than one that is easy. What is kept is the policy with the least
 mean J on held-out scenarios of the same family. No named feeder is ever seen.
 """
 
@@ -22,6 +22,7 @@ import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
+from dcgrid_env.agents.policy.law_step import Past
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.drawn_feeders import FAMILY, drawn_scenario
@@ -89,7 +90,7 @@ class CommissionedEnv:
         self, networks: Mapping[str, torch.nn.Module] | None, seeds: Sequence[int]
     ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """Mean J of the episodes of these seeds, the law's alone without networks, and all that networks saw."""
-        env, past, seen_by = self.env, [], {}
+        env, past, seen_by = self.env, Past(), {}
         joint, total = env.reset(seeds), torch.zeros(())
         while not env.over:
             step, seen = self.interface.figures(joint, past)
@@ -110,7 +111,7 @@ class Corrections(torch.nn.ModuleDict):
     def __init__(self, moments: Mapping[str, tuple[torch.Tensor, torch.Tensor]], hidden: Sequence[int]):
         super().__init__({kind: Perceptron(*moments[kind], OUTPUTS[kind], hidden) for kind in moments})
         for network in self.values():
-            torch.nn.init.zeros_(network.layers[-1].weight)  # pyright: ignore[reportArgumentType,reportIndexIssue]
+            torch.nn.init.zeros_(network.layers[-1].weight)  # pyright: ignore
 
     def policy(self) -> ModelAidedPolicy:
         """The policy as it stands, as NumPy arrays."""
@@ -198,7 +199,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
             )
             figures = _update(cfg, run, networks, optimiser, update)
             if update % cfg.validate_every == 0 or update == cfg.updates:
-                validated = judge(networks)
+                validated = judge(networks)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
                 if validated["J"] < best:
                     best = validated["J"]
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
@@ -219,17 +220,15 @@ def _update(
 ) -> dict[str, float]:
     """One batch and one step of the optimiser; what it came to."""
     optimiser.zero_grad()
-    shares = []
+    losses = []
     for i in range((update - 1) * cfg.feeders, update * cfg.feeders):
         env, seeds = CommissionedEnv(drawn_on(cfg, i)), range(i * cfg.num_envs, (i + 1) * cfg.num_envs)
-        with torch.no_grad():
-            by_law = env.episodes(None, seeds)[0]
-        share = env.episodes(networks, seeds)[0] / by_law  # pyright: ignore[reportArgumentType]
-        (share / cfg.feeders).backward()
-        shares.append(float(share.detach()))
+        loss = torch.log(env.episodes(networks, seeds)[0])  # pyright: ignore[reportArgumentType]
+        (loss / cfg.feeders).backward()
+        losses.append(float(loss.detach()))
     weights = list(networks.parameters())
     norm = float(torch.nn.utils.clip_grad_norm_(weights, cfg.max_grad_norm))
     run.require_finite("a gradient is", (weight.grad for weight in weights if weight.grad is not None))
     optimiser.step()
     run.require_finite("a weight is", weights)
-    return {"loss": float(np.mean(shares)), "gradient_norm": norm}
+    return {"loss": float(np.mean(losses)), "gradient_norm": norm}

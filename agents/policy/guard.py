@@ -27,12 +27,14 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario, action_layout, field_names
+from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import InputRange, by_moments
 from dcgrid_env.agents.policy.neural_network import PolicyError
-from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
+from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.slope_bounds import slope_bounds
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Controller, Droop, make_controller
+from dcgrid_env.baselines import Controller, Droop, Placed, make_controller
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.baselines.laws.stability import PLACEMENTS, largest_stable
 from dcgrid_env.baselines.score import REFERENCE
@@ -118,6 +120,7 @@ class GuardedPolicy:
         new = self._new[..., None]
         if self._new.any():
             weight = np.where(new, np.minimum(weight, self._stable_share(joint)), weight)
+        law, own = self._law.act(joint), self.policy.act(joint)
         most = np.where(self._is_clock, DEVIATION["clock"], np.where(self._is_q, DEVIATION["q"], np.inf))
         most = np.where(new, most, np.inf)
         deviation = weight * (own - law)
@@ -142,7 +145,7 @@ class GuardedPolicy:
         known = {name: own for name, own in of_place.items() if own.shape[-1]}
         if not known:
             return np.zeros(next(iter(beyond.values())).shape[: -1 if "joint" in beyond else -2], bool)
-        return (self._of_agents(known) > SOFT).any(-1)
+        return np.asarray((self._of_agents(known) > SOFT).any(-1))
 
     def _stable_share(self, joint: np.ndarray) -> np.ndarray:
         """Share of the policy in each entry of the action at which its slope stays below the bound, (..., n_action)."""
@@ -152,7 +155,7 @@ class GuardedPolicy:
         sign = np.where(self._is_clock, 1.0, -1.0)  # at a higher voltage a faster clock, and less reactive power
         laws, own = (
             sign * (act(joint + self._v_step) - act(joint - self._v_step)) / (2.0 * STEP)
-            for act in (self._law.act, self.policy.act)
+            for act in (self._law.act, self.policy.probe)
         )
         room = np.maximum(self._steepest - laws, 0.0)
         return np.where(own > np.maximum(self._steepest, laws), room / np.maximum(own - laws, 1e-9), 1.0)
@@ -189,10 +192,29 @@ def guarded(policy: Policy | str | Path, law: Controller | None = None) -> Guard
     GuardedPolicy
         A controller. It falls back by the range on the policy's card, or where there is none by the moments of its
         networks.
+
+    Raises
+    ------
+    PolicyError
+        For a policy that corrects a law with a model of the feeder, which has bounds of its own.
     """
     chosen = policy if isinstance(policy, Policy) else Policy.load(policy)
-    card = chosen.card()
+    if isinstance(chosen, Placed):
+        raise PolicyError(
+            f"{chosen.source}: it corrects a law within bounds, on the feeder's model, and takes no guard; leave it out"
+        )
+    card = card_of(chosen)
     return GuardedPolicy(chosen, None if card is None else card.inputs, law)
+
+
+def card_of(policy: Policy) -> Card | None:
+    """The card that stands beside a policy's file; None where there is none, or it is of other weights."""
+    path = FOLDER / policy.source if policy.source in SHIPPED else Path(policy.source)
+    path = path.with_name(f"{path.name.removesuffix(SUFFIX)}.json")
+    if not path.is_file():
+        return None
+    card = Card.load(path)
+    return card if card.sha256 == policy.sha256 else None
 
 
 def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
@@ -210,10 +232,9 @@ def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
         members = [scenario.member(i * scenario.feeder.batch) for i in range(FAMILY_MEMBERS)]
     else:
         members = [scenario]
-    alpha = {"alpha_per_s": plain.alpha_per_s}
     k_q = min(largest_stable(member, k_p_mw_per_pu=0.0) for member in members)
     k_q = min(plain.k_q_mvar_per_pu_s, MARGIN * k_q)
-    k_p = min(largest_stable(member, k_q_mvar_per_pu_s=k_q, **alpha) for member in members)
+    k_p = min(largest_stable(member, k_q_mvar_per_pu_s=k_q, alpha_per_s=plain.alpha_per_s) for member in members)
     return Droop(k_p_mw_per_pu=min(plain.k_p_mw_per_pu, MARGIN * k_p), k_q_mvar_per_pu_s=k_q)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario
 from dcgrid_env.agents.policy.neural_network import PolicyError
-from dcgrid_env.baselines import rollout
+from dcgrid_env.baselines import Placed, rollout
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
 EPISODES = 64
@@ -66,8 +66,10 @@ class _Recorded:
         return self.policy.act(joint)
 
 
-def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODES) -> dict[str, InputRange]:
+def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODES) -> dict[str, InputRange] | None:
     """The range of each network's inputs as the policy drives episodes of the training split.
+
+    None for a policy that is given a model of the feeder: its inputs are figures of a law, the same on any feeder.
 
     Parameters
     ----------
@@ -78,6 +80,8 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     episodes
         Seeds 0, 1, .. of each; of random feeders one on each of so many.
     """
+    if isinstance(policy, Placed):
+        return None
     driver = _Recorded(policy)
     for scenario in scenarios:
         feeder = scenario.feeder

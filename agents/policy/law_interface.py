@@ -4,8 +4,11 @@ What a network sees of an agent are figures of the law (``law_step``), all witho
 any feeder: voltages in bands, reactive power as a share of the agent's own, slopes as a share of the largest that
 deviations alone can have. Its outputs y correct the law's decisions within bounds, and 0 leaves them as they are:
 
-    served power     the law's - SERVED tanh(y) dynamic rating                    of a data centre, 0 to all work at hand
-    q                the law's + REACTIVE tanh(y) largest reactive power          within the limit
+    served power    the law's - SERVED tanh(y) dynamic rating, from 0 to all work at hand
+    q               the law's + tanh(y) (u* - the law's) + REACTIVE tanh(y') largest reactive power, within the limit
+
+The first of q leads towards the static optimum, or as far away from it: where others do not what the statistics say,
+agents may hold each other in a state that none of them leaves alone, and u* is the way out.
 
 Array code for NumPy and torch alike, as ``interface``.
 """
@@ -20,20 +23,20 @@ from array_api_compat import array_namespace
 
 from dcgrid_env.agents.policy.agent_groups import agent_groups, axes
 from dcgrid_env.agents.policy.interface import cut
-from dcgrid_env.agents.policy.law_step import Columns, LawStep, Step
+from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past, Step
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
 
-SERVED, REACTIVE = 0.3, 0.5
+SERVED, REACTIVE = 0.3, 0.3
 """Bounds of the corrections: of the dynamic rating, and of the largest reactive power."""
 OF_ALL = (
     "deviation", "change", "surprise", "share", "to_rest", "step", "slope", "violation_slope", "mean_deviation",
-    "spread", "reach", "own_reach", "crowd", "effort", "draw",
+    "spread", "reach", "own_reach", "crowd", "effort", "draw", "gain",
 )  # fmt: skip
 OF_SITES = ("coming", "backlog", "relief", "cut", "to_serve", "draw_reach")
 FEATURES = {"datacenter": (*OF_ALL, *OF_SITES), "inverter": OF_ALL}
 """Names of what the networks see, by the kind of agent."""
-OUTPUTS = {"datacenter": 2, "inverter": 1}
-"""Width of what they give: served power and q, or q alone."""
+OUTPUTS = {"datacenter": 3, "inverter": 2}
+"""Width of what they give: served power and twice q, or q alone."""
 
 
 class LawInterface:
@@ -77,18 +80,14 @@ class LawInterface:
         self._worth, self._reach, self._own_reach = array(worth), *(array(_small(a)) for a in still)
         self._effort = array(np.log1p(site.effort / worth))
         drop = known.by_p.mean(-1) * np.concatenate([device.p_scale_kw for device in s.devices]) / band
+        gain = (known.gain.mean(2) * own).sum(-1) / np.maximum(own.sum(-1), 1e-12)
+        self._gain = array(np.clip(gain, -3.0, 3.0))
         self._drop, self._sum_own = array(_small(drop)), array(np.maximum(own.sum(-1), 1e-12))
 
-    def figures(self, joint: Any, past: list[Any]) -> tuple[Step, Mapping[str, Any]]:
-        """The law's step after a joint observation, and what each network sees, (lane, n_agent of its kind, n).
-
-        ``past`` holds own powers of earlier times, and is moved on.
-        """
+    def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
+        """The law's step after a joint observation, and what each network sees, (lane, n_agent of its kind, n)."""
         fields = self.columns.of(joint)
-        now = self.columns.own(fields)
-        past.append((now.p_kw, now.q_kvar))
-        del past[: -(self.law.scenario.measurement_delay + 1)]
-        step = self.law(now, *past[0])
+        step = self.law(self.columns.own(fields), past)
         return step, self._seen(fields, step)
 
     def _seen(self, fields: Mapping[str, Any], step: Step) -> Mapping[str, Any]:
@@ -102,6 +101,7 @@ class LawInterface:
             step.chosen - step.share, step.slope / self._worth, beyond.mean(-1), e.mean(-1),
             1.0 / (band * step.inverse_spread.mean(-1)) + like, self._reach + like, self._own_reach + like,
             xp.log1p(to_all) + like, self._effort + like, step.p_kw / self._rated_kw,
+            self._gain + like,
         ]  # fmt: skip
         every = xp.stack(of_all, axis=-1)
         seen = {}
@@ -118,7 +118,7 @@ class LawInterface:
     def action(self, step: Step, outputs: Mapping[str, Any]) -> Any:
         """The joint action, (lane, n_action) in [-1, 1], under the networks' corrections of the law's decisions."""
         xp, parts = _namespace(step.share), []
-        corrected = [REACTIVE * xp.tanh(outputs[kind][..., -1]) for kind in self.groups]
+        shift, pull = (xp.concat([xp.tanh(outputs[kind][..., at]) for kind in self.groups], axis=-1) for at in (-1, -2))
         if self._n_dc:
             less_kw = SERVED * xp.tanh(outputs["datacenter"][..., 0]) * self._dynamic_kw
             waits = (step.cut_kw + less_kw) / step.all_kw.clip(1e-9, None)
@@ -127,7 +127,7 @@ class LawInterface:
             if self._tops:
                 clock = xp.where(served_kw < step.all_kw, clock, 1.0 + 0.0 * clock)
             parts.append(clock)
-        q = step.chosen + xp.concat(corrected, axis=-1)
+        q = step.chosen + pull * (step.rest - step.chosen) + REACTIVE * shift
         parts.append(self._clip(q, -1.0, 1.0))
         return xp.concat(parts, axis=-1)[..., self._back]
 

@@ -19,7 +19,7 @@ from array_api_compat import array_namespace
 from dcgrid_env import Scenario, field_names
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
-from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, resting
+from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 
 _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 """What the agents know by level of the sun."""
@@ -33,6 +33,18 @@ class Own(NamedTuple):
     q_kvar: Any
     p_ref_next_kw: Any
     backlog_kws: Any
+
+
+class Past:
+    """What agents remember: how many steps they have acted, and own powers of the last of them."""
+
+    def __init__(self) -> None:
+        self.steps, self._powers = 0, []
+
+    def when_measured(self, now: Own, delay: int) -> tuple[Any, Any]:
+        """Own draw and injection, kW and kvar, at the time that the voltage was measured; ``now`` is remembered."""
+        self._powers = [*self._powers, (now.p_kw, now.q_kvar)][-(delay + 1) :]
+        return self._powers[0]
 
 
 class Step(NamedTuple):
@@ -84,16 +96,25 @@ class LawStep:
         self._dc = {name: array(np.asarray(getattr(s.datacenter, name))) for name in ("p_idle_kw", "p_dynamic_kw")}
         self._n_dc = s.n_datacenters
 
-    def __call__(self, now: Own, then_kw: Any, then_kvar: Any) -> Step:
-        """The law's decisions; own powers of the time that the voltage was measured, (lane, n_agent)."""
+    def __call__(self, now: Own, past: Past) -> Step:
+        """The law's decisions for what is seen now, which ``past`` then holds too."""
         known, site, n_dc, like = self.known, self.site, self._n_dc, self._like
         idle_kw, all_kw, ceiling_kw = self._work(now)
         p_kw = _joined((idle_kw + all_kw, now.p_kw[:, n_dc:]))
-        v_host, then, kvar, p_host = (_host(a) for a in (now.v_pu, (then_kw, then_kvar), now.q_kvar, p_kw))
+        rest_kvar = resting(site, self._known, _host(p_kw))
+        then_kw, then_kvar = past.when_measured(now, self.scenario.measurement_delay)
+        # All begin without reactive power, and go on as if they stood at u*, as in the law.
+        if past.steps <= self.scenario.measurement_delay:
+            start_pu = by_sun(site, self._known.start_pu, self._known.rest_at, _host(then_kw))
+            now, then_kvar = now._replace(v_pu=now.v_pu + like(start_pu)), like(rest_kvar)
+        if past.steps == 0:
+            now = now._replace(q_kvar=like(rest_kvar))
+        past.steps += 1
+        then = _host(then_kw), _host(then_kvar)
+        v_host, kvar, p_host = _host(now.v_pu), _host(now.q_kvar), _host(p_kw)
         slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
         span_kw = _host(all_kw) - np.minimum(_host(ceiling_kw) * slowest, _host(all_kw))
-        rest_kvar = resting(site, self._known, p_host)
-        best = decide(site, self._known, Seen(v_host, *then, kvar, p_host, span_kw, rest_kvar))
+        best = decide(site, self._known, Seen(v_host, then[0], then[1], kvar, p_host, span_kw, rest_kvar))
         base, own_base, gain, inverse, by_all = self._at_level(v_host, *then)
         e_own = now.v_pu - known.own_by_q * (then_kvar - known.origin_kvar)
         surprise = e_own + known.own_by_draw * (then_kw - known.mean_kw) - own_base
@@ -109,7 +130,7 @@ class LawStep:
         if _tracks(v):
             chosen = self._respond(v, inverse, site.law.alike * by_all, share, chosen, rest, p_host)
         chosen = chosen + site.law.pull * self._pulled * (rest - chosen)
-        relief = like(best.relief) / (site.waiting or 1e-12)
+        relief = like(best.relief) / known.waiting.clip(1e-12, None)
         return Step(
             v, inverse, by_all, surprise, share, rest, chosen, like(best.slope), relief, p_kw, all_kw, cut_kw,
             ceiling_kw,
@@ -138,7 +159,7 @@ class LawStep:
         return xp.minimum(p_ref_kw, idle), xp.minimum(ceiling_kw, arrives_kw + now.backlog_kws / s.dt_s), ceiling_kw
 
     def _at_level(self, v_pu: np.ndarray, then_kw: np.ndarray, then_kvar: np.ndarray) -> list[Any]:
-        """What the agents know at the level of the sun that they see, see ``_LEVELLED``; at one level of it as it is."""
+        """What the agents know at the level of the sun that they see, see ``_LEVELLED``."""
         known = self._known
         if known.key.shape[-1] == 1:
             return [getattr(self.known, name)[:, :, 0] for name in _LEVELLED]
@@ -203,7 +224,7 @@ class Columns:
         return {name: joint[:, at] for name, at in self._at.items()}
 
     def own(self, fields: Mapping[str, Any]) -> Own:
-        """Change it into physical units."""
+        """Fields in physical units."""
         return Own(
             1.0 + self.band_pu * fields["v_deviation"],
             fields["p"] * self._p_scale,
@@ -224,9 +245,7 @@ def _joined(parts: tuple[Any, ...], axis: int = -1) -> Any:
 
 
 def _host(values: Any) -> Any:
-    """NumPy's form of an array, float64, or of each of several."""
-    if isinstance(values, tuple):
-        return tuple(map(_host, values))
+    """NumPy's form of an array, float64."""
     return values if isinstance(values, np.ndarray) else values.detach().cpu().double().numpy()
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
+from dcgrid_env.agents.policy.law_step import Past
 from dcgrid_env.agents.policy.neural_network import Family, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
@@ -65,7 +66,7 @@ class ModelAidedPolicy(Policy, features="law"):
         self.law = {name: float(value) for name, value in dataclasses.asdict(made).items()}
 
     def _begin(self, env_info: Scenario) -> None:
-        self._law, self._lanes, self._past = ModelAided(**self.law), None, []
+        self._law, self._past = ModelAided(**self.law), Past()
         self._law.reset(env_info)
         for device in env_info.devices:
             if device.count and device.kind not in self.networks:

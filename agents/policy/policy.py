@@ -173,14 +173,10 @@ class Policy:
         """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
         return any(isinstance(network, Remembers) for network in self.networks.values())
 
-    def card(self) -> Card | None:
-        """The card that stands beside its file; None where there is none, or it is of other weights."""
-        path = FOLDER / self.source if self.source in SHIPPED else Path(self.source)
-        path = path.with_name(f"{path.name.removesuffix(SUFFIX)}.json")
-        if not path.is_file():
-            return None
-        card = Card.load(path)
-        return card if card.sha256 == self.sha256 else None
+    def probe(self, joint: np.ndarray) -> np.ndarray:
+        """The joint action for a joint observation of all but the equipment, which is not remembered."""
+        outputs = outputs_of(self.networks, self._interface.inputs(joint), dict(self._memory))
+        return self._interface.action(joint, outputs)
 
     @property
     def interface(self) -> PolicyInterface:

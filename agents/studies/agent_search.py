@@ -59,9 +59,9 @@ def search(
     trials
         In all, those of an earlier call in the same folder included.
     seed
-        Of the search; that of the trainings is the configuration's own.
+        Seed of the search; that of the trainings is the configuration's own.
     folder
-        Of the journal and of the trials' trainings.
+        Where the journal and the trials' trainings are kept.
     fixed
         Fields that stay as they are in ``base``, beside those that have no space in ``SPACES``.
     on_trial

@@ -12,7 +12,8 @@ import numpy as np
 
 from dcgrid_env.agents import Card
 
-NEEDED = ("seconds", "J", "J_droop")
+X = {"seconds": "seconds", "steps": "env_steps"}
+"""What a curve may run along, with its column in curve.csv: training time, or steps of environments."""
 POINTS = 200
 """Points of a line."""
 
@@ -25,8 +26,8 @@ class Curve:
     label: str
     """Algorithm, and the view where it is not the shared one."""
     seed: int
-    seconds: np.ndarray
-    """Training time, s, (n,), rising."""
+    x: np.ndarray
+    """Training time, s, or steps of environments, (n,), rising."""
     gain_pct: np.ndarray
     """How far J lies below the tuned droop's, %, (n,)."""
 
@@ -36,8 +37,8 @@ class Line:
     """The runs of one label together."""
 
     label: str
-    seconds: np.ndarray
-    """(n,)."""
+    x: np.ndarray
+    """Training time, s, or steps of environments, (n,)."""
     mean_pct: np.ndarray
     """(n,), as the next two."""
     low_pct: np.ndarray
@@ -45,22 +46,21 @@ class Line:
     n_runs: int
 
 
-def read(folder: Path) -> Curve:
-    """A training folder's curve; ValueError, naming the file and what is wrong, for a folder that has none."""
+def read(folder: Path, x: str = "seconds") -> Curve:
+    """A training folder's curve along one of ``X``; ValueError, naming file and fault, where it has none."""
     path = folder / "curve.csv"
     if not path.is_file():
         raise ValueError(f"{folder}: there is no curve.csv; give the folder of a training run (dcgrid train)")
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    columns = {name: _column(path, rows, name) for name in NEEDED}
-    seconds, j, j_droop = columns.values()
-    measured = np.isfinite(j) & np.isfinite(j_droop) & np.isfinite(seconds)
+    along, j, j_droop = (_column(path, rows, name) for name in (X[x], "J", "J_droop"))
+    measured = np.isfinite(j) & np.isfinite(j_droop) & np.isfinite(along)
     if not measured.any():
         raise ValueError(f"{path}: holds no validation yet; train on")
     card, view = Card.load(folder / "policy.json"), _policy_kind(folder / "config.json")
     label = card.algorithm if view in ("", "shared") else f"{card.algorithm}, {view}"
     gain_pct = 100.0 * (1.0 - j[measured] / j_droop[measured])
-    return Curve(card.scenario, label, card.seed or 0, seconds[measured], gain_pct)
+    return Curve(card.scenario, label, card.seed or 0, along[measured], gain_pct)
 
 
 def _column(path: Path, rows: Sequence[Mapping[str, str | None]], name: str) -> np.ndarray:
@@ -97,8 +97,8 @@ def _line(label: str, runs: Sequence[Curve]) -> Line:
 
     Between validations a run is as good as at the last.
     """
-    begin, end = max(run.seconds[0] for run in runs), min(run.seconds[-1] for run in runs)
-    seconds = runs[0].seconds if len(runs) == 1 else np.geomspace(max(begin, 1e-3), max(begin, end), POINTS)
-    at = [run.gain_pct[np.searchsorted(run.seconds, seconds, side="right").clip(1) - 1] for run in runs]
+    begin, end = max(run.x[0] for run in runs), min(run.x[-1] for run in runs)
+    x = runs[0].x if len(runs) == 1 else np.geomspace(max(begin, 1e-3), max(begin, end), POINTS)
+    at = [run.gain_pct[np.searchsorted(run.x, x, side="right").clip(1) - 1] for run in runs]
     every = np.array(at)
-    return Line(label, seconds, every.mean(axis=0), every.min(axis=0), every.max(axis=0), len(runs))
+    return Line(label, x, every.mean(axis=0), every.min(axis=0), every.max(axis=0), len(runs))

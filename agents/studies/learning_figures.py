@@ -27,6 +27,7 @@ DASHES = ("-", "--", ":")
 MARKS = {REFERENCE: ("D", REFERENCE_COLOUR), "mpc-one-step": ("s", REST_COLOUR)}
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours of Okabe and Ito; the reference has the one that is missing."""
+ALONG = {"seconds": "training time (s)", "steps": "environment steps"}
 MOST_COLUMNS, MOST_SHOWN_PCT = 4, 1000.0
 
 
@@ -85,8 +86,8 @@ def _seeds(ax: Axes, one: Learned, metric: str, factor: float) -> None:
         ax.plot(x, factor * np.array(y), linestyle="none", marker=".", markersize=4, color=FRONT_COLOUR, alpha=0.5)
 
 
-def curves_figure(by_scenario: Mapping[str, Sequence[Line]]) -> Figure:
-    """A panel for each scenario: what the validation cost saves against the tuned droop, over training time."""
+def curves_figure(by_scenario: Mapping[str, Sequence[Line]], x: str = "seconds") -> Figure:
+    """A panel for each scenario: what the validation cost saves against the tuned droop, along one of ``curves.X``."""
     columns = min(MOST_COLUMNS, len(by_scenario))
     rows = -(-len(by_scenario) // columns)
     figure = new_figure(1.0 + 3.4 * columns, 0.8 + 2.8 * rows)
@@ -96,11 +97,11 @@ def curves_figure(by_scenario: Mapping[str, Sequence[Line]]) -> Figure:
         for line in every:
             _curve(ax, line, labels.index(line.label))
         ax.axhline(0.0, color=REFERENCE_COLOUR, linewidth=1.1)
-        say(ax, "training time (s)", "", scenario)
+        say(ax, ALONG[x], "", scenario)
         _gain_axis(
             ax, min(float(line.low_pct.min()) for line in every), max(float(line.high_pct.max()) for line in every)
         )
-        _time_axis(ax)
+        _log_axis(ax)
     for ax in list(axes.flat)[len(by_scenario) :]:
         ax.set_visible(False)
     handles = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
@@ -111,11 +112,11 @@ def curves_figure(by_scenario: Mapping[str, Sequence[Line]]) -> Figure:
 
 def _curve(ax: Axes, line: Line, order: int) -> None:
     look = {"color": COLOURS[order % len(COLOURS)], "linestyle": ("-", "--", "-.", ":")[order % 4]}
-    ax.plot(line.seconds, line.mean_pct, **look, linewidth=1.7, label=line.label, zorder=3)  # pyright: ignore
-    if line.seconds[0] == line.seconds[-1]:  # judged once
-        ax.plot(line.seconds[:1], line.mean_pct[:1], marker="o", markersize=4, color=look["color"])
+    ax.plot(line.x, line.mean_pct, **look, linewidth=1.7, label=line.label, zorder=3)  # pyright: ignore
+    if line.x[0] == line.x[-1]:  # judged once
+        ax.plot(line.x[:1], line.mean_pct[:1], marker="o", markersize=4, color=look["color"])
     if line.n_runs > 1:
-        ax.fill_between(line.seconds, line.low_pct, line.high_pct, color=look["color"], alpha=0.22, linewidth=0)
+        ax.fill_between(line.x, line.low_pct, line.high_pct, color=look["color"], alpha=0.22, linewidth=0)
 
 
 def _gain_axis(ax: Axes, worst: float, best: float) -> None:
@@ -130,7 +131,7 @@ def _gain_axis(ax: Axes, worst: float, best: float) -> None:
     ax.minorticks_off()
 
 
-def _time_axis(ax: Axes) -> None:
+def _log_axis(ax: Axes) -> None:
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     high = max(high, 4.0 * low)
@@ -142,5 +143,5 @@ def _time_axis(ax: Axes) -> None:
 
 def _rounded(low: float, high: float, steps: Sequence[int]) -> list[float]:
     """Numbers between two above 0 that begin with one of these digits and go on with zeros."""
-    one = [digit * 10.0**power for power in range(-3, 7) for digit in steps]
+    one = [digit * 10.0**power for power in range(-3, 11) for digit in steps]
     return [value for value in one if low <= value <= high]

@@ -49,6 +49,13 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "gae_lambda": Range(0.5, 0.98),
         "num_envs": Choice((192, 384, 512)),
     },
+    "ppo-counterfactual": {
+        "learning_rate": Range(1e-3, 1e-2, log=True),
+        "q_std": Range(0.02, 0.3, log=True),
+        "clock_std": Range(0.05, 0.4, log=True),
+        "epochs": Choice((2, 3, 5)),
+        "num_envs": Choice((16, 32, 64)),
+    },
     "sac": {
         "nameplate": YES_NO,
         "gamma": GAMMAS,

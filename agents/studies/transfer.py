@@ -109,7 +109,7 @@ def table(results: Sequence[Row], title: str, under_guard: bool) -> Table:
     return Table(title, ("on", *(preset_of(policy) or policy for policy in policies)), tuple(shown))
 
 
-def summary(results: Sequence[Row]) -> Table:
+def summary(results: Sequence[Row], title: str) -> Table:
     """What carries over, as it is and under guard, and what the guard costs at home."""
     apart = {home: [(cell, row.scenario, policy) for row in results for policy, cell in row.cells.items()
                     if cell.plain is not None and made_for(policy, row.scenario) == home]
@@ -125,7 +125,7 @@ def summary(results: Sequence[Row]) -> Table:
                 lines.append((label, how, str(len(values)), f"{np.mean(values):.3f}", f"{np.median(values):.3f}",
                               f"{least:.2f} ({policy} on {scenario})", str(below), f"{law:.0f}"))  # fmt: skip
     header = ("scenario", "policy", "pairs", "mean score", "median", "worst", f"below {LEAST:g}", "law acts, %")
-    return Table("All pairs together", header, tuple(lines))
+    return Table(title, header, tuple(lines))
 
 
 def markdown(parts: Sequence[tuple[str, Sequence[Row]]], episodes: int, split: str, made_by: str) -> str:
@@ -138,7 +138,7 @@ def markdown(parts: Sequence[tuple[str, Sequence[Row]]], episodes: int, split: s
     )
     text = [wrapped(about)]
     for algorithm, results in parts:
-        text += [f"## {algorithm}", summary(results).markdown()]
+        text.append(summary(results, f"{algorithm}, all pairs together").markdown())
         for how, under_guard in (("as it is", False), ("under guard", True)):
             text.append(table(results, f"{algorithm}, {how}", under_guard).markdown())
     return page("Policies on scenarios that they were not made for", made_by, *text)

@@ -66,7 +66,7 @@ class Counterfactual:
         self.scenario = scenario
         layout, w = action_layout(scenario), scenario.weights
         self._is_clock, self._is_q = layout.is_channel("clock"), layout.is_channel("q")
-        self._site: Any = next(device for device in scenario.devices if isinstance(device, DataCenters))
+        self._site: Any = scenario.part("datacenter")
         n_node, rated_kw = len(scenario.feeder.load_nodes), float(scenario.datacenter.p_rated_kw.sum()) or 1.0
         self._voltage, self._violation = w.voltage / n_node, w.violation / n_node
         converters_kva = np.concatenate([device.converter_kva for device in scenario.devices])
@@ -82,7 +82,8 @@ class Counterfactual:
         before
             What the batch's ``save()`` gave before the step.
         after
-            The state at its end, before any new episode began.
+            The state at its end, before any new episode began; its voltages are the last solved ones where the power
+            flow had no solution.
         action, mean
             Joint actions, that which was taken and the policy's mean, (lane, n_action).
         """

@@ -1,8 +1,9 @@
 """Scenarios on random feeders to train on what is to carry over: a named family, the same for the same number.
 
-Scenario i of a split has a feeder of its own (``random_feeder``) and beside it draws how many data centres and inverters
-there are, where they stand and how large they are, the substation's voltage, how much the load fluctuates, and what
-work comes. Ratings are shares of the feeder's load, so that a small feeder has small devices. No two splits share one.
+Scenario i of a split has a feeder of its own (``random_feeder``). Drawn beside it are how many data centres and
+inverters there are, where they stand and how large they are, the substation's voltage, how much the load fluctuates,
+and what work comes. Ratings are shares of the feeder's load, so that a small feeder has small devices. No two splits
+share one.
 """
 
 from __future__ import annotations

@@ -201,7 +201,8 @@ def train(
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
                     policy.save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
                 spent[2] += time.perf_counter() - began_s
-                run.record(figures | {"J_best": best} | logged(model) | timing(run.step, spent))
+                stepped = {"env_steps": run.step // vec_env.lanes_per_env}
+                run.record(figures | {"J_best": best} | stepped | logged(model) | timing(run.step, spent))
                 advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save(

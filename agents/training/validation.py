@@ -62,3 +62,8 @@ def made_with() -> str:
         elif word not in ("--resume", "--no-resume", "--traceback") and not word.startswith("--out="):
             words.append(word)
     return shlex.join(words)
+
+
+def stepped(scenarios: Sequence[Scenario], num_envs: int, iterations: int) -> dict[str, float]:
+    """Steps of environments in so many iterations, each a batch of episodes on one of the scenarios in turn."""
+    return {"env_steps": float(num_envs * sum(scenarios[k % len(scenarios)].horizon for k in range(iterations)))}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -22,6 +22,8 @@ class Curves(Command):
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of training runs (dcgrid train); those that differ in the seed alone are one line with its band."""
+    x: Literal["seconds", "steps"] = "seconds"
+    """What they run along: training time, or steps of environments."""
     out: Path = Path("results/curves.png")
     """The picture; folders are made."""
 
@@ -33,9 +35,9 @@ class Curves(Command):
 
         if not self.folders:
             raise ValueError("folders is empty; give the folder of at least one training run")
-        by_scenario = lines([read(folder) for folder in self.folders])
+        by_scenario = lines([read(folder, self.x) for folder in self.folders])
         check_folder(self.out.parent)
-        write_figure(self.out, curves_figure(by_scenario), dpi=130)
+        write_figure(self.out, curves_figure(by_scenario, self.x), dpi=130)
         console = plain_console()
         for scenario, every in by_scenario.items():
             for line in every:

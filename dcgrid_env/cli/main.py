@@ -14,7 +14,6 @@ from dcgrid_env.cli.agent_search import TuneAgent
 from dcgrid_env.cli.benchmark import Benchmark
 from dcgrid_env.cli.best_known_values import BestKnownValues
 from dcgrid_env.cli.capacity import Capacity
-from dcgrid_env.cli.carry_over import CarryOver
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
@@ -36,6 +35,7 @@ from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
+from dcgrid_env.cli.unseen_feeders import CarryOver
 from dcgrid_env.core.processes import terminated_in_order
 
 TRACEBACK = "--traceback"

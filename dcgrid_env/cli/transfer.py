@@ -53,8 +53,7 @@ class Transfer(Command):
                     progress.advance(bar)
                 parts.append((name, results))
         for name, results in parts:
-            say(console, f"{name}:")
-            console.print(transfer.summary(results).rich(console.width))
+            console.print(transfer.summary(results, f"{name}, all pairs together").rich(console.width))
         text = transfer.markdown(parts, self.episodes, self.split, meta()["command"])
         write_text(self.out / "transfer.md", text)
         say(console, f"wrote {self.out / 'transfer.md'}")

@@ -63,6 +63,8 @@ ELSEWHERE = {
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",
+    "dcgrid dev transfer": "tests/agents/studies",
+    "dcgrid dev tune-agent": "tests/agents/studies",
     "dcgrid dev sags": "tests/agents/studies",
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
@@ -187,7 +189,7 @@ def read(arguments):
 def check_read(command):
     """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
     if command[0] == "dcgrid":
-        name_alone = not any(re.search(r"[^a-z]", word) for word in command)  # `dcgrid tune`: what it is about
+        name_alone = all(re.fullmatch("[a-z]+(-[a-z]+)*", word) for word in command)  # `dcgrid tune`: what it is about
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(command[2]) is not None, command

@@ -8,7 +8,7 @@ import pytest
 from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, UnseenScenarioWarning, evaluate, guarded
 from dcgrid_env.agents.policy import guard as guard_module
-from dcgrid_env.agents.policy.guard import DEVIATION, FIGURES, GuardedPolicy, law_for, steepest
+from dcgrid_env.agents.policy.guard import DEVIATION, FIGURES, GuardedPolicy, card_of, law_for, steepest
 from dcgrid_env.agents.policy.input_range import InputRange, by_moments, recorded
 from dcgrid_env.baselines import Droop, NoControl, find_controller, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import is_stable, worst_radius
@@ -79,13 +79,14 @@ def test_in_new_places_the_deviation_is_bounded(toy6, monkeypatch):
     assert np.isfinite([float(np.mean(value)) for value in own.info.values()]).all()
 
 
-def test_in_new_places_the_gain_stays_below_the_bound():
+def test_in_new_places_the_gain_stays_below_the_bound(monkeypatch):
     scenario = make_scenario("ieee33", split="validation", horizon=4)
     own = guarded("ieee33-weak-analytic")
     rollout(scenario, own, [0])
     assert own.episode_figures()[0]["guard_new_places_pct"] == 100.0
     joint = np.zeros((1, len(own._v_step)), np.float32)
-    own.policy.act = lambda o: 50.0 * -o[:, np.flatnonzero(own._v_step)][:, own._owner]  # far too steep
+    at = np.flatnonzero(own._v_step)
+    monkeypatch.setattr(own.policy, "probe", lambda seen: -50.0 * seen[:, at][:, own._owner])  # far too steep
     share = own._stable_share(joint)
     reactive, _ = steepest(own.scenario)
     law = (own._law.act(joint - own._v_step) - own._law.act(joint + own._v_step)) / (2 * guard_module.STEP)
@@ -129,7 +130,9 @@ def test_by_its_name_on_the_command_line(toy6, tmp_path):
     )
     assert isinstance(find_controller("guarded:analytic", toy6), GuardedPolicy)
     constant(0.3).save(tmp_path / "own")
-    assert find_controller(f"guarded:{tmp_path / 'own'}.safetensors", toy6).ranges is None
+    filed = find_controller(f"guarded:{tmp_path / 'own'}.safetensors", toy6)
+    assert isinstance(filed, GuardedPolicy)
+    assert filed.ranges is None
     with pytest.raises(ValueError, match="guarded: it guards learned policies, and this is Droop"):
         find_controller("guarded:droop", toy6)
     means = evaluate(found, toy6, range(2)).means
@@ -149,7 +152,7 @@ def test_on_a_scenario_that_it_was_not_made_for_it_is_no_worse_than_half_below_t
 
 def test_without_a_card_the_moments_stand_for_the_range(toy6):
     policy = constant(0.3)
-    assert policy.card() is None
+    assert card_of(policy) is None
     own = guarded(policy)
     courses(toy6, own)
     assert own._ranges["inverter"].high == (3e3,) * 7
@@ -189,6 +192,32 @@ def test_a_range_of_other_inputs_is_refused(toy6):
     ranges["inverter"] = ranges["inverter"]._replace(fields=("a",) * 7)
     with pytest.raises(ControllerError, match="range of inputs of network inverter is of a, a"):
         courses(toy6, GuardedPolicy(policy, ranges))
+
+
+class Counting(Network):
+    """A network that counts the steps that it remembers."""
+
+    def advance(self, observation, memory):
+        count = 0 if memory is None else memory[0]
+        return np.full((*observation.shape[:-1], self.n_out), 0.1 * count, np.float32), (count + 1,)
+
+
+def test_what_a_policy_remembers_is_left_alone_where_slopes_are_found(toy6):
+    site, inverter = Counting([(np.zeros((9, 2)), np.zeros(2))]), Counting([(np.zeros((7, 1)), np.zeros(1))])
+    policy = Policy({"datacenter": site, "inverter": inverter})
+    policy.reset(toy6)
+    joint = np.zeros((1, 23), np.float32)
+    assert [float(policy.probe(joint)[0, 1]) for _ in range(2)] == [0.0, 0.0]
+    policy.act(joint)
+    assert float(policy.probe(joint)[0, 1]) == float(policy.act(joint)[0, 1]) == pytest.approx(0.1)
+
+
+def test_a_policy_on_a_model_of_the_feeder_takes_no_guard(monkeypatch):
+    policy = constant(0.3)
+    monkeypatch.setattr(Policy, "place", lambda self, buses: None, raising=False)
+    with pytest.raises(PolicyError, match="it corrects a law within bounds, on the feeder's model, and takes no guard"):
+        guarded(policy)
+    assert recorded(policy, []) is None
 
 
 def test_a_guarded_policy_does_not_warn():

@@ -14,7 +14,7 @@ from dcgrid_env.cli.curves import ending
 def run(folder, seed=0, algorithm="ppo", scenario="toy6", view="shared", rows=((10.0, 2.0), (20.0, 0.5))):
     """A training folder: rows are seconds and J, the droop's J is 1."""
     folder.mkdir(parents=True)
-    lines = ["step,J,J_droop,seconds", *(f"{i},{j},1.0,{s}" for i, (s, j) in enumerate(rows))]
+    lines = ["step,J,J_droop,env_steps,seconds", *(f"{i},{j},1.0,{1000 * i},{s}" for i, (s, j) in enumerate(rows))]
     (folder / "curve.csv").write_text("\n".join(lines) + "\n")
     (folder / "config.json").write_text(json.dumps({"view": view}))
     Card.of("0" * 64, 5, {"algorithm": algorithm, "scenario": scenario, "seed": seed}).save(folder / "policy.json")
@@ -24,9 +24,10 @@ def run(folder, seed=0, algorithm="ppo", scenario="toy6", view="shared", rows=((
 def test_a_curve_is_what_the_folder_says(tmp_path):
     found = read(run(tmp_path / "a", seed=4, view="centralised"))
     assert (found.scenario, found.label, found.seed) == ("toy6", "ppo, centralised", 4)
-    np.testing.assert_allclose(found.seconds, [10.0, 20.0])
+    np.testing.assert_allclose(found.x, [10.0, 20.0])
     np.testing.assert_allclose(found.gain_pct, [-100.0, 50.0])
-    assert read(run(tmp_path / "b", rows=((10.0, ""), (20.0, 0.5)))).seconds.tolist() == [20.0]
+    assert read(tmp_path / "a", "steps").x.tolist() == [0.0, 1000.0]
+    assert read(run(tmp_path / "b", rows=((10.0, ""), (20.0, 0.5)))).x.tolist() == [20.0]
 
 
 def test_a_line_is_the_mean_of_its_runs_as_good_as_at_their_last_validation():
@@ -35,12 +36,12 @@ def test_a_line_is_the_mean_of_its_runs_as_good_as_at_their_last_validation():
     alone = Curve("toy6", "sac", 0, np.array([2.0, 8.0]), np.array([-10.0, 30.0]))
     found = lines([one, other, alone])
     together, single = found["toy6"]
-    assert together.seconds[[0, -1]] == pytest.approx([2.0, 8.0])
-    at_5 = int(np.searchsorted(together.seconds, 5.0))
+    assert together.x[[0, -1]] == pytest.approx([2.0, 8.0])
+    at_5 = int(np.searchsorted(together.x, 5.0))
     assert (together.low_pct[at_5], together.mean_pct[at_5], together.high_pct[at_5]) == (-10.0, 0.0, 10.0)
     assert together.mean_pct[-1] == pytest.approx(20.0)
     assert (single.label, single.n_runs) == ("sac", 1)
-    np.testing.assert_array_equal(single.seconds, alone.seconds)
+    np.testing.assert_array_equal(single.x, alone.x)
 
 
 def test_a_folder_that_holds_no_run_is_named(tmp_path):
@@ -68,7 +69,9 @@ def test_the_figure_has_a_panel_for_each_scenario(tmp_path):
         for algorithm in ("ppo", "analytic")
         for seed in (0, 1)
     ]
+    assert curves_figure(lines(curves), "steps").axes[0].get_xlabel() == "environment steps"
     figure = curves_figure(lines(curves))
+    assert figure.axes[0].get_xlabel() == "training time (s)"
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert [ax.get_title() for ax in shown] == list(names)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo", "analytic"]

@@ -32,7 +32,7 @@ class CarryOver(Command):
 
     def run(self) -> None:
         """Drive, score, print. ValueError for a setting that cannot be, before anything is run."""
-        from dcgrid_env.agents.studies import carry_over
+        from dcgrid_env.agents.studies import unseen_feeders
 
         names, scenarios = split_names(self.controllers), scenario_names(self.scenarios)
         if not names:
@@ -46,13 +46,13 @@ class CarryOver(Command):
         console, results = plain_console(), []
         for scenario in scenarios:
             with working(console, scenario):
-                results.append(carry_over.tried(names, scenario, self.split, self.episodes))
-        shown = carry_over.scores_table(results, self.episodes)
-        of_feeders = [table for one in results if (table := carry_over.feeders_table(one, self.worst)) is not None]
+                results.append(unseen_feeders.tried(names, scenario, self.split, self.episodes))
+        shown = unseen_feeders.scores_table(results, self.episodes)
+        of_feeders = [table for one in results if (table := unseen_feeders.feeders_table(one, self.worst)) is not None]
         for table in (shown, *of_feeders):
             console.print(table.rich(console.width))
         if self.out is not None:
             from dcgrid_env.core.files import write_text
 
-            write_text(self.out / "carry-over.md", carry_over.markdown(shown, of_feeders, meta()["command"]))
+            write_text(self.out / "carry-over.md", unseen_feeders.markdown(shown, of_feeders, meta()["command"]))
             say(console, f"wrote {self.out / 'carry-over.md'}")

@@ -1,0 +1,34 @@
+"""dcgrid dev carry-over, as a user runs it, and the score of each random feeder by itself."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env.agents.studies import unseen_feeders
+from dcgrid_env.baselines import published
+from dcgrid_env.cli.main import main
+
+
+def test_each_random_feeder_has_a_score_of_its_own():
+    one = unseen_feeders.tried(["droop-tuned", "droop-q"], "zero-shot", "test", 2)
+    assert (unseen_feeders.feeder_scores(one, "droop-tuned") == 0.0).all()
+    possible = one.droop.J - published(one.scenario).of((0, 1)).J
+    expected = (one.droop.J - one.others["droop-q"].J) / possible
+    assert np.sort(unseen_feeders.feeder_scores(one, "droop-q")) == pytest.approx(np.sort(expected))
+    assert unseen_feeders.feeders_table(one, 1).rows[0][3] == "0 of 2"
+
+
+def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["--controllers", "droop-q,ieee33-weak-analytic", "--scenarios", "toy6", "--episodes", "2", "--out", "docs"]
+    main(["dev", "carry-over", *words])
+    page = (tmp_path / "docs" / "carry-over.md").read_text()
+    assert page.startswith("# Feeders that were never seen\n")
+    assert "| toy6 |" in page
+    assert "wrote docs/carry-over.md" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [("--episodes", "1"), ("--worst", "0"), ("--controllers", "")])
+def test_settings_that_cannot_be_are_refused(words, capsys):
+    with pytest.raises(SystemExit):
+        main(["dev", "carry-over", *words])
+    assert words[0].removeprefix("--") in capsys.readouterr().err

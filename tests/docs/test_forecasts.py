@@ -1,0 +1,23 @@
+"""What docs/forecasts.py measures with: one-step control as it is, and that better knowledge is worth something."""
+
+import runpy
+
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import make_controller
+from helpers.places import ROOT
+
+
+@pytest.mark.slow
+def test_better_knowledge_of_the_next_second_is_worth_something():
+    measured = runpy.run_path(str(ROOT / "docs" / "forecasts.py"))
+    cost, informed, seeds = measured["cost"], measured["Informed"], range(6)
+    scenario = make_scenario("mixed", split="validation", horizon=30)
+    plain = cost(scenario, make_controller("mpc-one-step", scenario), seeds)
+    assert cost(scenario, informed("stay", "stays", seeds), seeds) == pytest.approx(plain, rel=1e-9)
+    guessed, known = (cost(scenario, informed("stay", pv, seeds), seeds) for pv in ("goes on as it moved", "known"))
+    assert known < guessed < plain
+    toy = make_scenario("toy6", split="validation")
+    stay, mean, known = (cost(toy, informed(loads, "stays", seeds), seeds) for loads in measured["LOADS"])
+    assert known < mean < stay
