@@ -20,6 +20,7 @@ from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
+from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.tuning.search import TUNABLE
@@ -70,6 +71,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "smoothing-strong": ("the same with a floor of 90 % and ramps of two seconds", _profile("strong")),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
+    "model-aided": (
+        "local measurements and the feeder's model: what is best for an estimate of all voltages from the own one",
+        ModelAided,
+    ),
     "feedback": (
         "online feedback optimisation: projected primal-dual steps on the measured voltages of all buses",
         FeedbackOptimisation,

@@ -149,7 +149,8 @@ def _failure(unit: Unit, text: str) -> dict[str, Any]:
 def observed(controller: Controller, scenario: Scenario) -> str:
     """What a controller is shown, in words."""
     scope = getattr(controller, "observe", scenario.observe)
-    return f"{scope}, feeder's model" if isinstance(controller, Placed) else scope
+    knows = getattr(controller, "scope", "feeder's model" if isinstance(controller, Placed) else "")
+    return f"{scope}, {knows}" if knows else scope
 
 
 def controller_hash(controller: Controller, spec: str = "") -> str:

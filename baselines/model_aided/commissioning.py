@@ -23,8 +23,7 @@ MOMENTS = 240
 """Moments of the operation that statistics are over; twice as many where levels of the sun divide them."""
 SUN_LEVELS = 6
 _MOMENTS_OF_OPTIMUM = 12
-_ROUNDS = 6
-_CAUTIOUS_ROUNDS = 3  # of these the first, of which each goes only a part of the way
+_CAUTIOUS_ROUNDS = 3  # the first, of which each goes only a part of the way
 _PART = 0.6
 _ON_THE_WAY = 0.1  # share of the moments at which all stand between nothing and their response
 _MISSING = 0.05  # share of the moments at which an agent is without reactive power, as one that is lost
@@ -105,7 +104,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     known = regressed(site, known, v, moved, flow.seen)
     there = _there(rng, *draw.shape)
     span_kw, relief = np.zeros((2, len(draw), n_dc))
-    for k in range(_ROUNDS):
+    for k in range(law.rounds):
         kvar, own_v = origin + moved, (v + moved @ by_q) @ flow.seen.T
         best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
         relief = best.relief

@@ -18,6 +18,7 @@ class Law(NamedTuple):
     hold: float = 0.01
     pull: float = 0.3
     price: float = 1.0
+    rounds: int = 6
 
 
 class Site(NamedTuple):

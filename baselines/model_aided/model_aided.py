@@ -60,6 +60,8 @@ class ModelAided(LocalController):
         Share of the way to the optimum of its level of the sun that an inverter with a schedule goes at each step.
     price
         Price of letting work wait, as a share of what MPC charges.
+    rounds
+        Rounds of the others' reactions in what commissioning takes for the statistics.
     """
 
     floor_pu: float = 0.0003
@@ -67,11 +69,12 @@ class ModelAided(LocalController):
     hold: float = 0.01
     pull: float = 0.3
     price: float = 1.0
+    rounds: int = 6
 
     scope: ClassVar[str] = "model-aided"
 
     def __post_init__(self) -> None:
-        own = {name: getattr(self, name) for name in ("floor_pu", "alike", "hold", "pull", "price")}
+        own = {name: getattr(self, name) for name in ("floor_pu", "alike", "hold", "pull", "price", "rounds")}
         require_non_negative("model-aided", **own)
         if self.floor_pu == 0.0:
             raise ValueError("model-aided: floor_pu is 0; give a standard deviation > 0")
@@ -80,7 +83,7 @@ class ModelAided(LocalController):
         """Begin new episodes; ValueError for devices, or sites that draw otherwise, than this law is made for."""
         super().reset(env_info)
         s = self.scenario
-        self._site = site_of(s, Law(self.floor_pu, self.alike, self.hold, self.pull, self.price))
+        self._site = site_of(s, Law(self.floor_pu, self.alike, self.hold, self.pull, self.price, self.rounds))
         self._steps = 0
         self._known: Commissioned | None = None
         self._past: list[tuple[np.ndarray, np.ndarray]] = []

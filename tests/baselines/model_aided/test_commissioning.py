@@ -62,3 +62,12 @@ def test_moments_are_carried_over_to_another_feeder_of_the_family():
     assert there.p_load_kw.std(axis=0) == pytest.approx(drawn.p_load_kw.std(axis=0), rel=0.35)
     with pytest.raises(ValueError, match="of as many buses alone"):
         there.on(make_scenario("ieee33"))
+
+
+@pytest.mark.parametrize(("v0_pu", "dearer"), [(1.05, False), (0.85, True)])
+def test_waiting_costs_more_where_no_moment_is_better(v0_pu, dearer):
+    """A source at 0.85 p.u. leaves the band always."""
+    site = site_of(make_scenario("ieee33", v0_pu=v0_pu))
+    known = commission(site, placed(site.scenario, [0]))
+    assert (known.waiting >= site.waiting).all() and (known.waiting <= site.never).all()
+    assert (known.waiting > site.waiting).any() == dearer

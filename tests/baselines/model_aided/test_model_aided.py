@@ -51,3 +51,21 @@ def test_what_cannot_be_is_refused(given):
 def test_devices_that_it_does_not_know_are_refused(preset):
     with pytest.raises(ValueError, match="model-aided"):
         ModelAided().reset(make_scenario(preset))
+
+
+def test_the_clock_is_left_alone_where_the_band_is_always_left():
+    scenario = make_scenario("ieee33", v0_pu=0.9, split="validation", horizon=20)
+    assert rollout(scenario, ModelAided(), range(2)).metrics()[0]["delay_mean_s"] == 0.0
+
+
+def test_the_first_second_is_no_surprise():
+    """All begin without reactive power, and go on as if they stood at u*: they are near it after a second."""
+    scenario = make_scenario("ieee33", split="validation")
+    env = DcgridVectorEnv(8, scenario)
+    observations, _ = env.reset(seed=list(range(8)))
+    law = ModelAided()
+    law.reset(scenario)
+    env.step(law.act(observations))
+    q_kvar, rest_kvar = env.transition.state.q_kvar, law.known.rest_kvar[0, 0]
+    env.close()
+    assert abs(q_kvar - rest_kvar).mean() < 0.25 * abs(rest_kvar).mean()

@@ -36,6 +36,7 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "mpc": is_known_to_models,
     "mpc-one-step": is_known_to_models,
     "feedback": is_known_to_models,
+    "model-aided": is_known_to_models,
 }
 NEEDING_A_DEVICE = (
     "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
