@@ -64,7 +64,7 @@ class ModelAidedPolicy(Policy, features="law"):
             made = ModelAided(**(law or {}))
         except (TypeError, ValueError) as error:
             raise PolicyError(f"law is {law!r}: {error}") from None
-        self.law = {name: float(value) for name, value in dataclasses.asdict(made).items()}
+        self.law: dict[str, Any] = dataclasses.asdict(made)
 
     def _begin(self, env_info: Scenario) -> None:
         self._law, self._past = ModelAided(**self.law), Past()
