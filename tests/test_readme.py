@@ -49,7 +49,7 @@ def test_results_are_those_of_the_command(scenario):
             assert np.mean([m[key] for m in found]) == pytest.approx(rows[label][i], abs=0.51 * 10.0**-decimals), label
 
 
-SCORED = ("constant-q-tuned", "placement-tuned", "feedback", "mpc-one-step", "mpc")
+SCORED = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
 
 
 def scores():
