@@ -45,6 +45,7 @@ SHORTER = {
     "dcgrid train analytic --vary 4": TRAINING | {"--vary": "1"},
     "dcgrid train safe": TRAINING,
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
+    "dcgrid train ppo-counterfactual": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
     "dcgrid check": {"--episodes": "1", "--seconds": "1", "--jobs": "1"},
