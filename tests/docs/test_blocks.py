@@ -46,6 +46,7 @@ SHORTER = {
     "dcgrid train safe": TRAINING,
     "dcgrid train carry-over": TRAINING | {"--feeders": "1", "--steps": "2", "--validation-feeders": "1"},
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
+    "dcgrid train ppo-counterfactual": STEPS | {"--minibatches": "1"},
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
     "dcgrid check": {"--episodes": "1", "--seconds": "1", "--jobs": "1"},
