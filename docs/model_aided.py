@@ -1,7 +1,7 @@
 """The model-aided law without each of its parts, and on random feeders drawn widely: the tables of docs/model-aided.md.
 
-    python docs/model_aided.py ablations
-    python docs/model_aided.py feeders
+python docs/model_aided.py ablations
+python docs/model_aided.py feeders
 """
 
 import sys

@@ -69,5 +69,6 @@ def test_waiting_costs_more_where_no_moment_is_better(v0_pu, dearer):
     """A source at 0.85 p.u. leaves the band always."""
     site = site_of(make_scenario("ieee33", v0_pu=v0_pu))
     known = commission(site, placed(site.scenario, [0]))
-    assert (known.waiting >= site.waiting).all() and (known.waiting <= site.never).all()
+    assert (known.waiting >= site.waiting).all()
+    assert (known.waiting <= site.never).all()
     assert (known.waiting > site.waiting).any() == dearer
