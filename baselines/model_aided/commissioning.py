@@ -104,7 +104,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     known = regressed(site, known, v, moved, flow.seen)
     there = _there(rng, *draw.shape)
     span_kw, relief = np.zeros((2, len(draw), n_dc))
-    for k in range(law.rounds):
+    for k in range(int(law.rounds)):  # a float where it comes from a policy's card
         kvar, own_v = origin + moved, (v + moved @ by_q) @ flow.seen.T
         best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
         relief = best.relief
