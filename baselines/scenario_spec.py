@@ -88,33 +88,36 @@ def options_of(scenario: Scenario, flag: str) -> str:
     return spec.options(flag) if spec else f"{flag} FILE.py:FUNCTION"
 
 
-def read_overrides(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Values by field of texts ``FIELD=VALUE`` or ``PART.FIELD=VALUE``; ValueError for others, or one given twice."""
+def read_overrides(texts: tuple[str, ...], option: str = "set") -> dict[str, Any]:
+    """Values by field of texts ``FIELD=VALUE`` or ``PART.FIELD=VALUE``.
+
+    ValueError, naming the option that they come from, for others, or one given twice.
+    """
     overrides: dict[str, Any] = {}
     for text in texts:
         field, sign, value = text.partition("=")
         field = field.strip()
         part, _, own = field.partition(".")
         if sign and part.isidentifier() and own.isidentifier():
-            _set_within(overrides, part, own, value.strip())
+            _set_within(overrides, part, own, value.strip(), option)
             continue
         if not sign or not field.isidentifier():
-            raise ValueError(f"set: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
+            raise ValueError(f"{option}: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
         if field in overrides:
-            raise ValueError(f"set: {field} is there twice, as {overrides[field]!r} and as {value}; give it once")
-        overrides[field] = value.strip() if field == "name" else read_value(field, value.strip())
+            raise ValueError(f"{option}: {field} is there twice, as {overrides[field]!r} and as {value}; give it once")
+        overrides[field] = value.strip() if field == "name" else read_value(field, value.strip(), option)
     return overrides
 
 
-def _set_within(overrides: dict[str, Any], part: str, field: str, text: str) -> None:
+def _set_within(overrides: dict[str, Any], part: str, field: str, text: str, option: str) -> None:
     """Put the field of a part among the overrides; ValueError where it, or the part as a whole, is there already."""
     fields = overrides.setdefault(part, {})
     if not isinstance(fields, dict) or field in fields:
-        raise ValueError(f"set: {part}.{field} is there twice, or beside {part} as a whole; give it once")
-    fields[field] = read_value(f"{part}.{field}", text)
+        raise ValueError(f"{option}: {part}.{field} is there twice, or beside {part} as a whole; give it once")
+    fields[field] = read_value(f"{part}.{field}", text, option)
 
 
-def read_value(field: str, text: str) -> Any:
+def read_value(field: str, text: str, option: str = "set") -> Any:
     """A value as TOML or JSON has it, or the text itself where it is neither and does not begin like one.
 
     None, True and False are also taken as Python writes them, which messages do.
@@ -135,8 +138,8 @@ def read_value(field: str, text: str) -> Any:
             return text if dated else value
     if text[:1] in ("[", "{", '"', "'") or not text:
         raise ValueError(
-            f"set: {field} is {text!r}, which can be read neither as TOML nor as JSON; write a number, true, false, a "
-            "text, a list such as [18, 33] or a table such as {backlog=1}"
+            f"{option}: {field} is {text!r}, which can be read neither as TOML nor as JSON; write a number, true, "
+            "false, a text, a list such as [18, 33] or a table such as {backlog=1}"
         )
     return text
 

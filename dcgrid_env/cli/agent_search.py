@@ -7,13 +7,13 @@ import dataclasses
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import tyro
 
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.names import one_scenario
-from dcgrid_env.cli.settings import alone_in
+from dcgrid_env.cli.settings import alone_in, at_least
 from dcgrid_env.cli.terminal import plain_console, say
 
 
@@ -47,12 +47,13 @@ class TuneAgent(Command):
         """Search, print each trial, then the best. ValueError for a setting that cannot be, before anything is done."""
         from dcgrid_env.agents.studies.agent_search import SECONDS, best_as_toml, ended, require_optuna, search, seconds
         from dcgrid_env.agents.studies.search_spaces import SPACES
+        from dcgrid_env.cli.train import ALGORITHMS
 
         require_optuna()
         if self.algorithm not in SPACES:
-            raise ValueError(f"algorithm is {self.algorithm!r}; there are spaces for {', '.join(SPACES)}")
-        if self.trials < 1 or self.seed < 0:
-            raise ValueError(f"trials is {self.trials} and seed {self.seed}; give at least 1 and at least 0")
+            why = ", which has no search space" if self.algorithm in ALGORITHMS else ""
+            raise ValueError(f"algorithm is {self.algorithm!r}{why}; there are spaces for {', '.join(SPACES)}")
+        at_least(self, trials=1, seed=0)
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
         console = plain_console()
@@ -83,11 +84,14 @@ class TuneAgent(Command):
         """Values of the fields that are fixed; ValueError for one that cannot be read."""
         from dcgrid_env.baselines.scenario_spec import read_overrides
 
-        given = read_overrides(self.fixed)
+        given = read_overrides(self.fixed, "fixed")
         return {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
 
     def _base(self) -> Any:
         """The configuration that all trials begin from; ValueError for a field or value that cannot be."""
+        from pydantic import TypeAdapter, ValidationError
+
+        from dcgrid_env.agents.training.config import check
         from dcgrid_env.cli.train import ALGORITHMS
 
         kind, given = ALGORITHMS[self.algorithm].configuration(), self._given()
@@ -95,4 +99,14 @@ class TuneAgent(Command):
         if unknown := next((name for name in given if name not in names), None):
             listed = ", ".join(sorted(names))
             raise ValueError(f"fixed: {unknown} is no setting of {self.algorithm}; there are {listed}")
-        return kind.for_scenario(one_scenario(self.scenario), **given)
+        hints = get_type_hints(kind)
+        for name, value in given.items():
+            try:
+                TypeAdapter(hints[name]).validate_python(value, strict=True)
+            except ValidationError as error:
+                remedy = error.errors()[0]["msg"]
+                raise ValueError(f"fixed: {name} is {value!r}; {remedy[:1].lower()}{remedy[1:]}") from None
+        base = kind.for_scenario(one_scenario(self.scenario), **given)
+        # An algorithm asks for more when it begins; what can be told of any is told before the search writes its files.
+        check(base, *(name for name in ("steps", "updates", "learning_rate") if hasattr(base, name)))
+        return base

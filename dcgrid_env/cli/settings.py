@@ -42,6 +42,13 @@ def processes(jobs: int | None) -> int:
     return jobs
 
 
+def at_least(settings: object, **least: float) -> None:
+    """ValueError, naming it, for the first field of a command that is below the least value given for it."""
+    for field, value in least.items():
+        if getattr(settings, field) < value:
+            raise ValueError(f"{field} is {getattr(settings, field)}; give at least {value}")
+
+
 def check_folder(folder: Path) -> None:
     """ValueError unless a folder can be made for what will be written, before the work for it is done.
 

@@ -101,10 +101,19 @@ def test_the_command(tmp_path, trained, monkeypatch, capsys):
     assert "[analytic.toy6]\nupdates = 7" in said
     assert (tmp_path / "results/tune-agent/toy6-analytic/journal.log").exists()
     for asked, message in (
+        (["dev", "tune-agent", "carry-over"], "algorithm is 'carry-over', which has no search space; there are"),
         (["dev", "tune-agent", "dqn"], "algorithm is 'dqn'; there are spaces for analytic, safe, ppo"),
         ([*words[:-1], "colour=1"], "fixed: colour is no setting of analytic"),
-        ([*words, "--trials", "0"], "trials is 0"),
+        ([*words[:-1], "updates"], "fixed: 'updates' is no field with its value"),
+        ([*words[:-1], "updates=abc", "--out", "other"], "fixed: updates is 'abc'; input should be a valid integer"),
+        ([*words[:-1], "updates=0", "--out", "other"], "updates is 0; give more than 0"),
+        ([*words[:-1], "hidden=[8, 8]", "act=all", "--out", "other"], "fixed: act is 'all'; input should be 'both'"),
+        ([*words, "--trials", "0"], "trials is 0; give at least 1\n"),
+        ([*words, "--seed", "-1"], "dcgrid: seed is -1; give at least 0\n"),
     ):
         with pytest.raises(SystemExit):
             main(asked)
-        assert message in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert message in said
+        assert len(said.splitlines()) == 1
+    assert not (tmp_path / "other").exists()
