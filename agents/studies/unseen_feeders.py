@@ -13,7 +13,9 @@ from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.agents.studies.learning_tables import NONE, SCORE, Table, estimate, page, wrapped
 from dcgrid_env.agents.studies.scored import score
 from dcgrid_env.baselines import published
+from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.score import REFERENCE
+from dcgrid_env.baselines.user_code import OwnCodeError
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,25 @@ class Tried:
     droop: Evaluation
     others: dict[str, Evaluation | None]
     """By name; None where a controller refuses the scenario."""
+    refusals: dict[str, str]
+    """By name, what those say that refuse it."""
+
+
+def require_found(names: Sequence[str], scenarios: Sequence[str], split: str) -> None:
+    """ValueError for a split that there is not, and for a controller that is found for none of the scenarios."""
+    made = [make_scenario(scenario, split=split) for scenario in scenarios]
+    for name in names:
+        errors = [error for on in made if (error := _not_found(name, on)) is not None]
+        if len(errors) == len(made):
+            raise errors[0]
+
+
+def _not_found(name: str, on: Scenario) -> ValueError | None:
+    try:
+        find_controller(name, on)
+    except ValueError as error:
+        return error
+    return None
 
 
 def tried(names: Sequence[str], scenario: str, split: str, episodes: int) -> Tried:
@@ -31,13 +52,16 @@ def tried(names: Sequence[str], scenario: str, split: str, episodes: int) -> Tri
     on, seeds = make_scenario(scenario, split=split), range(episodes)
     droop = evaluate(find_controller(REFERENCE, on), on, seeds, REFERENCE)
     others: dict[str, Evaluation | None] = {}
+    refusals: dict[str, str] = {}
     for name in names:
         try:
             with on_purpose():
                 others[name] = evaluate(find_controller(name, on), on, seeds, name)
-        except ValueError:
-            others[name] = None
-    return Tried(on, droop, others)
+        except ValueError as error:
+            if isinstance(error, OwnCodeError) and not (isinstance(error, ControllerError) and error.refuses):
+                raise  # it fails, which is no refusal
+            others[name], refusals[name] = None, str(error)
+    return Tried(on, droop, others, refusals)
 
 
 def scores_table(results: Sequence[Tried], episodes: int) -> Table:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names, split_names
-from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.settings import at_least, check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
 from dcgrid_env.cli.trainings import MOST_EPISODES
 from dcgrid_env.core.versions import meta
@@ -37,12 +37,12 @@ class CarryOver(Command):
         names, scenarios = split_names(self.controllers), scenario_names(self.scenarios)
         if not names:
             raise ValueError("controllers is empty; name at least one")
-        if not 2 <= self.episodes <= MOST_EPISODES or self.worst < 1:
-            raise ValueError(
-                f"episodes is {self.episodes} and worst {self.worst}; give 2 to {MOST_EPISODES}, and at least 1"
-            )
+        if not 2 <= self.episodes <= MOST_EPISODES:
+            raise ValueError(f"episodes is {self.episodes}; give 2 to {MOST_EPISODES}, the published test episodes")
+        at_least(self, worst=1)
         if self.out is not None:
             check_folder(self.out)
+        unseen_feeders.require_found(names, scenarios, self.split)
         console, results = plain_console(), []
         for scenario in scenarios:
             with working(console, scenario):
@@ -51,6 +51,8 @@ class CarryOver(Command):
         of_feeders = [table for one in results if (table := unseen_feeders.feeders_table(one, self.worst)) is not None]
         for table in (shown, *of_feeders):
             console.print(table.rich(console.width))
+        for line in (line for one in results for line in one.refusals.values()):
+            say(console, line)
         if self.out is not None:
             from dcgrid_env.core.files import write_text
 

@@ -27,8 +27,21 @@ def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
     assert "wrote docs/carry-over.md" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [("--episodes", "1"), ("--worst", "0"), ("--controllers", "")])
+@pytest.mark.parametrize("words", [("--episodes", "1"), ("--worst", "0"), ("--controllers", ""), ("--worst", "-1")])
 def test_settings_that_cannot_be_are_refused(words, capsys):
     with pytest.raises(SystemExit):
         main(["dev", "carry-over", *words])
-    assert words[0].removeprefix("--") in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith(f"dcgrid: {words[0].removeprefix('--')} is ")
+
+
+def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_why(capsys):
+    words = ["dev", "carry-over", "--scenarios", "toy6", "--episodes", "2", "--controllers"]
+    with pytest.raises(SystemExit) as raised:
+        main([*words, "droop-q,nosuch"])
+    said = capsys.readouterr()
+    assert (raised.value.code, said.out) == (2, "")
+    assert said.err.startswith("dcgrid: unknown controller 'nosuch'")
+    main([*words, "routing-analytic"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "does not apply" in said
+    assert "controller 'routing-analytic' cannot drive toy6" in said
