@@ -8,6 +8,7 @@ same for all agents), or the counterfactual advantage of each agent's own action
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,12 @@ class Agreement(NamedTuple):
     """By the team's return."""
     counterfactual: float
     """By counterfactual advantages."""
+
+
+def require_served(scenarios: Sequence[str]) -> None:
+    """ValueError for a preset that counterfactual advantages do not serve."""
+    for scenario in scenarios:
+        vec_env_for(PpoCounterfactual.for_scenario(scenario, num_envs=1))
 
 
 def agreement(scenario: str, seed: int, num_envs: int, steps: int, gamma: float) -> Agreement:

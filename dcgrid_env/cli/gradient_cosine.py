@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names
+from dcgrid_env.cli.settings import at_least
 
 
 @dataclass(frozen=True)
@@ -28,15 +29,19 @@ class GradientCosine(Command):
         """Print the table. ValueError for a setting that cannot be."""
         import numpy as np
 
-        from dcgrid_env.agents.studies.gradient_agreement import agreement
+        from dcgrid_env.agents.studies.gradient_agreement import agreement, require_served
 
-        for field in ("num_envs", "steps", "seeds"):
-            if getattr(self, field) < 1:
-                raise ValueError(f"{field} is {getattr(self, field)}; give at least 1")
+        if self.num_envs < 2:
+            raise ValueError(
+                f"num_envs is {self.num_envs}; give at least 2, as the team's return is measured from their mean"
+            )
+        at_least(self, steps=1, seeds=1)
         if not 0.0 < self.gamma <= 1.0:
             raise ValueError(f"gamma is {self.gamma}; give more than 0 and at most 1")
+        scenarios = scenario_names(self.scenarios)
+        require_served(scenarios)
         print("| scenario | the team's return | counterfactual advantage |\n|---|---|---|")
-        for scenario in scenario_names(self.scenarios):
+        for scenario in scenarios:
             found = [agreement(scenario, seed, self.num_envs, self.steps, self.gamma) for seed in range(self.seeds)]
             cells = (f"{np.mean(each):.3f} ({min(each):.3f} .. {max(each):.3f})" for each in zip(*found, strict=True))
             print(f"| `{scenario}` | {' | '.join(cells)} |", flush=True)

@@ -23,3 +23,8 @@ def test_the_command_prints_a_line_a_scenario_and_refuses_what_cannot_be(capsys)
         GradientCosine(gamma=1.5).run()
     with pytest.raises(ValueError, match="seeds is 0; give at least 1"):
         GradientCosine(seeds=0).run()
+    with pytest.raises(ValueError, match="num_envs is 1; give at least 2"):
+        GradientCosine(num_envs=1).run()
+    with pytest.raises(ValueError, match="scenario 'smoothing' has smoothing at"):
+        GradientCosine(scenarios="toy6,smoothing").run()
+    assert not capsys.readouterr().out
