@@ -51,8 +51,8 @@ NO_ADVANTAGE = 1e-9
 class PpoCounterfactual(Training):
     """Train a policy with PPO on counterfactual advantages."""
 
-    view: Literal["shared"] = "shared"
-    """One policy for all agents on their own observations; an advantage is a single agent's."""
+    view: Literal["shared", "centralised"] = "shared"
+    """shared alone, one policy for all agents on their own observations: an advantage is a single agent's."""
     num_envs: int = 32
     """Environments that are stepped at once, each with an episode of its own."""
     steps: int = 300_000

@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import tyro
 
@@ -60,10 +60,10 @@ class Algorithm:
         # Which defaults there are depends on two of the options: they are read first.
         first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
         first.add_argument("--scenario")
-        first.add_argument("--view")
+        first.add_argument("--view", choices=get_args(get_type_hints(kind)["view"]))
         try:
             begin = kind.for_scenario(**vars(first.parse_known_args(words)[0]))
-        except argparse.ArgumentError:  # one without a value, which the whole command line reports below
+        except argparse.ArgumentError:  # no value, or no view, which the whole command line reports below
             begin = kind()
         about = (self.module().__doc__ or "").strip()
         about = f"{about}\n\n{SEEDS}"
