@@ -183,9 +183,14 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
 
 
 def split_prefix(spec: str) -> tuple[str, str]:
-    """What stands before a controller's name, as ``guarded:``, and that name; the former empty where nothing does."""
+    """What stands before a controller's name, as ``guarded:``, and that name; the former empty where nothing does.
+
+    ValueError where no name follows.
+    """
     first, colon, rest = spec.partition(":")
     is_prefix = bool(colon) and first.isidentifier() and f"{first}:" in CONTROLLER_REGISTRY
+    if is_prefix and not rest:
+        raise ValueError(f"controller {spec!r}: nothing follows; write a policy's name or file behind it (dcgrid list)")
     return (f"{first}:", rest) if is_prefix else ("", spec)
 
 

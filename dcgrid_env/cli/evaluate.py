@@ -110,7 +110,7 @@ def _file(policy: str) -> str:
     from dcgrid_env.baselines.registry import split_prefix
 
     before, inner = split_prefix(policy)
-    return before + (str(Path(inner) / "policy.safetensors") if Path(inner).is_dir() else inner)
+    return before + (str(Path(inner) / "policy.safetensors") if inner and Path(inner).is_dir() else inner)
 
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:

@@ -86,6 +86,16 @@ def test_bad_training_is_one_line(module, capsys):
     assert stopped(capsys, "train", "ppo", "--colour", "1")[0] == 2
 
 
+def test_a_view_that_cannot_be_is_the_error_alone(recwarn, capsys):
+    code, said = stopped(capsys, "train", "ppo-counterfactual", "--view", "centralised")
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert said.startswith("dcgrid: view is 'centralised'; an advantage is a single agent's: give shared")
+    code, said = stopped(capsys, "train", "td3", "--view", "none")
+    assert code == 2
+    assert "invalid choice 'none' for argument '--view'" in said
+    assert not recwarn.list
+
+
 NEEDS_TORCH = ("dcgrid_env.agents.algorithms.", "dcgrid_env.agents.training.")
 
 
@@ -161,6 +171,8 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
         ),
         ([str(tmp_path / "cut.safetensors")], "not a policy file"),
         (["pid", "--scenario", "toy6"], "unknown controller 'pid'"),
+        (["guarded:", "--scenario", "toy6"], "controller 'guarded:': nothing follows; write a policy's name or file"),
+        (["", "--scenario", "toy6"], "unknown controller ''"),
     ):
         code, said = stopped(capsys, "evaluate", *arguments)
         assert code == 2
