@@ -14,7 +14,7 @@ from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.agents.studies.learning_tables import Table, page, wrapped
-from dcgrid_env.baselines import make_controller, published
+from dcgrid_env.baselines import Published, make_controller, published
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.score import REFERENCE, SPLIT
 
@@ -49,6 +49,13 @@ def policies_of(algorithm: str, scenarios: Sequence[str]) -> list[str]:
     return [name for name in (f"{scenario}-{algorithm}" for scenario in scenarios) if name in SHIPPED]
 
 
+def require_published(scenarios: Sequence[str], episodes: int, split: str) -> None:
+    """ValueError for a split that there is not, a preset without hindsight, or more episodes than it has."""
+    for name in scenarios:
+        make_scenario(name, split=split)
+        _hindsight(name, episodes if split == SPLIT else None)
+
+
 def rows(policies: Sequence[str], scenarios: Sequence[str], episodes: int, split: str) -> Iterator[Row]:
     """Each scenario with the scores of all policies on it.
 
@@ -64,8 +71,8 @@ def rows(policies: Sequence[str], scenarios: Sequence[str], episodes: int, split
         yield Row(name, cells)
 
 
-def _possible(name: str, episodes: int | None) -> float:
-    """What hindsight saves against the tuned droop on a preset's test episodes, all that are published for None."""
+def _hindsight(name: str, episodes: int | None) -> tuple[Scenario, Published, tuple[int, ...]]:
+    """A preset on its test split, hindsight's costs, and the seeds of the episodes, all published ones for None."""
     test = make_scenario(name, split=SPLIT)
     costs = published(test)
     if costs is None:
@@ -73,6 +80,12 @@ def _possible(name: str, episodes: int | None) -> float:
     seeds = tuple(costs.seeds if episodes is None else range(episodes))
     if missing := costs.missing(seeds):
         raise ValueError(f"episodes is {episodes}; {name} has {len(costs.seeds)}, not seed {missing[0]}: give fewer")
+    return test, costs, seeds
+
+
+def _possible(name: str, episodes: int | None) -> float:
+    """What hindsight saves against the tuned droop on a preset's test episodes, all that are published for None."""
+    test, costs, seeds = _hindsight(name, episodes)
     return evaluate(make_controller(REFERENCE, test), test, seeds).means["J"] - float(np.mean(costs.of(seeds).J))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names, split_names
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.settings import at_least, check_folder
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.versions import meta
 
@@ -36,11 +36,11 @@ class Transfer(Command):
         from dcgrid_env.core.files import write_text
 
         scenarios, algorithms = scenario_names(self.scenarios), split_names(self.algorithms)
-        if self.episodes < 2:
-            raise ValueError(f"episodes is {self.episodes}; give at least 2")
+        at_least(self, episodes=2)
         policies = {name: transfer.policies_of(name, scenarios) for name in algorithms}
         if none := next((name for name, own in policies.items() if not own), None):
             raise ValueError(f"algorithms: no policy of {none!r} ships for these scenarios (dcgrid list)")
+        transfer.require_published(scenarios, self.episodes, self.split)
         check_folder(self.out)
         console = plain_console()
         parts = []

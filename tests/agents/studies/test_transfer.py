@@ -47,7 +47,10 @@ def test_the_command(tmp_path, capsys):
         (["--episodes", "1"], "episodes is 1; give at least 2"),
         (["--algorithms", "sac"], "no policy of 'sac' ships for these scenarios"),
         (["--scenarios", "toy6", "--episodes", "101"], "not seed 100: give fewer"),
+        (["--scenarios", "toy6", "--split", "nosuch"], "split is 'nosuch'"),
     ):
         with pytest.raises(SystemExit):
             main(["dev", "transfer", *asked, "--out", str(tmp_path)])
-        assert message in " ".join(capsys.readouterr().err.split())
+        said = capsys.readouterr()
+        assert message in " ".join(said.err.split())
+        assert not said.out  # nor a progress bar
