@@ -31,6 +31,7 @@ from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.ship import Ship
+from dcgrid_env.cli.terminal import ends_unread
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
@@ -106,7 +107,7 @@ def main(args: list[str] | None = None) -> None:
         return
     command: Command | None = None
     try:
-        with terminated_in_order():
+        with ends_unread(), terminated_in_order():
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")

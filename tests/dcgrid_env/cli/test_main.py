@@ -1,7 +1,10 @@
 """The table of commands: where each stands, what an older spelling gets, and what help says."""
 
 import dataclasses
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -101,3 +104,12 @@ def test_overrides_given_in_two_places_are_refused(second, capsys):
     code, said = stopped(capsys, "run", "--set", "horizon=5", *second)
     assert (code, len(said.err.splitlines())) == (2, 1)
     assert "--set is there more than once; give it once" in said.err
+
+
+def test_a_reader_that_stops_ends_a_command_in_silence():
+    read, write = os.pipe()
+    os.close(read)
+    words = [sys.executable, "-m", "dcgrid_env.cli", "run", "--help"]
+    ended = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, check=False, timeout=60)
+    os.close(write)
+    assert (ended.returncode, ended.stderr) == (141, b"")
