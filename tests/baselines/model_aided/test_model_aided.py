@@ -1,5 +1,6 @@
 """The model-aided local law: better than the tuned droop where it is made for, local in use, refusals."""
 
+import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, field_names, make_scenario
@@ -38,6 +39,19 @@ def test_drawn_buses_must_be_placed():
     with pytest.raises(ValueError, match=r"call place\(buses\) after reset"):
         law.act(observations)
     env.close()
+
+
+def test_where_buses_are_drawn_each_placement_is_commissioned():
+    law, scenario = ModelAided(), make_scenario("ieee123")
+    law.reset(scenario)
+    inverters = [scenario.feeder.index(bus) for bus in scenario.devices[1].buses or ()]
+    first, second = (np.array([[*range(at, at + scenario.n_datacenters), *inverters]]) for at in (10, 60))
+    law.place(first)
+    before = law.known
+    law.place(second)
+    assert before is not None
+    assert law.known is not None
+    assert not np.array_equal(before.by_q, law.known.by_q)
 
 
 @pytest.mark.parametrize("given", [{"floor_pu": 0.0}, {"price": -1.0}, {"hold": float("nan")}])
