@@ -1,5 +1,7 @@
 """Training on random feeders: begins as the law, learns alike each time; settings are checked, the family repeats."""
 
+from typing import Any
+
 import pytest
 
 from dcgrid_env import scenario_hash
@@ -16,7 +18,8 @@ TINY = {"updates": 2, "feeders": 1, "num_envs": 2, "steps": 3, "hidden": (4,), "
 @pytest.mark.slow
 def test_it_begins_as_the_law_and_learns(tmp_path):
     cfg = CarryOver(**TINY, out=tmp_path)
-    env, networks = CommissionedEnv(drawn_on(cfg, 0)), Corrections(moments(cfg), cfg.hidden)
+    env = CommissionedEnv(drawn_on(cfg, 0))
+    networks: Any = Corrections(moments(cfg), cfg.hidden)
     assert env.episodes(networks, [0])[0] == env.episodes(None, [0])[0]
     main(cfg)
     first, second = read_curve(tmp_path)

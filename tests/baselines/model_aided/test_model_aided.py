@@ -80,6 +80,7 @@ def test_the_first_second_is_no_surprise():
     law = ModelAided()
     law.reset(scenario)
     env.step(law.act(observations))
-    q_kvar, rest_kvar = env.transition.state.q_kvar, law.known.rest_kvar[0, 0]
     env.close()
+    assert law.known is not None
+    q_kvar, rest_kvar = env.transition.state.q_kvar, law.known.rest_kvar[0, 0]
     assert abs(q_kvar - rest_kvar).mean() < 0.25 * abs(rest_kvar).mean()
