@@ -21,6 +21,7 @@ All constants were chosen on the validation split (docs/transfer.md).
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,7 @@ class GuardedPolicy:
         return self._equipment.act(observations, self._act)
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
+        probed = copy.copy(self._law)  # as it is before this step, for laws that remember one
         law, own = self._law.act(joint), self.policy.act(joint)
         beyond = {name: self._ranges[name].beyond(own) for name, own in self._seen.inputs(joint).items()}
         if self._new is None:
@@ -119,8 +121,7 @@ class GuardedPolicy:
         weight = self._share[..., self._owner]
         new = self._new[..., None]
         if self._new.any():
-            weight = np.where(new, np.minimum(weight, self._stable_share(joint)), weight)
-        law, own = self._law.act(joint), self.policy.act(joint)
+            weight = np.where(new, np.minimum(weight, self._stable_share(joint, probed)), weight)
         most = np.where(self._is_clock, DEVIATION["clock"], np.where(self._is_q, DEVIATION["q"], np.inf))
         most = np.where(new, most, np.inf)
         deviation = weight * (own - law)
@@ -147,7 +148,7 @@ class GuardedPolicy:
             return np.zeros(next(iter(beyond.values())).shape[: -1 if "joint" in beyond else -2], bool)
         return np.asarray((self._of_agents(known) > SOFT).any(-1))
 
-    def _stable_share(self, joint: np.ndarray) -> np.ndarray:
+    def _stable_share(self, joint: np.ndarray, probed: Controller) -> np.ndarray:
         """Share of the policy in each entry of the action at which its slope stays below the bound, (..., n_action)."""
         if self._steepest is None:
             reactive, clock = steepest(self.scenario)
@@ -155,7 +156,7 @@ class GuardedPolicy:
         sign = np.where(self._is_clock, 1.0, -1.0)  # at a higher voltage a faster clock, and less reactive power
         laws, own = (
             sign * (act(joint + self._v_step) - act(joint - self._v_step)) / (2.0 * STEP)
-            for act in (self._law.act, self.policy.probe)
+            for act in (probed.act, self.policy.probe)
         )
         room = np.maximum(self._steepest - laws, 0.0)
         return np.where(own > np.maximum(self._steepest, laws), room / np.maximum(own - laws, 1e-9), 1.0)

@@ -48,7 +48,7 @@ class ModelAidedPolicy(Policy, features="law"):
         self,
         networks: Mapping[str, Family],
         *,
-        law: Mapping[str, float] | None = None,
+        law: Mapping[str, Any] | None = None,
         scenario: str = "",
         made_with: str = "",
     ):

@@ -244,9 +244,9 @@ class Policy:
     @classmethod
     def _read(cls, networks: Mapping[str, Family], about: Mapping[str, Any]) -> Policy:
         """The policy of these networks and what ``_about`` said; KeyError for what is missing."""
-        chosen = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
-        named = {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
-        return cls(networks, **chosen, **named, gains=about.get("gains"), channels=about.get("channels"))
+        chosen: dict[str, Any] = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
+        chosen |= {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
+        return cls(networks, **chosen, gains=about.get("gains"), channels=about.get("channels"))
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:

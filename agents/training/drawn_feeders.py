@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dcgrid_env import Scenario, make_scenario, random_feeder
+from dcgrid_env import Feeder, FeederError, Scenario, make_scenario, random_feeder
 
 FAMILY = "drawn-feeders"
 """What policies trained on it say they were trained on."""
@@ -28,7 +28,7 @@ def drawn_scenario(split: str, i: int) -> Scenario:
     n_bus = round(float(np.exp(rng.uniform(np.log(16), np.log(130)))))
     load_kw = float(np.exp(rng.uniform(np.log(1500.0), np.log(9000.0))))
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
-    feeder = random_feeder(int(rng.integers(_LARGEST_FEEDERS)), n_bus=n_bus, style=style, load_kw=load_kw)
+    feeder, load_kw = _feeder(load_kw, int(rng.integers(_LARGEST_FEEDERS)), n_bus, style)
     n_dc, n_inv = int(rng.integers(1, 7)), int(rng.integers(2, 9))
     buses = rng.choice(_loaded(feeder), n_dc + n_inv, replace=False)
     sun = rng.random() < 0.2
@@ -60,9 +60,18 @@ def drawn_scenarios(split: str) -> Iterator[Scenario]:
         i += 1
 
 
-def _loaded(feeder: object) -> np.ndarray:
+def _feeder(load_kw: float, seed: int, n_bus: int, style: str) -> tuple[Feeder, float]:
+    """A feeder of a load, or where the style has none of that load on so many buses, of a load of its own; the load."""
+    try:
+        return random_feeder(seed, n_bus=n_bus, style=style, load_kw=load_kw), load_kw
+    except FeederError:
+        feeder = random_feeder(seed, n_bus=n_bus, style=style)
+        return feeder, float(np.sum(feeder.p_load_kw))
+
+
+def _loaded(feeder: Feeder) -> np.ndarray:
     """Positions of buses with a load, at least as many as devices may stand on."""
-    load_kw = np.asarray(feeder.p_load_kw)  # pyright: ignore[reportAttributeAccessIssue]
+    load_kw = np.asarray(feeder.p_load_kw)
     at = np.flatnonzero(load_kw > 0)
     at = at[at > 0]
     return at if len(at) >= 14 else np.arange(1, len(load_kw))

@@ -99,7 +99,8 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     start = rest_kvar @ (by_q @ flow.seen.T)
     slopes = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_p, by_draw, own_by_q, own_by_draw)
     waiting, none = np.full((1, n_dc), site.waiting), np.empty(0)
-    known = Commissioned(*(field[None] for field in slopes), *[none] * 6, waiting)
+    fields: list[np.ndarray] = [*(field[None] for field in slopes), *[none] * 6, waiting]
+    known = Commissioned(*fields)
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
     there = _there(rng, *draw.shape)

@@ -7,9 +7,10 @@ coming work. Each second it
 1. takes its own part out of its voltage, E_i = V_i - X_ii (q_i - u*_i) + D_ii (p_i - mean p_i),
 2. estimates every voltage of the coming second from that, with its error,
        V^_k = E[E_k | E_i] + X_ik (q_i - u*_i) - D_ik (p_next - mean p_i),
-3. data centres: serves work as long as the relief of the expected cost by a kW less, sum_k -c'(V^_k) R_ik, is below the
-   price of letting it wait, (w_backlog + w_leftover) dt / sum p_rated, that of MPC: charged as if left at the end,
-4. sets its reactive power where its own slope of the expected cost is zero if all move alike (``best_response``); an
+3. data centres: serves work as long as the relief of the expected cost by a kW less, sum_k -c'(V^_k + D_ik y) R_ik
+   with y kW put off, is below the price of letting it wait: that of MPC, (w_backlog + w_leftover) dt / sum p_rated,
+   charged as if left at the end, and more where later moments are no better (``commissioning``),
+4. sets its reactive power where its own slope of the expected cost is zero if all move alike (``response_kernels``); an
    inverter that sees the sun is pulled towards the optimum of that level.
 
 It knows more than a law of local measurements does and less than MPC, which sees all voltages: its scope is
@@ -88,7 +89,8 @@ class ModelAided(LocalController):
         self._known: Commissioned | None = None
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
         fixed = [device.buses for device in s.devices if device.count]
-        if all(buses is not None for buses in fixed):
+        self._drawn = any(buses is None for buses in fixed)
+        if not self._drawn:
             buses = [s.feeder.index(bus) for buses in fixed for bus in buses or ()]
             self._known = commission(self._site, np.array([buses]))
 
@@ -105,7 +107,7 @@ class ModelAided(LocalController):
     def place(self, buses: np.ndarray) -> None:
         """See :class:`Placed`."""
         places, lane = np.unique(np.asarray(buses)[:, self._equipment.is_other], axis=0, return_inverse=True)
-        if self._known is None or len(places) > 1:
+        if self._known is None or self._drawn:
             known = commission(self._site, places)
             self._known = known if len(places) == 1 else known.take(lane.ravel())
 

@@ -5,7 +5,7 @@
 is what remains of the voltages once the agent's own part is taken out. Around a level of the sun that an inverter reads
 from its own injection, and the others from E_i, with C the covariance over the moments of that level,
 
-    E[E_k | E_i] = base_k + g_ik (E_i - base_i)      g_ik = C_ki / (C_ii + noise)      s_ik^2 = C_kk - C_ki^2 / C_ii
+    E[E_k | E_i] = base_k + g_ik (E_i - base_i)      g_ik = C_ki / (C_ii + noise)      s_ik^2 = C_kk - C_ki g_ik
 
 (for instance S. M. Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 12). The
 covariances of E follow from those of the voltages with the own setpoints and draws, so that E itself is made nowhere.

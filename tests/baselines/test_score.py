@@ -70,6 +70,7 @@ def test_one_seed_five_times_has_the_interval_over_episodes():
     assert many[1:] == pytest.approx(one[1:], abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_interval_over_seeds_covers_the_algorithm_that_over_episodes_misses():
     """Seeds that lie far apart: the mean over all seeds that could be is 0.5."""
     covered, missed = 0, 0

@@ -22,6 +22,8 @@ MOST_STRETCH = 3.0
 """Factor by which lengths are stretched or shortened at most to meet the drop."""
 LARGEST_LOADING = 0.9
 """Current as a share of the ampacity at most, where even the largest conductor is loaded beyond its utilisation."""
+SMALLEST_DROP_PU = 1e-9
+"""Least drop that lengths are stretched from: no load may stand where the voltage falls."""
 WHOLE_DROP_AT = 40
 """Buses from which on feeders have the whole drop of their style; smaller ones have less, and less load."""
 ATTEMPTS = 200
@@ -150,7 +152,7 @@ def _stretch(tree: Tree, impedance: np.ndarray, p_kw: np.ndarray, q_kvar: np.nda
     for _ in range(4):
         r, x = factor * impedance
         drop = _drop(tree, r, x, p_kw, q_kvar)
-        factor *= 0.5 if drop is None else min(max(wanted / drop, 0.2), 5.0)
+        factor *= 0.5 if drop is None else min(max(wanted / max(drop, SMALLEST_DROP_PU), 0.2), 5.0)
     return factor if 1.0 / MOST_STRETCH <= factor <= MOST_STRETCH else None
 
 

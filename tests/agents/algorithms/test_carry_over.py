@@ -1,10 +1,13 @@
-"""Training on random feeders: it begins as the law, learns repeatably, goes on after a kill; the family repeats."""
+"""Training on random feeders: begins as the law, learns alike each time; settings are checked, the family repeats."""
+
+from typing import Any
 
 import pytest
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents import ModelAidedPolicy, Policy
 from dcgrid_env.agents.algorithms.carry_over import CarryOver, CommissionedEnv, Corrections, drawn_on, main, moments
+from dcgrid_env.agents.training import drawn_feeders
 from dcgrid_env.agents.training.drawn_feeders import drawn_scenario
 from dcgrid_env.agents.training.run_folder import read_curve
 
@@ -12,9 +15,11 @@ TINY = {"updates": 2, "feeders": 1, "num_envs": 2, "steps": 3, "hidden": (4,), "
         "validation_episodes": 1, "validate_every": 1, "checkpoint_every": 1}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_it_begins_as_the_law_and_learns(tmp_path):
     cfg = CarryOver(**TINY, out=tmp_path)
-    env, networks = CommissionedEnv(drawn_on(cfg, 0)), Corrections(moments(cfg), cfg.hidden)
+    env = CommissionedEnv(drawn_on(cfg, 0))
+    networks: Any = Corrections(moments(cfg), cfg.hidden)
     assert env.episodes(networks, [0])[0] == env.episodes(None, [0])[0]
     main(cfg)
     first, second = read_curve(tmp_path)
@@ -22,6 +27,8 @@ def test_it_begins_as_the_law_and_learns(tmp_path):
     policy = Policy.load(tmp_path / "policy.safetensors")
     assert isinstance(policy, ModelAidedPolicy)
     assert policy.trained_on == "drawn-feeders"
+    main(CarryOver(**TINY, out=tmp_path / "again"))
+    assert [row["J"] for row in read_curve(tmp_path / "again")] == [first["J"], second["J"]]
 
 
 @pytest.mark.parametrize("given", [{"feeders": 0}, {"steps": 0}, {"scenario": "ieee33"}, {"device": "cuda"}])
@@ -30,6 +37,12 @@ def test_settings_that_cannot_be_are_refused(given, tmp_path):
     with pytest.raises(ValueError, match=field):
         main(CarryOver(**{**TINY, **given}, out=tmp_path))
     assert not list(tmp_path.iterdir())
+
+
+def test_where_a_style_has_no_feeder_of_the_load_it_has_one_of_its_own():
+    feeder, load_kw = drawn_feeders._feeder(0.01, 1, 20, "us-mv")
+    assert load_kw == pytest.approx(feeder.p_load_kw.sum())
+    assert load_kw > 100.0
 
 
 def test_a_number_is_always_the_same_scenario():

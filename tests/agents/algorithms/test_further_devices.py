@@ -17,6 +17,8 @@ from helpers.routing import routed
 from helpers.storages import toy6_storage
 
 SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20), "routing": routed(horizon=20)}
+# They are trained on scenarios of their own, which have no name that a configuration could say.
+pytestmark = pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 given = pytest.mark.parametrize("name", SCENARIOS)
 views = pytest.mark.parametrize("view", ["shared", "centralised"])
 

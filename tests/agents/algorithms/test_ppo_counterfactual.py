@@ -1,4 +1,5 @@
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,6 +105,7 @@ def test_the_mean_action_has_no_advantage(scenario):
 def test_lanes_with_their_agents_elsewhere_are_judged_each_by_its_own_places():
     scenario = make_scenario("ieee123")
     batch, before, joint = stepped(scenario, 0.3, lanes=3)
+    assert before is not None
     mean = joint - 0.1
     buses = before.episode.buses
     assert not (buses == buses[:1]).all()
@@ -152,7 +154,7 @@ def test_the_policy_acts_as_the_models_mean_and_sees_no_more_than_an_agent_does(
     policy = algorithm.exported(cfg, model)
     policy.reset(vec_env.scenario)
     vec_env.seed(3)
-    observed = np.asarray(vec_env.reset())
+    observed: Any = vec_env.reset()
     for _ in range(3):
         expected, _ = model.predict(observed, deterministic=True)
         np.testing.assert_allclose(policy.act(observed), expected, atol=1e-5)

@@ -93,7 +93,7 @@ def test_in_new_places_the_gain_stays_below_the_bound(monkeypatch):
     joint = np.zeros((1, len(own._v_step)), np.float32)
     at = np.flatnonzero(own._v_step)
     monkeypatch.setattr(own.policy, "probe", lambda seen: -50.0 * seen[:, at][:, own._owner])  # far too steep
-    share = own._stable_share(joint)
+    share = own._stable_share(joint, own._law)
     reactive, _ = steepest(own.scenario)
     law = (own._law.act(joint - own._v_step) - own._law.act(joint + own._v_step)) / (2 * guard_module.STEP)
     slope = (1.0 - share) * law + share * 50.0
@@ -216,6 +216,15 @@ def test_what_a_policy_remembers_is_left_alone_where_slopes_are_found(toy6):
     assert [float(policy.probe(joint)[0, 1]) for _ in range(2)] == [0.0, 0.0]
     policy.act(joint)
     assert float(policy.probe(joint)[0, 1]) == float(policy.act(joint)[0, 1]) == pytest.approx(0.1)
+
+
+def test_under_guard_a_policy_remembers_each_step_once(toy6):
+    site, inverter = Counting([(np.zeros((9, 2)), np.zeros(2))]), Counting([(np.zeros((7, 1)), np.zeros(1))])
+    policy = Policy({"datacenter": site, "inverter": inverter}, scenario="toy6")
+    own = GuardedPolicy(policy, {name: widened(r, 1e3) for name, r in range_of(policy, toy6, 1).items()})
+    own.reset(toy6)
+    joint = np.zeros((1, 23), np.float32)
+    assert [float(own.act(joint)[0, 1]) for _ in range(3)] == pytest.approx([0.0, 0.1, 0.2])
 
 
 def test_a_policy_on_a_model_of_the_feeder_takes_no_guard(monkeypatch):

@@ -12,7 +12,7 @@ from dcgrid_env.baselines.model_aided.knowledge import Law
 
 def steps(preset, array, joint):
     scenario = make_scenario(preset)
-    buses = [scenario.feeder.index(bus) for device in scenario.devices for bus in device.buses]
+    buses = [scenario.feeder.index(bus) for device in scenario.devices for bus in device.buses or ()]
     site = site_of(scenario, Law(floor_pu=0.003))  # smooth, so that differences are near derivatives
     columns = Columns(scenario, array)
     now, past = columns.own(columns.of(joint)), Past()
@@ -31,7 +31,8 @@ def observed(preset):
                "backlog": (0.5, 2.0)}  # fmt: skip
     names = [name for agent in scenario.agents for name in field_names(scenario)[agent]]
     ranges = np.array([between.get(name, (0.0, 0.0)) for name in names])
-    return rng.uniform(*ranges.T, (2, len(names)))
+    low, high = ranges.T
+    return rng.uniform(low, high, (2, len(names)))
 
 
 @pytest.mark.parametrize("preset", ["ieee33-weak", "mixed"])

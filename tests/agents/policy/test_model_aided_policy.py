@@ -61,7 +61,9 @@ def test_corrections_are_bounded(value):
 def test_the_way_to_the_static_optimum_can_be_gone_whole():
     policy = giving(0.0, 1e3, 0.0)
     _, corrected = driven("ieee33-weak", policy)
-    best = policy._law.known.rest_kvar[0, 0] / make_scenario("ieee33-weak").q_scale_kvar
+    known = policy._law.known
+    assert known is not None
+    best = known.rest_kvar[0, 0] / make_scenario("ieee33-weak").q_scale_kvar
     np.testing.assert_allclose(corrected[..., ~IS_CLOCK], np.broadcast_to(best, (8, 2, len(best))), atol=1e-6)
 
 

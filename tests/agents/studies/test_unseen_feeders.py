@@ -1,5 +1,7 @@
 """dcgrid dev carry-over, as a user runs it, and the score of each random feeder by itself."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,14 @@ from dcgrid_env.cli.main import main
 
 
 def test_each_random_feeder_has_a_score_of_its_own():
-    one = unseen_feeders.tried(["droop-tuned", "droop-q"], "zero-shot", "test", 2)
-    assert (unseen_feeders.feeder_scores(one, "droop-tuned") == 0.0).all()
-    possible = one.droop.J - published(one.scenario).of((0, 1)).J
-    expected = (one.droop.J - one.others["droop-q"].J) / possible
-    assert np.sort(unseen_feeders.feeder_scores(one, "droop-q")) == pytest.approx(np.sort(expected))
-    assert unseen_feeders.feeders_table(one, 1).rows[0][3] == "0 of 2"
+    one: Any = unseen_feeders.tried(["droop-tuned", "droop-q"], "zero-shot", "test", 2)
+    values: Any = published(one.scenario)
+    own: Any = [unseen_feeders.feeder_scores(one, name) for name in ("droop-tuned", "droop-q")]
+    assert (own[0] == 0.0).all()
+    expected = (one.droop.J - one.others["droop-q"].J) / (one.droop.J - values.of((0, 1)).J)
+    assert np.sort(own[1]) == pytest.approx(np.sort(expected))
+    table: Any = unseen_feeders.feeders_table(one, 1)
+    assert table.rows[0][3] == "0 of 2"
 
 
 def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):

@@ -47,6 +47,7 @@ def test_taps_are_those_of_the_own_control(scenario):
     np.testing.assert_array_equal(taps_of(agents, Droop(k_q_mvar_per_pu_s=0.01)), wanted)
 
 
+@pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 @pytest.mark.parametrize("controller", ["feedback", "mpc-one-step", "ieee13-3ph-ppo"])
 def test_controllers_of_the_other_agents_do_the_same_whoever_moves_the_taps(controller):
     """Those with a model, which also have no say where switching has a price, and policies."""

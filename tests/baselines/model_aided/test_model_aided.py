@@ -1,5 +1,6 @@
 """The model-aided local law: better than the tuned droop where it is made for, local in use, refusals."""
 
+import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, field_names, make_scenario
@@ -40,6 +41,19 @@ def test_drawn_buses_must_be_placed():
     env.close()
 
 
+def test_where_buses_are_drawn_each_placement_is_commissioned():
+    law, scenario = ModelAided(), make_scenario("ieee123")
+    law.reset(scenario)
+    inverters = [scenario.feeder.index(bus) for bus in scenario.devices[1].buses or ()]
+    first, second = (np.array([[*range(at, at + scenario.n_datacenters), *inverters]]) for at in (10, 60))
+    law.place(first)
+    before = law.known
+    law.place(second)
+    assert before is not None
+    assert law.known is not None
+    assert not np.array_equal(before.by_q, law.known.by_q)
+
+
 @pytest.mark.parametrize("given", [{"floor_pu": 0.0}, {"price": -1.0}, {"hold": float("nan")}])
 def test_what_cannot_be_is_refused(given):
     (name,) = given
@@ -66,6 +80,7 @@ def test_the_first_second_is_no_surprise():
     law = ModelAided()
     law.reset(scenario)
     env.step(law.act(observations))
-    q_kvar, rest_kvar = env.transition.state.q_kvar, law.known.rest_kvar[0, 0]
     env.close()
+    assert law.known is not None
+    q_kvar, rest_kvar = env.transition.state.q_kvar, law.known.rest_kvar[0, 0]
     assert abs(q_kvar - rest_kvar).mean() < 0.25 * abs(rest_kvar).mean()
