@@ -80,7 +80,7 @@ class Group:
         if first in self.members:
             return self.members[first].parse(words[1:], f"{prog} {first}")
         if first and not first.startswith("-"):
-            below = self.moved.get(first) or next(self._below(first, prog), "")
+            below = self.moved.get(first) or "` or `".join(self._below(first, prog))
             raise ValueError(
                 f"there is no `{prog} {first}`; it is `{below}`" if below else
                 f"`{prog}` has no command {first!r}; there are {', '.join(self.members)}"
