@@ -250,10 +250,7 @@ def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
     require_one_step(cfg.algorithm(), scenario)
     rows = cfg.num_envs * scenario.horizon
     if cfg.minibatches > rows // 2:
-        raise ValueError(
-            f"minibatches is {cfg.minibatches}; a rollout of {cfg.num_envs} environments and {scenario.horizon} steps "
-            f"has {rows} rows: give at most half as many"
-        )
+        raise ValueError(f"minibatches is {cfg.minibatches}; a rollout here has {rows} rows: give at most half as many")
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     return JointVecEnv(scenario, cfg.num_envs, cfg.act)
 
