@@ -63,8 +63,17 @@ def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | Non
     return guarded(controller, law_for(scenario, tuned))
 
 
+def _pickled(path: str) -> Policy:
+    """ValueError: controllers' files are read without running code, and this one is pickle."""
+    raise ValueError(
+        f"controller {path!r} is a zip of Stable-Baselines3, which is pickle, and unpickling runs whatever code it "
+        f"holds; convert it once with `dcgrid export-sb3 {path} --scenario SCENARIO`, which does not unpickle it"
+    )
+
+
 ENTRIES: dict[str, Entry] = {
     SUFFIX: ("a saved policy", Policy.load),
+    ".zip": ("a model of Stable-Baselines3, to be converted first", _pickled),
     "guarded:": ("before a policy's name: kept near the tuned droop where it was not trained", _guarded),
     **{name: (f"the policy {name}, which ships", partial(Policy.load, name)) for name in SHIPPED},
     **{name: ForScenario(f"{name}, trained on the preset that it drives", partial(_load, name)) for name in TRAINED},

@@ -121,5 +121,5 @@ class AgentVecEnv(JointVecEnv):
         return lanes.reshape(-1, lanes.shape[-1])
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        each = (actions * self.reach).reshape(self.n_envs, self.scenario.n_agents, -1)
+        each = (actions * self.reach).reshape(-1, self.scenario.n_agents, self._n_action)
         return {kind: each[:, own[:, None], self.entries(kind)] for kind, own in self.members.items()}

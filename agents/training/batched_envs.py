@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -137,6 +137,13 @@ class JointVecEnv(VecEnv):
         """What an action of 1 is as an output, float32, (n_action,)."""
         clock, q, other = REACH[self.outputs]
         return np.array([{"clock": clock, "q": q}.get(channel, other) for channel in self.channels], np.float32)
+
+    def driven(self, joint: np.ndarray, predict: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The joint action, (row, n), where ``predict`` gives the lanes' actions for their observations.
+
+        ``joint`` are joint observations, (row, n_observation), as many as one likes; nothing is stepped.
+        """
+        return self._interface.action(joint, self._means(predict(self._rows(joint))))
 
     def arrived(self) -> np.ndarray:
         """What the last step led to, before any new episode began: (lane, n_observation)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -108,33 +108,54 @@ def export(
     cfg: Config, vec_env: JointVecEnv, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
     squash: str,
 ) -> Policy:  # fmt: skip
-    """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent.
-
-    What an agent does not observe is constant in its lanes and goes into the first bias, and so does the kind.
-    """
+    """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent."""
     mean, std = (buffer.cpu().numpy().astype(np.float64) for buffer in (normalised.mean, normalised.std))
     linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
     weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
     if vec_env.outputs != "setpoint":
         weights[-1] = (weights[-1][0] * vec_env.reach, weights[-1][1] * vec_env.reach)
-    networks = {}
-    if isinstance(vec_env, AgentVecEnv):
-        for name, members in vec_env.members.items():
-            own = vec_env.columns(vec_env.scenario.agents[members[0]])
-            constant = np.zeros(len(mean))
-            constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
-            constant = np.clip((constant - mean) / std, -CLIP, CLIP)
-            constant[own] = 0.0
-            (first, bias), *rest = weights
-            layered = [(first[own], bias + constant @ first), *rest]
-            last, last_bias = layered[-1]
-            given = vec_env.entries(name)
-            layered[-1] = (last[:, given], last_bias[given])
-            networks[name] = Network(layered, activation, squash, mean[own], std[own], CLIP)
-    else:
-        networks["joint"] = Network(weights, activation, squash, mean, std, CLIP)
+    networks = networks_of(vec_env, weights, activation, squash, mean, std, CLIP)
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
         outputs=vec_env.outputs, gains=vec_env.gains,
         scenario=trained_on(cfg), made_with=made_with(), channels=vec_env.further_channels,
     )  # fmt: skip
+
+
+def networks_of(
+    vec_env: JointVecEnv, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
+    mean: np.ndarray | None, std: np.ndarray | None, clip: float | None,
+) -> dict[str, Network]:  # fmt: skip
+    """The networks of a policy whose layers act on a lane: one, or in the shared view one for each kind of agent.
+
+    What an agent does not observe is constant in its lanes and goes into the first bias, and so does the kind.
+
+    Parameters
+    ----------
+    vec_env
+        The lanes.
+    weights
+        (weight, bias) of each layer, (n_in, n_out) and (n_out,).
+    activation, squash
+        See :class:`Network`.
+    mean, std, clip
+        Normalisation of a lane's observation, (n_observation,) each and a figure; none of them where there is none.
+    """
+    if not isinstance(vec_env, AgentVecEnv):
+        return {"joint": Network(weights, activation, squash, mean, std, clip)}
+    networks = {}
+    for name, members in vec_env.members.items():
+        own = vec_env.columns(vec_env.scenario.agents[members[0]])
+        constant = np.zeros(len(weights[0][0]))
+        constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
+        constant = constant if mean is None or std is None else (constant - mean) / std
+        constant = constant if clip is None else np.clip(constant, -clip, clip)
+        constant[own] = 0.0
+        (first, bias), *rest = weights
+        layered = [(first[own], bias + constant @ first), *rest]
+        last, last_bias = layered[-1]
+        given = vec_env.entries(name)
+        layered[-1] = (last[:, given], last_bias[given])
+        of_own = (None if moments is None else moments[own] for moments in (mean, std))
+        networks[name] = Network(layered, activation, squash, *of_own, clip)
+    return networks

@@ -13,15 +13,18 @@ import tyro
 
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
+from dcgrid_env.cli.sb3_export import SUFFIX as SB3
+from dcgrid_env.cli.sb3_export import require_trusted
 from dcgrid_env.cli.settings import Overrides, processes, tuned_from
 from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.install import from_clone
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from dcgrid_env import Scenario
     from dcgrid_env.agents import Evaluation
-    from dcgrid_env.baselines import Published
+    from dcgrid_env.baselines import Controller, Published
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.baselines.score import Estimate
@@ -33,8 +36,9 @@ class Evaluate(Command):
 
     policy: tyro.conf.Positional[str]
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
-    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)'). Before a policy guarded: may
-    stand, which keeps it near the tuned droop where it was not trained to act."""
+    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)'); with --trust a model of
+    Stable-Baselines3 too (model.zip). Before a policy guarded: may stand, which keeps it near the tuned droop where it
+    was not trained to act."""
     scenario: str | None = None
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own; the one that the policy was trained on unless given."""
@@ -54,6 +58,9 @@ class Evaluate(Command):
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""
+    trust: bool = False
+    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds; dcgrid
+    export-sb3 converts one without."""
 
     @property
     def resumes(self) -> str:
@@ -71,12 +78,16 @@ class Evaluate(Command):
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
                 raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
-        jobs, file, spec = processes(self.jobs), _file(self.policy), _scenario_of(self)
+        jobs, file = processes(self.jobs), _file(self.policy)
+        if file.endswith(SB3):
+            require_trusted(file, self.trust, self.scenario or "SCENARIO")
+        spec = _scenario_of(self)
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
         if self.hindsight:
             kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
-        controllers = {self.policy: find_controller(file, scenario, self.tuned)}
+        own = _sb3(file) if file.endswith(SB3) else find_controller(file, scenario, self.tuned)
+        controllers = {self.policy: own}
         left_out = []
         for name in (REFERENCE, *STATIC):
             try:
@@ -111,6 +122,15 @@ def _file(policy: str) -> str:
 
     before, inner = split_prefix(policy)
     return before + (str(Path(inner) / "policy.safetensors") if inner and Path(inner).is_dir() else inner)
+
+
+def _sb3(file: str) -> Controller:
+    """The model of a trusted zip; ValueError where it cannot be loaded or needs what stands beside it."""
+    try:
+        from dcgrid_env.agents.from_sb3.sb3_controller import trusted
+    except ImportError as error:
+        raise ValueError(f"policy {file!r} needs {error.name}; {from_clone('agents')}") from None
+    return trusted(Path(file))
 
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:

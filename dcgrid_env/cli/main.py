@@ -30,6 +30,7 @@ from dcgrid_env.cli.random_feeder_table import RandomFeederTable
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
+from dcgrid_env.cli.sb3_export import ExportSb3
 from dcgrid_env.cli.ship import Ship
 from dcgrid_env.cli.terminal import ends_unread
 from dcgrid_env.cli.traces import Fetch, Record, Show
@@ -84,6 +85,7 @@ COMMANDS = Group(
         "benchmark": Benchmark,
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
+        "export-sb3": ExportSb3,
         "tune": Tune,
         "capacity": Capacity,
         "reproduce": Reproduce,

@@ -1,0 +1,207 @@
+"""The actor of a Stable-Baselines3 zip, read without running anything that it holds.
+
+``model.save`` writes ``policy.pth``, which ``torch.load(weights_only=True)`` reads, making tensors alone, and ``data``,
+JSON in which objects are pickled, each with its fields as plain text beside the pickle. Names and shapes of the weights
+and that text say which network it is, where SB3's own classes made it; the pickles of ``data`` are never opened.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.agents.policy.neural_network import PolicyError
+
+SUFFIX = ".zip"
+MOST_MIB = 256
+"""Largest part of a zip that is read."""
+REMEDY = "drive it by a controller class of some ten lines (docs/own-policy.md)"
+ACTIVATIONS = {
+    f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "ReLU", "ELU", "SiLU")
+}
+"""What ``policy_kwargs`` says of an activation, and what ours is called."""
+FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
+WITHOUT_EFFECT = {
+    ":type:", ":serialized:", "net_arch", "optimizer_class", "optimizer_kwargs", "log_std_init", "ortho_init",
+    "full_std", "use_expln", "share_features_extractor", "normalize_images", "n_critics", "use_sde",
+    "features_extractor_kwargs",
+}  # fmt: skip
+"""Settings of ``policy_kwargs`` that the mean action does not depend on, or that the weights show."""
+READ = {"activation_fn", "features_extractor_class", "squash_output", "clip_mean"}
+"""Those that are looked at."""
+
+
+class _Form(NamedTuple):
+    """How the weights of an actor are called."""
+
+    module: str
+    """Where its class of policies stands."""
+    hidden: str
+    last: str
+    """The last layer; empty where it is the last one of ``hidden``."""
+    activation: str
+    """Activation unless ``policy_kwargs`` names another."""
+    beside: tuple[str, ...]
+    """Weights that are no part of the mean action."""
+
+
+_ACTOR_CRITIC = _Form(
+    "stable_baselines3.common.policies", "mlp_extractor.policy_net.", "action_net.", "tanh",
+    ("log_std", "mlp_extractor.value_net.", "value_net."),
+)  # fmt: skip
+_OF_SAC = _Form(
+    "stable_baselines3.sac.policies", "actor.latent_pi.", "actor.mu.", "relu", ("actor.log_std", "critic"),
+)  # fmt: skip
+_OF_TD3 = _Form("stable_baselines3.td3.policies", "actor.mu.", "", "relu", ("actor_target.", "critic"))
+FORMS = {"ppo": _ACTOR_CRITIC, "a2c": _ACTOR_CRITIC, "sac": _OF_SAC, "td3": _OF_TD3, "ddpg": _OF_TD3}
+
+
+class Actor(NamedTuple):
+    """The mean action of a model of Stable-Baselines3, as weights."""
+
+    algorithm: str
+    """One of ``FORMS``."""
+    layers: list[tuple[np.ndarray, np.ndarray]]
+    """(weight, bias) of each layer, (n_in, n_out) and (n_out,)."""
+    activation: str
+    squash: str
+    """``clip`` or ``tanh``."""
+    is_normalised: bool | None
+    """Whether it was trained behind VecNormalize; None where the file does not say."""
+    seed: int | None
+
+    @property
+    def widths(self) -> tuple[int, int]:
+        """Widths of observation and action."""
+        return len(self.layers[0][0]), len(self.layers[-1][1])
+
+
+def read_actor(path: Path) -> Actor:
+    """Read the actor of a zip that ``model.save`` wrote; none of its objects is unpickled.
+
+    Raises
+    ------
+    PolicyError
+        For what is no such zip, and for what a :class:`Network` cannot express, naming it and what would do.
+    OSError
+        Where the file cannot be opened.
+    """
+    try:
+        about, weights = _contents(path)
+        algorithm = algorithm_of(about)
+        form = FORMS[algorithm]
+        kwargs = about.get("policy_kwargs") or {}
+        _check_expressible(about, kwargs, algorithm)
+        layers = _layers(weights, form)
+        activation = ACTIVATIONS[kwargs["activation_fn"]] if "activation_fn" in kwargs else form.activation
+        squash = "tanh" if form is not _ACTOR_CRITIC or kwargs.get("squash_output") else "clip"
+        behind = about.get("_last_original_obs") is not None if form is _ACTOR_CRITIC else None
+        seed = about.get("seed")
+        return Actor(algorithm, layers, activation, squash, behind, seed if isinstance(seed, int) else None)
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    except (TypeError, AttributeError, KeyError, ValueError) as error:
+        raise PolicyError(
+            f"{path}: data is not what Stable-Baselines3 writes ({error!r}); save the model again"
+        ) from None
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """What a zip says of its model in JSON, the pickles as text; PolicyError for what is no such zip."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return dict(json.loads(_part(archive, "data")))
+    except (zipfile.BadZipFile, ValueError, TypeError):
+        raise PolicyError(f"{path}: not a zip that Stable-Baselines3 wrote; give one of model.save") from None
+
+
+def algorithm_of(about: Mapping[str, Any]) -> str:
+    """Name of the algorithm, by the settings that it alone has; PolicyError for one that is not among ``FORMS``."""
+    if "cg_max_steps" not in about and "gae_lambda" in about:
+        return "ppo" if "clip_range" in about else "a2c"
+    if "target_entropy" in about and "top_quantiles_to_drop_per_net" not in about:
+        return "sac"
+    if "policy_delay" in about:
+        return "ddpg" if about.get("target_noise_clip") == 0.0 else "td3"
+    raise PolicyError(f"algorithm is none of {', '.join(FORMS)}; {REMEDY}")
+
+
+def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What ``data`` says, and the weights by name."""
+    about, torch = read_about(path), import_module("torch")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            content = _part(archive, "policy.pth")
+        state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        return about, {name: tensor.detach().float().numpy() for name, tensor in state.items()}
+    except PolicyError:
+        raise
+    except Exception as error:  # of torch's own reader, whatever the file holds
+        raise PolicyError(
+            f"policy.pth cannot be read as weights alone ({type(error).__name__}); save the model again with "
+            "stable-baselines3"
+        ) from None
+
+
+def _part(archive: zipfile.ZipFile, name: str) -> bytes:
+    """A part of the zip; PolicyError where it is missing or too large."""
+    if name not in archive.namelist():
+        raise PolicyError(f"{name} is missing; give a zip that Stable-Baselines3's model.save wrote")
+    size_mib = archive.getinfo(name).file_size / 2**20
+    if size_mib > MOST_MIB:
+        raise PolicyError(f"{name} has {size_mib:.0f} MiB; give a model of at most {MOST_MIB} MiB")
+    return archive.read(name)
+
+
+def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algorithm: str) -> None:
+    """PolicyError for what is no multilayer perceptron on a Box, by name."""
+    module = about["policy_class"].get("__module__")
+    if module != FORMS[algorithm].module:
+        raise PolicyError(f"policy_class is one of {module}, not SB3's MlpPolicy; {REMEDY}")
+    for space in ("observation_space", "action_space"):
+        kind = about[space].get(":type:", "")
+        if not kind.endswith(".box.Box'>"):
+            raise PolicyError(f"{space} is {kind}, not a Box; {REMEDY}")
+    for edge, value in (("low", -1.0), ("high", 1.0)):
+        ends = set(re.findall(r"-?[\d.]+(?:e[-+]?\d+)?|-?inf", about["action_space"][edge].replace("...", " ")))
+        if {float(end) for end in ends} != {value}:
+            raise PolicyError(
+                f"action_space: {edge} is {about['action_space'][edge]!r}, that of dcgrid is {value:g} everywhere; "
+                f"train without a wrapper of actions, or {REMEDY}"
+            )
+    for name in kwargs:
+        if name not in WITHOUT_EFFECT | READ:
+            raise PolicyError(f"policy_kwargs: {name} is not known; {REMEDY}")
+    activation = kwargs.get("activation_fn")
+    if activation is not None and activation not in ACTIVATIONS:
+        names = ", ".join(ACTIVATIONS.values())
+        raise PolicyError(f"policy_kwargs: activation_fn is {activation}, a policy has one of {names}; {REMEDY}")
+    extractor = kwargs.get("features_extractor_class", FLATTEN)
+    if extractor != FLATTEN:
+        raise PolicyError(f"policy_kwargs: features_extractor_class is {extractor}; {REMEDY}")
+    if algorithm == "sac" and about.get("use_sde") and kwargs.get("clip_mean", 2.0) > 0.0:
+        raise PolicyError(f"use_sde: SAC cuts its mean at clip_mean before tanh, which a policy cannot; {REMEDY}")
+
+
+def _layers(weights: Mapping[str, np.ndarray], form: _Form) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(weight, bias) of each layer of the actor; PolicyError for weights that belong to no such layer."""
+    own = {name: value for name, value in weights.items() if not name.startswith(form.beside)}
+    layers, place = [], 0
+    while f"{form.hidden}{place}.weight" in own:  # an activation stands between two layers
+        layers.append(tuple(own.pop(f"{form.hidden}{place}.{part}", None) for part in ("weight", "bias")))
+        place += 2
+    if form.last:
+        layers.append(tuple(own.pop(f"{form.last}{part}", None) for part in ("weight", "bias")))
+    if own:
+        raise PolicyError(f"policy.pth: {min(own)} is no weight of a multilayer perceptron; {REMEDY}")
+    if not layers or any(part is None for layer in layers for part in layer):
+        raise PolicyError(f"policy.pth: a layer of the actor lacks its weight or bias; {REMEDY}")
+    return [(weight.T, bias) for weight, bias in layers]

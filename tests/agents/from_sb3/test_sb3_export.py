@@ -1,0 +1,243 @@
+"""Models of Stable-Baselines3 from zip to policy: the actions are SB3's, and nothing is unpickled on the way."""
+
+import base64
+import io
+import json
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import VecNormalize
+
+import dcgrid_env
+from dcgrid_env.agents import Card, Policy, sb3_vec_env
+from dcgrid_env.agents.from_sb3.sb3_controller import trusted
+from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
+from dcgrid_env.baselines import find_controller
+from dcgrid_env.cli.main import main
+
+SCENARIO = "toy6"
+SMALL: dict[str, Any] = {"net_arch": {"pi": [8, 6], "vf": [4]}}
+ON_POLICY: dict[str, Any] = {"device": "cpu", "n_steps": 4, "seed": 3}
+OFF_POLICY: dict[str, Any] = {"device": "cpu", "buffer_size": 10, "seed": 3}
+
+
+class Marked:
+    """Its unpickling leaves a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+class Doubled(FlattenExtractor):
+    """An extractor without a weight, which the weights therefore do not show."""
+
+    def forward(self, observations):
+        return 2.0 * super().forward(observations)
+
+
+def joint_env():
+    return gymnasium.make("dcgrid/Toy6-v0", horizon=3)
+
+
+def spread(model):
+    """The model with larger weights, so that actions differ and some leave the range."""
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.mul_(2.0).add_(0.1 * torch.randn_like(parameter))
+    return model
+
+
+def made(kind, **settings):
+    of = ON_POLICY | {"policy_kwargs": dict(SMALL)} if kind in (PPO, A2C) else OFF_POLICY
+    of = of | (
+        {"batch_size": 4} if kind is PPO else {"policy_kwargs": {"net_arch": [8, 6]}} if of is OFF_POLICY else {}
+    )
+    torch.manual_seed(0)
+    return spread(kind("MlpPolicy", joint_env(), **(of | settings)))
+
+
+def observations():
+    env = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=4)
+    observed = [env.reset(seed=0)[0]]
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        observed.append(env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))[0])
+    return np.concatenate(observed)
+
+
+def exported(zip_file, tmp_path, *options):
+    main(["export-sb3", str(zip_file), "--scenario", SCENARIO, "--out", str(tmp_path / "policy"), *options])
+    return Policy.load(tmp_path / "policy.safetensors")
+
+
+def stopped(capsys, *arguments):
+    with pytest.raises(SystemExit) as raised:
+        main(list(arguments))
+    said = capsys.readouterr().err
+    assert (raised.value.code, len(said.splitlines())) == (2, 1)
+    return said
+
+
+SQUASHED = {"use_sde": True, "policy_kwargs": SMALL | {"squash_output": True}}
+ELU = {"policy_kwargs": SMALL | {"activation_fn": torch.nn.ELU}}
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [(PPO, {}), (PPO, ELU), (PPO, SQUASHED), (A2C, {}), (SAC, {}), (TD3, {}), (DDPG, {})],
+    ids=["ppo", "elu", "squashed", "a2c", "sac", "td3", "ddpg"],
+)
+def test_actions_are_those_of_predict(kind, settings, tmp_path):
+    model = made(kind, **settings)
+    model.save(tmp_path / "model")
+    policy = exported(tmp_path / "model.zip", tmp_path)
+    policy.reset(dcgrid_env.make_scenario(SCENARIO))
+    seen = observations()
+    expected = model.predict(seen, deterministic=True)[0]
+    assert np.ptp(expected) > 0.5
+    np.testing.assert_allclose(policy.act(seen), expected, atol=2e-6)
+    card = Card.load(tmp_path / "policy.json")
+    assert (card.algorithm, card.seed, card.scenario) == (f"sb3-{kind.__name__.lower()}", 3, SCENARIO)
+
+
+def test_one_shared_policy_behind_vecnormalize(tmp_path, capsys):
+    lanes = VecNormalize(sb3_vec_env(SCENARIO, 2, "shared", horizon=4), clip_obs=1.5)
+    lanes.seed(0)
+    model = PPO("MlpPolicy", lanes, policy_kwargs=SMALL, batch_size=4, **ON_POLICY).learn(24)
+    spread(model).save(tmp_path / "model")
+    lanes.save(str(tmp_path / "lanes.pkl"))
+    file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "lanes.pkl")
+    out = ("--scenario", SCENARIO, "--out", str(tmp_path / "policy"))
+    assert "trained behind VecNormalize" in stopped(capsys, "export-sb3", file, *out)
+    assert "is pickle" in stopped(capsys, "export-sb3", file, *out, "--normalize", pkl)
+    said = stopped(capsys, "evaluate", file, "--scenario", SCENARIO, "--trust")
+    assert "dcgrid export-sb3 --normalize FILE.pkl --trust" in said
+    assert not list(tmp_path.glob("policy*"))
+
+    policy = exported(file, tmp_path, "--normalize", pkl, "--trust")
+    assert {name: (net.n_in, net.n_out) for name, net in policy.networks.items()} == {
+        "datacenter": (9, 2), "inverter": (7, 1),
+    }  # fmt: skip
+    scenario = dcgrid_env.make_scenario(SCENARIO)
+    policy.reset(scenario)
+    joint = observations()
+    plain = sb3_vec_env(SCENARIO, 1, "shared")
+    expected = plain.driven(joint, lambda rows: model.predict(lanes.normalize_obs(rows), deterministic=True)[0])
+    np.testing.assert_allclose(policy.act(joint), expected, atol=2e-6)
+
+
+def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
+    mark = tmp_path / "mark"
+    made(PPO).save(tmp_path / "plain")
+    rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", lambda about: about | {"lr_schedule": pickled(mark)})
+    policy = exported(tmp_path / "model.zip", tmp_path)
+    said = stopped(capsys, "evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
+    assert "is pickle, and unpickling runs whatever code it holds" in said
+    assert "dcgrid export-sb3" in said
+    with pytest.raises(ValueError, match="which is pickle"):
+        find_controller(str(tmp_path / "model.zip"), dcgrid_env.make_scenario(SCENARIO))
+    assert policy.n_parameters > 0
+    assert not mark.exists()
+
+
+def test_weights_that_are_more_than_weights_are_refused(tmp_path, capsys):
+    mark = tmp_path / "mark"
+    made(PPO).save(tmp_path / "plain")
+    written = io.BytesIO()
+    torch.save({"action_net.weight": Marked(mark)}, written)
+    rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", lambda about: about, written.getvalue())
+    said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
+    assert "policy.pth cannot be read as weights alone" in said
+    assert not mark.exists()
+
+
+def pickled(mark):
+    """What SB3 writes of an object that is no JSON: here of one that leaves a mark."""
+    return {":type:": "<class 'object'>", ":serialized:": base64.b64encode(pickle.dumps(Marked(mark))).decode()}
+
+
+def rewritten(source, target, change, weights=None):
+    """A zip with other ``data``, or other weights."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "data":
+                content = json.dumps(change(json.loads(content))).encode()
+            new.writestr(name, weights if weights and name == "policy.pth" else content)
+
+
+def test_a_custom_extractor_is_refused_by_name_and_driven_where_trusted(tmp_path, capsys):
+    model = made(PPO, policy_kwargs=SMALL | {"features_extractor_class": Doubled})
+    model.save(tmp_path / "model")
+    said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
+    assert "features_extractor_class is <class '" in said
+    assert "controller class of some ten lines (docs/own-policy.md)" in said
+
+    controller = trusted(tmp_path / "model.zip")
+    controller.reset(dcgrid_env.make_scenario(SCENARIO))
+    seen = observations()
+    np.testing.assert_array_equal(controller.act(seen), model.predict(seen, deterministic=True)[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"policy_kwargs": {"activation_fn": "<class 'torch.nn.modules.activation.GELU'>"}}, "activation_fn is"),
+        ({"policy_kwargs": {"dropout": 0.1}}, "policy_kwargs: dropout is not known"),
+        ({"policy_class": {"__module__": "mine"}}, "policy_class is one of mine"),
+        ({"action_space": {":type:": "<class 'gymnasium.spaces.box.Box'>", "low": "[0. -1.]", "high": "[1. 1.]"}},
+         "action_space: low is"),
+        ({"observation_space": {":type:": "<class 'gymnasium.spaces.dict.Dict'>"}}, "observation_space is"),
+        ({"cg_max_steps": 5}, "algorithm is none of ppo, a2c"),
+        ({"policy_class": None}, "data is not what Stable-Baselines3 writes"),
+    ],
+)  # fmt: skip
+def test_what_a_policy_cannot_express_is_refused_by_name(change, said, tmp_path):
+    made(PPO).save(tmp_path / "plain")
+    rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", lambda about: about | change)
+    with pytest.raises(ValueError, match=r"model\.zip: ") as raised:
+        read_actor(tmp_path / "model.zip")
+    assert said in str(raised.value)
+
+
+def test_files_and_scenarios_that_do_not_fit(tmp_path, capsys):
+    (tmp_path / "none.zip").write_bytes(b"nothing")
+    assert "not a zip that Stable-Baselines3 wrote" in stopped(
+        capsys, "export-sb3", str(tmp_path / "none.zip"), "--scenario", SCENARIO
+    )
+    made(PPO).save(tmp_path / "model")
+    said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", "ieee33-weak")
+    assert "observation and action have 23 and 4 figures; on ieee33-weak they have 55 and 10 (joint), 10 and 2" in said
+    said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--out", "policy.pt")
+    assert "ends in .safetensors" in said
+
+
+def test_what_acts_otherwise_than_it_says_is_refused(tmp_path, capsys):
+    model = made(PPO, policy_kwargs=SMALL | {"features_extractor_class": Doubled})
+    model.save(tmp_path / "plain")
+    hidden = {"features_extractor_class": "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"}
+    rewritten(
+        tmp_path / "plain.zip", tmp_path / "model.zip",
+        lambda about: about | {"policy_kwargs": about["policy_kwargs"] | hidden},
+    )  # fmt: skip
+    file = str(tmp_path / "model.zip")
+    said = stopped(capsys, "export-sb3", file, "--scenario", SCENARIO, "--out", str(tmp_path / "policy"), "--trust")
+    assert "act otherwise than Stable-Baselines3 does" in said
+    assert not list(tmp_path.glob("policy*"))
+
+
+def test_a_trusted_zip_is_evaluated(tmp_path, capsys):
+    made(SAC).save(tmp_path / "model")
+    main(["evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--episodes", "2", "--trust"])
+    assert "unserved at the end" in capsys.readouterr().out
