@@ -23,6 +23,7 @@ from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
+from dcgrid_env.cli.leaderboard import Leaderboard
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
@@ -32,12 +33,14 @@ from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.sb3_export import ExportSb3
 from dcgrid_env.cli.ship import Ship
+from dcgrid_env.cli.submit import Submit
 from dcgrid_env.cli.terminal import ends_unread
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.cli.unseen_feeders import CarryOver
+from dcgrid_env.cli.verify import Verify
 from dcgrid_env.core.processes import terminated_in_order
 
 TRACEBACK = "--traceback"
@@ -59,6 +62,7 @@ DEV = Group(
         "sags": Sags,
         "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
+        "leaderboard": Leaderboard,
     },
     moved={"tune": "dcgrid tune"},
 )
@@ -86,6 +90,8 @@ COMMANDS = Group(
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
         "export-sb3": ExportSb3,
+        "submit": Submit,
+        "verify": Verify,
         "tune": Tune,
         "capacity": Capacity,
         "reproduce": Reproduce,

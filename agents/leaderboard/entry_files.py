@@ -1,0 +1,170 @@
+"""What a folder of the leaderboard holds: submission.json, what it names, and verified.json once it was run again.
+
+Neither file is signed with a key. ``verified.json`` ends in a SHA-256 over all that it says, with the hashes of the
+submission and of the policy in it: whoever changes a file afterwards without running ``dcgrid verify`` is noticed.
+Anybody can write such a file, so it proves nothing of who wrote it; the proof of a figure is to run it again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+SUBMISSION, VERIFIED = "submission.json", "verified.json"
+FORMAT = 1
+"""Version of both files' format."""
+Learned = Literal["train", "validation", "test", "nothing"]
+"""Split that an entry was learned or tuned on."""
+NAMED, FILE, CODE = "named", "file", "code"
+T = TypeVar("T")
+
+
+class SubmissionError(ValueError):
+    """A folder that is no entry, or no longer what it says; the message names file, field, value and remedy."""
+
+
+class Figures(NamedTuple):
+    """What a controller comes to on some episodes, beside the tuned droop on the same."""
+
+    J: float
+    J_droop: float
+    gain: tuple[float, float, float]
+    """1 - J / J_droop, both means over the episodes, and the ends of its 95 % interval over episodes."""
+    delay_mean_s: float
+    droop_delay_mean_s: float
+
+
+class Score(NamedTuple):
+    """A score and the ends of its 95 % interval; 0 is the tuned droop, 1 hindsight."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What is claimed of a controller on the test split of a preset."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+
+    format: int
+    name: str
+    """What the entry is called on the page."""
+    paper: str
+    """Where it is described."""
+    kind: Literal["named", "file", "code"]
+    """Whether the controller is one that has a name, a policy's file, or code of the submitter's own."""
+    policy: str
+    """Its name, or its file within the folder, with class and arguments where it is code."""
+    sha256: str
+    """``Policy.sha256`` of a policy, SHA-256 of the file of code, empty for a controller that the package makes."""
+    files: dict[str, str]
+    """SHA-256 of each file in the folder that the entry consists of, by name."""
+    scenario: str
+    """Name of the preset."""
+    scenario_hash: str
+    """Hash of the preset on its test split."""
+    episodes: int
+    """Seeds 0, 1, .. of the test split."""
+    episodes_hash: str
+    """SHA-256 over the hashes of those episodes."""
+    observes: str
+    """What the controller's interface is shown, as the command saw it."""
+    information: str
+    """What code of one's own uses, as its submitter declares it; empty for others."""
+    learned_on: Learned
+    """As its submitter declares it."""
+    versions: dict[str, str | None]
+    """Versions of Python and of the packages that the figures were made with."""
+    machine: str
+    claimed: Figures
+    score: Score
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was found when an entry was run again."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+
+    format: int
+    submission: str
+    """SHA-256 of submission.json."""
+    policy: str
+    """SHA-256 of the policy, as in the submission."""
+    scenario_hash: str
+    episodes_hash: str
+    observes: str
+    """What the controller's interface is shown, as it was found."""
+    found: Figures
+    """On the claimed episodes."""
+    score: Score
+    is_equal_to_the_bit: bool
+    """Whether all figures are the claimed ones to the last bit."""
+    fresh_seed: int
+    """Seed of the first fresh episode."""
+    fresh_episodes: int
+    fresh: Figures
+    """On test episodes that are not among the claimed ones."""
+    versions: dict[str, str | None]
+    machine: str
+    sha256: str = ""
+    """SHA-256 over all the above."""
+
+    def sealed(self) -> Verified:
+        """The record with its own hash at its end."""
+        return Verified(**(vars(self) | {"sha256": self.own_sha256}))
+
+    @property
+    def own_sha256(self) -> str:
+        """SHA-256 over all but itself."""
+        return hashlib.sha256(json.dumps(plain(self) | {"sha256": ""}, sort_keys=True).encode()).hexdigest()
+
+
+def plain(record: Submission | Verified) -> dict[str, Any]:
+    """A record as JSON has it."""
+    return {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in asdict(record).items()}
+
+
+def read(path: Path, kind: type[T]) -> T:
+    """Read a record; SubmissionError, naming file and field, for what is none, and where there is no file."""
+    if not path.is_file():
+        remedy = {SUBMISSION: "give a folder that dcgrid submit wrote", VERIFIED: "run dcgrid verify on the folder"}
+        raise SubmissionError(f"{path}: there is no such file; {remedy[path.name]}")
+    try:
+        record = TypeAdapter(kind).validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"])) or "it"
+        raise SubmissionError(f"{path}: {field}: {first['msg'].lower()}; submit and verify again") from None
+    number = getattr(record, "format", None)
+    if number != FORMAT:
+        raise SubmissionError(f"{path}: format is {number}, this dcgrid reads {FORMAT}; update dcgrid-env")
+    return record
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def check_files(folder: Path, files: Mapping[str, str]) -> None:
+    """SubmissionError unless a folder's files are there, within it, and have these hashes."""
+    for name, expected in files.items():
+        path = folder / name
+        if Path(name).name != name:
+            raise SubmissionError(f"{folder / SUBMISSION}: files: {name!r} is outside the folder; submit again")
+        if not path.is_file():
+            raise SubmissionError(f"{path}: is missing, and submission.json names it; submit again")
+        if (found := sha256_of(path)) != expected:
+            raise SubmissionError(
+                f"{path}: sha256 is {found[:16]}.., submission.json says {expected[:16]}..; the file was changed after "
+                "it was submitted: submit it again"
+            )

@@ -1,0 +1,160 @@
+"""The leaderboard's page: the tables of verified folders, between two marks of a Markdown file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dcgrid_env import PRESETS, scenario_hash
+from dcgrid_env.agents.leaderboard.entry_files import (
+    CODE,
+    NAMED,
+    SUBMISSION,
+    VERIFIED,
+    Submission,
+    SubmissionError,
+    Verified,
+    check_files,
+    read,
+    sha256_of,
+)
+from dcgrid_env.agents.leaderboard.running import episodes_hash, scenario_of
+from dcgrid_env.agents.policy.policy import SHIPPED, Policy
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.core.files import write_text
+
+BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
+"""What stands before and behind the tables in the page."""
+EPISODES = 100
+"""Test episodes of an entry that stands on the page."""
+LOCAL = "local"
+HEADER = (
+    "| scenario | entry | score (95 %) | J | saved of the droop's J | saved on fresh episodes | delay, s | observes | "
+    "learned on |"
+)
+
+
+class Listed(NamedTuple):
+    """A verified entry."""
+
+    submission: Submission
+    verified: Verified
+
+    @property
+    def gains_less(self) -> bool:
+        """Whether the gain on fresh episodes lies below that on the claimed ones, their intervals apart."""
+        return self.verified.fresh.gain[2] < self.verified.found.gain[1]
+
+
+def listed(folder: Path) -> Listed:
+    """The entry of a verified folder.
+
+    Raises
+    ------
+    SubmissionError
+        For a folder that was not verified, or of which anything has changed since: a file, a record, the preset, or
+        the policy that ships under the entry's name.
+    """
+    submission, record = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
+    path = folder / VERIFIED
+    if record.own_sha256 != record.sha256:
+        raise SubmissionError(f"{path}: sha256 is not that of its contents; run dcgrid verify {folder}")
+    if record.submission != sha256_of(folder / SUBMISSION):
+        raise SubmissionError(f"{path}: submission is of another {SUBMISSION}; run dcgrid verify {folder}")
+    check_files(folder, submission.files)
+    if submission.episodes != EPISODES:
+        raise SubmissionError(f"{folder / SUBMISSION}: episodes is {submission.episodes}; the page takes {EPISODES}")
+    scenario = scenario_of(submission.scenario)
+    now = (scenario_hash(scenario), episodes_hash(scenario, EPISODES))
+    if now != (record.scenario_hash, record.episodes_hash):
+        raise SubmissionError(f"{path}: scenario_hash is {record.scenario_hash}, now {now[0]}; submit and verify again")
+    _, inner = split_prefix(submission.policy)
+    if submission.kind == NAMED and inner not in CONTROLLER_REGISTRY:
+        raise SubmissionError(f"{path}: policy is {inner!r}, which no longer ships; delete the folder")
+    if submission.kind == NAMED and inner in SHIPPED and Policy.load(inner).sha256 != record.policy:
+        raise SubmissionError(f"{path}: policy is of other weights than {inner} that ships; submit and verify again")
+    return Listed(submission, record)
+
+
+def write_page(folders: Sequence[Path], page: Path) -> int:
+    """Put the tables of these folders between the marks of a page; the number of entries.
+
+    SubmissionError, before anything is written, for a folder that cannot be listed, two entries of one name on a
+    scenario, or a page without the marks.
+    """
+    text = page.read_text(encoding="utf-8")
+    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
+        raise SubmissionError(f"{page}: has not one line {BEGIN} and one {END} behind it; put them in")
+    entries = [listed(folder) for folder in folders]
+    seen: dict[tuple[str, str], Path] = {}
+    for folder, (submission, _) in zip(folders, entries, strict=True):
+        other = seen.setdefault((submission.scenario, submission.name), folder)
+        if other is not folder:
+            raise SubmissionError(
+                f"{folder / SUBMISSION}: name {submission.name!r} stands in {other} too, for {submission.scenario}; "
+                "give it another name"
+            )
+    before, behind = text.split(BEGIN)[0], text.split(END)[1]
+    write_text(page, f"{before}{BEGIN}\n{tables(entries)}\n{END}{behind}")
+    return len(entries)
+
+
+def tables(entries: Sequence[Listed]) -> str:
+    """The tables, as Markdown: one for each kind of information, what was learned on the test split apart."""
+    groups = {
+        "Local observation alone": [e for e in entries if _group(e) == LOCAL],
+        "More information than local observation": [e for e in entries if _group(e) == "more"],
+        "Code of the submitter's own: what it uses is declared, not checked": [e for e in entries if _group(e) == CODE],
+        "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
+    }
+    parts = [
+        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 5 + "|---" * 2 + "|", *_rows(own)])
+        for title, own in groups.items()
+        if own
+    ]
+    return "\n" + "\n\n".join(parts) + "\n"
+
+
+def _group(entry: Listed) -> str:
+    submission = entry.submission
+    if submission.learned_on == "test":
+        return "test"
+    if submission.kind == CODE:
+        return CODE
+    return LOCAL if entry.verified.observes == LOCAL else "more"
+
+
+def _rows(entries: Sequence[Listed]) -> list[str]:
+    """A row for each entry, by scenario in the presets' order, the best score first."""
+    order = list(PRESETS)
+    placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.verified.score.value))
+    return [_row(entry) for entry in placed]
+
+
+def _row(entry: Listed) -> str:
+    submission, record = entry
+    score, found = record.score, record.found
+    name = _cell(submission.name)
+    if submission.paper:
+        link = submission.paper.startswith(("https://", "http://")) and not set(submission.paper) & set(" ()<>|")
+        name = f"[{name}]({submission.paper})" if link else f"{name} ({_cell(submission.paper)})"
+    observes = _cell(submission.information) if submission.kind == CODE else record.observes
+    cells = (
+        f"`{submission.scenario}`", name, f"{score.value:.2f} ({score.low:.2f} .. {score.high:.2f})", f"{found.J:.4f}",
+        _gain(found.gain), _gain(record.fresh.gain) + " below" * entry.gains_less,
+        f"{found.delay_mean_s:.2f}", observes, submission.learned_on,
+    )  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+def _gain(gain: tuple[float, float, float]) -> str:
+    value, low, high = (100.0 * share for share in gain)
+    return f"{value:.1f} % ({low:.1f} .. {high:.1f})"
+
+
+def _cell(text: str) -> str:
+    """A submitter's text, which cannot break the table or bring markup of its own."""
+    for sign in "\\|`*_[]<>":
+        text = text.replace(sign, f"\\{sign}" if sign not in "<>" else {"<": "&lt;", ">": "&gt;"}[sign])
+    return text

@@ -1,0 +1,144 @@
+"""From a controller to a folder that claims what it reaches."""
+
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+from typing import NamedTuple
+
+from dcgrid_env import scenario_hash
+from dcgrid_env.agents.leaderboard.entry_files import (
+    CODE,
+    FILE,
+    FORMAT,
+    NAMED,
+    SUBMISSION,
+    Learned,
+    Submission,
+    SubmissionError,
+    plain,
+    sha256_of,
+)
+from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, run, scenario_of, scored, shown
+from dcgrid_env.agents.policy.guard import GuardedPolicy
+from dcgrid_env.agents.policy.policy import SHIPPED, Policy
+from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.agents.shipping import without_horizon
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.user_code import parse
+from dcgrid_env.core.files import whole_folder, write_bytes, write_json
+from dcgrid_env.core.versions import PACKAGES, versions
+
+LONGEST = 80
+"""Letters of a name or a paper at most."""
+POLICY, CONTROLLER = f"policy{SUFFIX}", "controller.py"
+"""What an entry's files are called in its folder."""
+
+
+class _Entry(NamedTuple):
+    kind: str
+    policy: str
+    """What names the controller in the folder."""
+    files: dict[str, Path]
+    """What is copied, by its name there."""
+
+
+def installed() -> dict[str, str | None]:
+    """Versions of Python and of the packages that figures depend on."""
+    return {"python": platform.python_version(), **versions(PACKAGES)}
+
+
+def machine() -> str:
+    """Operating system and kind of processor."""
+    return f"{platform.system()} {platform.machine()}"
+
+
+def submit(
+    policy: str, name: str, out: Path, *, paper: str = "", scenario: str | None = None, episodes: int = 100,
+    learned_on: Learned = "train", information: str = "",
+) -> Submission:  # fmt: skip
+    """Run a controller on the test episodes of a preset, and write a folder that claims what it came to.
+
+    Parameters
+    ----------
+    policy
+        What names the controller, see ``find_controller``; of one's own code ``path/to/file.py:Class``.
+    name, paper
+        What the entry is called on the page, and where it is described.
+    out
+        Folder to be made.
+    scenario
+        Preset on whose test split it is scored; the one that the policy was trained on unless given.
+    episodes
+        Seeds 0, 1, .. of the test split.
+    learned_on, information
+        Declarations: the split that it was learned or tuned on, and what code of one's own uses.
+
+    Raises
+    ------
+    ValueError
+        For what cannot be entered or scored, before anything is written.
+    """
+    for field, text in (("name", name), ("paper", paper), ("information", information)):
+        if len(text) > LONGEST or not text.isprintable() or (field == "name" and not text.strip()):
+            raise SubmissionError(f"{field} is {text!r}; give one line of 1 to {LONGEST} letters")
+    entry = _entry(policy)
+    if (entry.kind == CODE) != bool(information):
+        raise SubmissionError(
+            f"information is {information!r}; "
+            + (
+                "say what the code uses, which cannot be checked"
+                if entry.kind == CODE
+                else "leave it out: it is checked"
+            )
+        )
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise SubmissionError(f"out is {str(out)!r}, which is there and not empty; choose another folder")
+    test = scenario_of(scenario or _trained_on(policy))
+    of_episodes = episodes_hash(test, episodes)
+    controller = controller_of(policy, test)
+    driven = run(controller, test, range(episodes), name)
+    inner = controller.policy if isinstance(controller, GuardedPolicy) else controller
+    claimed = Submission(
+        format=FORMAT, name=name, paper=paper, kind=entry.kind, policy=entry.policy,  # pyright: ignore[reportArgumentType]
+        sha256=inner.sha256 if isinstance(inner, Policy) else "".join(map(sha256_of, entry.files.values())),
+        files={file: sha256_of(path) for file, path in entry.files.items()},
+        scenario=test.name, scenario_hash=scenario_hash(test), episodes=episodes, episodes_hash=of_episodes,
+        observes=shown(controller, test), information=information, learned_on=learned_on,
+        versions=installed(), machine=machine(), claimed=driven.figures, score=scored(driven),
+    )  # fmt: skip
+    with whole_folder(out) as folder:
+        for file, path in entry.files.items():
+            write_bytes(folder / file, path.read_bytes())
+        write_json(folder / SUBMISSION, plain(claimed))
+    return claimed
+
+
+def _entry(policy: str) -> _Entry:
+    """How a controller stands in a folder; SubmissionError for one that a folder cannot hold."""
+    before, inner = split_prefix(policy)
+    reference = parse(inner)
+    if reference is not None:
+        if reference.path is None:
+            raise SubmissionError(f"policy is {policy!r}; give path/to/file.py:Class, whose file goes into the folder")
+        if not reference.path.is_file():
+            raise SubmissionError(f"policy is {policy!r}; there is no file {reference.where}")
+        return _Entry(CODE, f"{CONTROLLER}{inner[len(reference.where) :]}", {CONTROLLER: reference.path})
+    if inner.endswith(SUFFIX):
+        path = Path(inner)
+        card = path.with_suffix(".json")
+        for needed in (path, card):
+            if not needed.is_file():
+                raise SubmissionError(f"policy is {policy!r}; there is no file {needed} (Policy.save writes both)")
+        return _Entry(FILE, f"{before}{POLICY}", {POLICY: path, "policy.json": card})
+    if (origin := CONTROLLER_REGISTRY.origin(inner) if inner in CONTROLLER_REGISTRY else None) is not None:
+        raise SubmissionError(f"policy is {policy!r}, which comes from {origin}; give the file of its class")
+    return _Entry(NAMED, policy, {})
+
+
+def _trained_on(policy: str) -> str:
+    """The preset that a policy was trained on; SubmissionError where it names none."""
+    _, inner = split_prefix(policy)
+    if inner in SHIPPED or inner.endswith(SUFFIX):
+        return without_horizon(Policy.load(inner).trained_on)
+    raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")
