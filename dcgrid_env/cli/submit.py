@@ -36,7 +36,7 @@ class Submit(Command):
     information: str = ""
     """What a class of your own uses of what it is given, as you declare it, for instance 'local of each agent'."""
     out: Path | None = None
-    """Folder to be made; by default results/submissions with the scenario and the name in its own."""
+    """Folder to be made; by default one in results/submissions, named after --scenario and --name."""
 
     def run(self) -> None:
         """Run, write, print. ValueError for what cannot be entered, before anything is written."""
@@ -44,7 +44,7 @@ class Submit(Command):
         from dcgrid_env.baselines.file_names import file_name
 
         policy = str(Path(self.policy) / "policy.safetensors") if Path(self.policy).is_dir() else self.policy
-        out = self.out or Path("results/submissions") / file_name(f"{self.scenario or 'own'}-{self.name}")
+        out = self.out or Path("results/submissions") / file_name("-".join(filter(None, (self.scenario, self.name))))
         console = plain_console()
         with working(console, f"{self.episodes} episodes"):
             entry = submit(

@@ -56,6 +56,7 @@ def main(
     reward: str = "local",
     address: str = "",
     save: Path | None = None,
+    checkpoint: Path | None = None,
 ) -> tuple[float, float]:
     """Train, and give the mean J of validation episodes before and after."""
     # The head of a cluster knows its CPUs; here each worker is given one, however many there are.
@@ -80,6 +81,8 @@ def main(
         algorithm.train()
     policy = exported(algorithm.get_module)
     after = float(rollout(validation, policy, range(episodes)).costs().mean())
+    if checkpoint:
+        algorithm.save_to_path(checkpoint.absolute())
     algorithm.stop()
     ray.shutdown()
     droop = rollout(validation, make_controller("droop-tuned", validation), range(episodes)).costs().mean()

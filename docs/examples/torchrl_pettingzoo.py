@@ -69,6 +69,7 @@ def main(
     seed: int = 0,
     reward: str = "local",
     save: Path | None = None,
+    checkpoint: Path | None = None,
 ) -> tuple[float, float]:
     """Train, and give the mean J of validation episodes before and after."""
     torch.manual_seed(seed)
@@ -99,6 +100,9 @@ def main(
     print(f"mean J of {episodes} validation episodes: {before:.3f} before, {after:.3f} after, tuned droop {droop:.3f}")
     if save:
         policy.save(save)
+    if checkpoint:
+        checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        torch.save({kind: mean.state_dict() for kind, mean in means.items()}, checkpoint)
     return before, after
 
 

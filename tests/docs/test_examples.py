@@ -15,7 +15,7 @@ from dcgrid_env.baselines import rollout
 from helpers.places import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"
-README = (EXAMPLES / "README.md").read_text()
+OWN_POLICY = (ROOT / "docs" / "own-policy.md").read_text()
 
 
 def example(name):
@@ -51,7 +51,7 @@ def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, c
     before, after = example("sb3_plain").main(steps=1, num_envs=1, episodes=2, save=Path("results/sb3_plain.zip"))
     assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
     assert before != after
-    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    (block,) = [b for b in re.findall(r"```python\n(.*?)```", OWN_POLICY, re.DOTALL) if "class Mine:" in b]
     Path("mine.py").write_text(block)
     validation = make_scenario("ieee123", split="validation")
     assert mean_j("ieee123", find_controller("mine.py:Mine", validation), 2) == after

@@ -37,8 +37,27 @@ def run(*arguments, home):
     return done.stdout
 
 
+def figures(printed):
+    return [float(figure) for figure in re.findall(r"\d+\.\d{3}", printed.strip().splitlines()[-1])]
+
+
+def j_of_the_class(name, home):
+    """Mean J, to three digits, that a controller class of docs/own-policy.md reaches on two validation episodes."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "own-policy.md").read_text(), re.DOTALL)
+    (block,) = [block for block in blocks if f"class {name}:" in block]
+    (home / "mine.py").write_text(block)
+    code = f"""
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines import find_controller, rollout
+validation = make_scenario("ieee33-weak", split="validation")
+print(f"{{rollout(validation, find_controller('mine.py:{name}', validation), range(2)).costs().mean():.3f}}")
+"""
+    (j,) = figures(run("-c", code, home=home))
+    return j
+
+
 def check_trained(printed, path):
-    before, after, droop = map(float, re.findall(r"\d+\.\d{3}", printed.strip().splitlines()[-1]))
+    before, after, droop = figures(printed)
     assert before != after
     assert 2.0 < droop < after < 10.0
     policy = Policy.load(path)
@@ -135,7 +154,10 @@ print("checked")
 @needs("torchrl", "tensordict")
 def test_torchrl_example(tmp_path):
     options = ["--updates", "1", "--rollout-steps", "120", "--episodes", "2", "--save", "made"]
-    check_trained(run(EXAMPLES / "torchrl_pettingzoo.py", *options, home=tmp_path), tmp_path / "made.safetensors")
+    options += ["--checkpoint", "results/torchrl.pt"]
+    printed = run(EXAMPLES / "torchrl_pettingzoo.py", *options, home=tmp_path)
+    check_trained(printed, tmp_path / "made.safetensors")
+    assert abs(j_of_the_class("FromTorchRl", tmp_path) - figures(printed)[1]) < 2e-3
 
 
 @pytest.mark.slow
@@ -239,4 +261,6 @@ print("checked")
 @needs("ray")
 def test_rllib_example_with_two_workers(tmp_path):
     options = ["--iterations", "1", "--workers", "2", "--batch", "480", "--episodes", "2", "--save", "made"]
-    check_trained(run(EXAMPLES / "rllib_multi_agent.py", *options, home=tmp_path), tmp_path / "made.safetensors")
+    printed = run(EXAMPLES / "rllib_multi_agent.py", *options, "--checkpoint", "results/rllib", home=tmp_path)
+    check_trained(printed, tmp_path / "made.safetensors")
+    assert abs(j_of_the_class("FromRllib", tmp_path) - figures(printed)[1]) < 2e-3

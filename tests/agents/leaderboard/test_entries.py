@@ -1,0 +1,287 @@
+"""Entries of the leaderboard: submitted, run again, listed; and what is noticed where something was changed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dcgrid_env import PRESETS
+from dcgrid_env.agents import Network, Policy
+from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read, sha256_of
+from dcgrid_env.agents.leaderboard.page import BEGIN, END, Listed, listed, tables, write_page
+from dcgrid_env.agents.leaderboard.running import scenario_of, shown
+from dcgrid_env.agents.leaderboard.submitting import submit
+from dcgrid_env.agents.leaderboard.verifying import verify
+from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.baselines import make_controller
+from dcgrid_env.cli.main import main
+from helpers.places import ROOT
+
+PRESET, POLICY = "toy6", FOLDER / "toy6-analytic.safetensors"
+OWN = """
+class Own:
+    def __init__(self, q=0.0):
+        self.q = q
+
+    def reset(self, env_info):
+        self.n = 4
+
+    def act(self, observations):
+        return [[1.0, self.q, self.q, self.q]] * len(observations)
+"""
+
+
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory):
+    """A verified folder of few episodes."""
+    folder = tmp_path_factory.mktemp("entries") / "entry"
+    submit(str(POLICY), "analytic", folder, paper="https://example.org", episodes=4)
+    verify(folder, fresh=4)
+    return folder
+
+
+@pytest.fixture
+def copied(entry, tmp_path):
+    return Path(shutil.copytree(entry, tmp_path / "copied"))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A verified folder of all published episodes, of a policy that ships."""
+    folder = tmp_path_factory.mktemp("whole") / "entry"
+    submit("toy6-analytic", "analytic", folder)
+    verify(folder, fresh=2)
+    return folder
+
+
+def changed(path, **fields):
+    """A record with other values for some fields, ``part__field`` for those of a part."""
+    content = json.loads(path.read_text())
+    for name, value in fields.items():
+        part, _, field = name.partition("__")
+        if field:
+            content[part][field] = value
+        else:
+            content[name] = value
+    path.write_text(json.dumps(content))
+
+
+def constant():
+    """A policy of other weights than those that ship: it sets what it sets whatever it sees."""
+    networks = {
+        name: Network([(np.zeros((n, m)), np.full(m, 0.5))])
+        for name, n, m in (("datacenter", 9, 2), ("inverter", 7, 1))
+    }
+    return Policy(networks, scenario=PRESET)
+
+
+def stopped(capsys, *arguments):
+    with pytest.raises(SystemExit) as raised:
+        main([str(argument) for argument in arguments])
+    said = capsys.readouterr().err
+    assert (raised.value.code, len(said.splitlines())) == (2, 1)
+    return said
+
+
+def test_an_entry_is_found_as_claimed_to_the_last_bit(entry):
+    claimed, found = read(entry / "submission.json", Submission), read(entry / "verified.json", Verified)
+    assert found.is_equal_to_the_bit
+    assert (found.found, found.score) == (claimed.claimed, claimed.score)
+    assert (claimed.kind, claimed.observes, claimed.learned_on) == ("file", "local", "train")
+    assert set(claimed.files) == {"policy.safetensors", "policy.json"} == {p.name for p in entry.iterdir()} - {
+        "submission.json", "verified.json",
+    }  # fmt: skip
+    assert found.sha256 == found.own_sha256
+    assert found.fresh.J != found.found.J
+    assert found.fresh_seed >= 1000
+    assert claimed.claimed.gain[0] == pytest.approx(1 - claimed.claimed.J / claimed.claimed.J_droop, rel=1e-9)
+
+
+def test_fresh_episodes_are_the_same_again_unless_others_are_asked_for(copied):
+    before = (copied / "verified.json").read_bytes()
+    verify(copied, fresh=4)
+    assert (copied / "verified.json").read_bytes() == before
+    _, found = verify(copied, fresh=2, fresh_seed=50)
+    assert (found.fresh_seed, found.fresh_episodes) == (50, 2)
+    with pytest.raises(SubmissionError, match="fresh is 4 from seed 3; give at least 2 beyond the 4"):
+        verify(copied, fresh=4, fresh_seed=3)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"claimed__J": 0.2}, "claimed.J is 0.2, found 0."),
+        ({"score__value": 0.99}, "score.value is 0.99, found "),
+        ({"claimed__delay_mean_s": 1.0}, "claimed.delay_mean_s is 1, found 0"),
+        ({"claimed__gain": [0.5, 0.4, 0.6]}, "claimed.gain is 0.5, found "),
+        ({"scenario_hash": "0" * 16}, "scenario_hash is 0000000000000000, that of toy6 is "),
+        ({"scenario": "mine"}, "scenario is 'mine'; the leaderboard is over the presets"),
+        ({"scenario": "ieee33"}, "that of ieee33 is "),
+        ({"episodes": 5}, "that of the test seeds 0 to 4 is "),
+        ({"episodes": 101}, "episodes is 101; toy6 has 100 published ones"),
+        ({"sha256": "0" * 64}, "sha256 is 0000000000000000.., that of the policy policy.safetensors is "),
+        ({"observes": "feeder"}, "observes is 'feeder', the controller's is 'local'"),
+        ({"files": {}}, "policy is 'policy.safetensors', which is none of its files"),
+        ({"files": {"../policy.json": "0"}}, "files: '../policy.json' is outside the folder"),
+        ({"format": 7}, "format is 7, this dcgrid reads 1"),
+        ({"learned_on": "luck"}, "learned_on: "),
+        ({"more": 1}, "more: "),
+    ],
+)
+def test_a_changed_submission_is_one_line_and_leaves_what_was_verified(fields, said, copied, capsys):
+    before = (copied / "verified.json").read_bytes()
+    changed(copied / "submission.json", **fields)
+    error = stopped(capsys, "verify", copied, "--fresh", 2)
+    assert said in error
+    assert "submission.json" in error or "published" in error or "presets" in error
+    assert (copied / "verified.json").read_bytes() == before
+
+
+def test_changed_and_missing_files_are_named(copied, capsys):
+    weights = copied / "policy.safetensors"
+    content = bytearray(weights.read_bytes())
+    content[-1] ^= 1
+    weights.write_bytes(content)
+    assert "policy.safetensors: sha256 is " in stopped(capsys, "verify", copied)
+    weights.unlink()
+    assert "policy.safetensors: is missing" in stopped(capsys, "verify", copied)
+    (copied / "submission.json").write_text("{")
+    assert "submission.json: it: " in stopped(capsys, "verify", copied)
+    (copied / "submission.json").unlink()
+    assert "give a folder that dcgrid submit wrote" in stopped(capsys, "verify", copied)
+
+
+def test_other_weights_under_hashes_made_anew_are_noticed(copied, capsys):
+    other = constant()
+    other.save(copied / "policy.safetensors")
+    files = {name: sha256_of(copied / name) for name in ("policy.safetensors", "policy.json")}
+    changed(copied / "submission.json", files=files)
+    assert "that of the policy policy.safetensors is " in stopped(capsys, "verify", copied)
+    changed(copied / "submission.json", sha256=other.sha256)
+    assert "claimed.J is 0." in stopped(capsys, "verify", copied)
+
+
+def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN)
+    base = ("submit", "own.py:Own(q=0.1)", "--name", "own", "--scenario", PRESET, "--episodes", "2", "--out", "made")
+    assert "information is ''; say what the code uses" in stopped(capsys, *base)
+    assert not Path("made").exists()
+    main([*base, "--information", "nothing"])
+    assert {path.name for path in Path("made").iterdir()} == {"controller.py", "submission.json"}
+    assert "verifying runs it: read it, and add --trust" in stopped(capsys, "verify", "made")
+    main(["verify", "made", "--trust", "--fresh", "2"])
+    assert "found as claimed, to the last bit" in capsys.readouterr().out
+    assert read(Path("made/submission.json"), Submission).policy == "controller.py:Own(q=0.1)"
+    with Path("made/controller.py").open("a") as file:
+        file.write("print('more')\n")
+    assert "controller.py: sha256 is " in stopped(capsys, "verify", "made", "--trust")
+    assert "which is there and not empty" in stopped(capsys, *base, "--information", "nothing")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("droop-tuned", "--name", "x"), "is of no preset of its own; say on which --scenario"),
+        (("json:loads", "--name", "x", "--scenario", PRESET), "give path/to/file.py:Class, whose file goes"),
+        (("none.safetensors", "--name", "x", "--scenario", PRESET), "there is no file none.safetensors"),
+        (("model.zip", "--name", "x", "--scenario", PRESET), "which is pickle"),
+        (("toy6-analytic", "--name", "a\nb"), "name is 'a\\nb'; give one line"),
+        (("toy6-analytic", "--name", "x", "--episodes", "1"), "episodes is 1; toy6 has 100 published ones"),
+        (("toy6-analytic", "--name", "x", "--information", "all"), "information is 'all'; leave it out"),
+        (("toy6-analytic", "--name", "x", "--scenario", "mine.toml"), "scenario is 'mine.toml'; the leaderboard is"),
+    ],
+)
+def test_what_cannot_be_entered_is_one_line(arguments, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("model.zip").touch()
+    assert said in stopped(capsys, "submit", *arguments)
+    assert not Path("results").exists()
+
+
+def test_what_a_controller_is_shown():
+    scenario = scenario_of(PRESET)
+    joint = Policy({"joint": Network([([[0.0] * 4] * 23, [0.0] * 4)])})
+    assert shown(joint, scenario) == "local, of all agents together"
+    assert shown(Policy.load("toy6-analytic"), scenario) == "local"
+    assert shown(make_controller("model-aided"), scenario) == "local, model-aided"
+    assert shown(make_controller("mpc"), scenario) == "feeder, feeder's model"
+
+
+def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
+    page = tmp_path / "page.md"
+    page.write_text(f"# Page\n{BEGIN}\nold\n{END}\nbehind\n")
+    main(["dev", "leaderboard", str(whole), "--page", str(page)])
+    text = page.read_text()
+    assert text.startswith(f"# Page\n{BEGIN}\n\n### Local observation alone\n")
+    assert text.endswith(f"{END}\nbehind\n")
+    assert "| `toy6` | analytic | " in text
+    assert "old" not in text
+    main(["dev", "leaderboard", str(whole.parent), "--page", str(page)])  # a folder of folders
+    assert page.read_text() == text
+    twice = shutil.copytree(whole, tmp_path / "twice")
+    assert "name 'analytic' stands in " in stopped(capsys, "dev", "leaderboard", whole, twice, "--page", page)
+    page.write_text("none")
+    assert "has not one line" in stopped(capsys, "dev", "leaderboard", whole, "--page", page)
+
+
+@pytest.mark.parametrize(
+    ("file", "fields", "said"),
+    [
+        ("verified.json", {"score__value": 0.99}, "sha256 is not that of its contents"),
+        ("submission.json", {"name": "other"}, "submission is of another submission.json"),
+        ("submission.json", {"learned_on": "nothing"}, "submission is of another submission.json"),
+    ],
+)
+def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said, whole, tmp_path):
+    folder = shutil.copytree(whole, tmp_path / "entry")
+    changed(folder / file, **fields)
+    with pytest.raises(SubmissionError, match=said):
+        listed(folder)
+
+
+def test_what_was_not_verified_or_has_few_episodes_is_not_listed(copied, monkeypatch, whole):
+    with pytest.raises(SubmissionError, match="episodes is 4; the page takes 100"):
+        listed(copied)
+    (copied / "verified.json").unlink()
+    with pytest.raises(SubmissionError, match="run dcgrid verify on the folder"):
+        listed(copied)
+    other = constant()
+    monkeypatch.setattr(Policy, "load", lambda name: other)
+    with pytest.raises(SubmissionError, match="policy is of other weights than toy6-analytic that ships"):
+        listed(whole)
+
+
+def test_groups_and_texts_of_the_tables(whole):
+    entry = listed(whole)
+
+    def of(**fields):
+        return Listed(Submission(**(vars(entry.submission) | fields)), entry.verified)
+
+    aided = Verified(**(vars(entry.verified) | {"observes": "local, model-aided"}))
+    worse = entry.verified.found._replace(gain=(0.01, 0.0, 0.011))
+    text = tables(
+        [
+            of(name="a|b", paper="https://example.org/x"),
+            Listed(entry.submission, aided),
+            of(kind="code", information="all of it"),
+            of(learned_on="test"),
+            Listed(entry.submission, Verified(**(vars(entry.verified) | {"fresh": worse}))),
+        ]
+    )
+    titles = [line for line in text.splitlines() if line.startswith("### ")]
+    assert [title.split()[1] for title in titles] == ["Local", "More", "Code", "Learned"]
+    assert "[a\\|b](https://example.org/x)" in text
+    assert "| all of it | train |" in text
+    assert "1.0 % (0.0 .. 1.1) below |" in text
+
+
+def test_our_page_is_made_of_our_folders(tmp_path):
+    folders = sorted(path.parent for path in (ROOT / "docs" / "leaderboard").glob("*/submission.json"))
+    page = ROOT / "docs" / "leaderboard.md"
+    made = Path(shutil.copy(page, tmp_path))
+    assert write_page(folders, made) == len(folders) >= 3, "run python docs/leaderboard.py"
+    assert made.read_text() == page.read_text(), "run python docs/leaderboard.py"
+    assert {read(folder / "submission.json", Submission).scenario for folder in folders} <= set(PRESETS)
