@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -80,7 +80,7 @@ class Submission:
     information: str
     """What code of one's own uses, as its submitter declares it; empty for others."""
     learned_on: Learned
-    """As its submitter declares it."""
+    """Split that it was learned or tuned on, as its submitter declares it."""
     versions: dict[str, str | None]
     """Versions of Python and of the packages that the figures were made with."""
     machine: str
@@ -120,7 +120,7 @@ class Verified:
 
     def sealed(self) -> Verified:
         """The record with its own hash at its end."""
-        return Verified(**(vars(self) | {"sha256": self.own_sha256}))
+        return replace(self, sha256=self.own_sha256)
 
     @property
     def own_sha256(self) -> str:

@@ -60,7 +60,7 @@ def run(controller: Controller, scenario: Scenario, seeds: Sequence[int], name: 
     droop = _droop(scenario, tuple(seeds))
     gain = score(own.J, droop.J, np.zeros(len(seeds))).score  # with a cost of 0 in hindsight's place, a share of J
     delays = own.means["delay_mean_s"], droop.means["delay_mean_s"]
-    return Run(own, droop, Figures(own.means["J"], droop.means["J"], tuple(gain), *delays))
+    return Run(own, droop, Figures(own.means["J"], droop.means["J"], (gain.value, gain.low, gain.high), *delays))
 
 
 @lru_cache(maxsize=4)

@@ -156,6 +156,6 @@ def networks_of(
         last, last_bias = layered[-1]
         given = vec_env.entries(name)
         layered[-1] = (last[:, given], last_bias[given])
-        of_own = (None if moments is None else moments[own] for moments in (mean, std))
-        networks[name] = Network(layered, activation, squash, *of_own, clip)
+        own_mean, own_std = (None if moments is None else moments[own] for moments in (mean, std))
+        networks[name] = Network(layered, activation, squash, own_mean, own_std, clip)
     return networks

@@ -58,13 +58,12 @@ def spread(model):
     return model
 
 
-def made(kind, **settings):
-    of = ON_POLICY | {"policy_kwargs": dict(SMALL)} if kind in (PPO, A2C) else OFF_POLICY
-    of = of | (
-        {"batch_size": 4} if kind is PPO else {"policy_kwargs": {"net_arch": [8, 6]}} if of is OFF_POLICY else {}
-    )
+def made(kind, **settings: Any):
+    own: dict[str, Any] = {"policy_kwargs": {"net_arch": [8, 6]}} | OFF_POLICY
+    if kind in (PPO, A2C):
+        own = {"policy_kwargs": dict(SMALL)} | ON_POLICY | ({"batch_size": 4} if kind is PPO else {})
     torch.manual_seed(0)
-    return spread(kind("MlpPolicy", joint_env(), **(of | settings)))
+    return spread(kind("MlpPolicy", joint_env(), **(own | settings)))
 
 
 def observations():

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -258,9 +259,9 @@ def test_groups_and_texts_of_the_tables(whole):
     entry = listed(whole)
 
     def of(**fields):
-        return Listed(Submission(**(vars(entry.submission) | fields)), entry.verified)
+        return Listed(replace(entry.submission, **fields), entry.verified)
 
-    aided = Verified(**(vars(entry.verified) | {"observes": "local, model-aided"}))
+    aided = replace(entry.verified, observes="local, model-aided")
     worse = entry.verified.found._replace(gain=(0.01, 0.0, 0.011))
     text = tables(
         [
@@ -268,7 +269,7 @@ def test_groups_and_texts_of_the_tables(whole):
             Listed(entry.submission, aided),
             of(kind="code", information="all of it"),
             of(learned_on="test"),
-            Listed(entry.submission, Verified(**(vars(entry.verified) | {"fresh": worse}))),
+            Listed(entry.submission, replace(entry.verified, fresh=worse)),
         ]
     )
     titles = [line for line in text.splitlines() if line.startswith("### ")]
