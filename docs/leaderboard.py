@@ -1,7 +1,7 @@
 """Make our own entries of the leaderboard, verify them and make its page: `python docs/leaderboard.py`.
 
-Entries that still stand, the policies that ship having the weights that were verified, are left as they are. All of the
-presets take some 20 minutes of two cores; `python docs/leaderboard.py ieee33-weak toy6` makes those of two.
+Entries that still stand, the policies that ship having the weights that were verified, are left as they are.
+`python docs/leaderboard.py ieee33-weak toy6` makes those of two presets, and the page of all that stand.
 """
 
 import shutil

@@ -49,7 +49,7 @@ class Sb3Controller:
         try:
             algorithm = getattr(stable_baselines3, algorithm_of(read_about(path)).upper())
         except PolicyError as error:
-            raise PolicyError(f"{path}: {error}".replace(f"{path}: {path}: ", f"{path}: ")) from None
+            raise PolicyError(f"{path}: {error}") from None
         try:
             self.model = algorithm.load(path, device="cpu", custom_objects={"buffer_size": 1})
         except Exception as error:  # whatever the pickles run
@@ -90,13 +90,14 @@ def trusted(path: Path) -> Sb3Controller:
 
     PolicyError where it was trained behind VecNormalize, without whose statistics it acts at random.
     """
+    controller = Sb3Controller(path)
     about = read_about(path)
     if "gae_lambda" in about and about.get("_last_original_obs") is not None:
         raise PolicyError(
             f"{path}: it was trained behind VecNormalize, whose statistics are no part of the zip; convert it with "
             "`dcgrid export-sb3 --normalize FILE.pkl --trust`, FILE.pkl being that of VecNormalize.save"
         )
-    return Sb3Controller(path)
+    return controller
 
 
 def read_normalisation(path: Path) -> Normalisation | None:

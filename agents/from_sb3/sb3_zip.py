@@ -119,8 +119,10 @@ def read_about(path: Path) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             return dict(json.loads(_part(archive, "data")))
+    except PolicyError:
+        raise
     except (zipfile.BadZipFile, ValueError, TypeError):
-        raise PolicyError(f"{path}: not a zip that Stable-Baselines3 wrote; give one of model.save") from None
+        raise PolicyError("not a zip that Stable-Baselines3 wrote; give one of model.save") from None
 
 
 def algorithm_of(about: Mapping[str, Any]) -> str:

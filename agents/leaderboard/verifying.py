@@ -10,6 +10,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     CODE,
     FILE,
     FORMAT,
+    NAMED,
     SUBMISSION,
     VERIFIED,
     Figures,
@@ -23,12 +24,13 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     sha256_of,
 )
 from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, run, scenario_of, scored, shown
-from dcgrid_env.agents.leaderboard.submitting import installed, machine
+from dcgrid_env.agents.leaderboard.submitting import CONTROLLER, POLICY, installed, machine
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.baselines import Controller
-from dcgrid_env.baselines.registry import split_prefix
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_json
+from dcgrid_env.core.plugins import is_name
 
 TOLERANCE = 1e-4
 """Largest difference between a claimed and a found cost, as a share of it: sums of products are rounded otherwise on
@@ -122,14 +124,21 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
 
 
 def _spec(folder: Path, submission: Submission) -> str:
-    """What names an entry's controller here."""
-    if submission.kind not in (FILE, CODE):
-        return submission.policy
+    """What names an entry's controller here; SubmissionError for what could run code under another kind's name."""
     before, inner = split_prefix(submission.policy)
-    file = inner.partition(":")[0]
-    if file not in submission.files:
-        raise SubmissionError(f"{folder / SUBMISSION}: policy is {inner!r}, which is none of its files; submit again")
-    return f"{before}{folder / inner}"
+    if submission.kind == NAMED:
+        fits = inner in CONTROLLER_REGISTRY and CONTROLLER_REGISTRY.origin(inner) is None and is_name(inner)
+    else:
+        file = inner.partition(":")[0]
+        fits = file in submission.files and (file, submission.kind) == (
+            (POLICY, FILE) if file == inner else (CONTROLLER, CODE)
+        )
+    if not fits:
+        raise SubmissionError(
+            f"{folder / SUBMISSION}: policy is {submission.policy!r}, which is none of kind {submission.kind}; submit it "
+            "again"
+        )
+    return submission.policy if submission.kind == NAMED else f"{before}{folder / inner}"
 
 
 def _fresh_seed(claimed: Path) -> int:

@@ -124,7 +124,8 @@ def test_fresh_episodes_are_the_same_again_unless_others_are_asked_for(copied):
         ({"episodes": 101}, "episodes is 101; toy6 has 100 published ones"),
         ({"sha256": "0" * 64}, "sha256 is 0000000000000000.., that of the policy policy.safetensors is "),
         ({"observes": "feeder"}, "observes is 'feeder', the controller's is 'local'"),
-        ({"files": {}}, "policy is 'policy.safetensors', which is none of its files"),
+        ({"files": {}}, "policy is 'policy.safetensors', which is none of kind file"),
+        ({"kind": "named"}, "policy is 'policy.safetensors', which is none of kind named"),
         ({"files": {"../policy.json": "0"}}, "files: '../policy.json' is outside the folder"),
         ({"format": 7}, "format is 7, this dcgrid reads 1"),
         ({"learned_on": "luck"}, "learned_on: "),
@@ -183,6 +184,26 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
 
 
 @pytest.mark.parametrize(
+    ("kind", "policy"),
+    [
+        ("named", "MARK.py:Own"),
+        ("file", "controller.py:Own"),
+        ("named", "guarded:MARK.py:Own"),
+        ("named", ".safetensors"),
+    ],
+)
+def test_no_code_runs_under_another_kind_s_name(kind, policy, copied, capsys, tmp_path):
+    code = f"import pathlib\npathlib.Path({str(tmp_path / 'ran')!r}).touch()\n{OWN}"
+    for path in (tmp_path / "mark.py", copied / "controller.py"):
+        path.write_text(code)
+    files = {"controller.py": sha256_of(copied / "controller.py")}
+    policy = policy.replace("MARK.py", str(tmp_path / "mark.py"))
+    changed(copied / "submission.json", kind=kind, policy=policy, files=files)
+    assert f"which is none of kind {kind}" in stopped(capsys, "verify", copied)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("droop-tuned", "--name", "x"), "is of no preset of its own; say on which --scenario"),
@@ -200,6 +221,13 @@ def test_what_cannot_be_entered_is_one_line(arguments, said, tmp_path, capsys, m
     Path("model.zip").touch()
     assert said in stopped(capsys, "submit", *arguments)
     assert not Path("results").exists()
+
+
+def test_a_policy_under_guard_is_entered_too(tmp_path):
+    entry = submit(f"guarded:{POLICY}", "guarded", tmp_path / "entry", episodes=2)
+    assert (entry.kind, entry.policy, entry.observes) == ("file", "guarded:policy.safetensors", "local")
+    _, found = verify(tmp_path / "entry", fresh=2)
+    assert found.is_equal_to_the_bit
 
 
 def test_what_a_controller_is_shown():
