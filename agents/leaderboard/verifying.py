@@ -135,8 +135,8 @@ def _spec(folder: Path, submission: Submission) -> str:
         )
     if not fits:
         raise SubmissionError(
-            f"{folder / SUBMISSION}: policy is {submission.policy!r}, which is none of kind {submission.kind}; submit it "
-            "again"
+            f"{folder / SUBMISSION}: policy is {submission.policy!r}, which is none of kind {submission.kind}; "
+            "submit it again"
         )
     return submission.policy if submission.kind == NAMED else f"{before}{folder / inner}"
 

@@ -199,7 +199,8 @@ def read(arguments):
 def check_read(command):
     """Fail unless a command can be read: dcgrid's by its command line, Python's by its module or file being there."""
     if command[0] == "dcgrid":
-        name_alone = all(re.fullmatch("[a-z]+(-[a-z0-9]+)*", word) for word in command)  # `dcgrid tune`: what it is about
+        # `dcgrid tune`: what it is about
+        name_alone = all(re.fullmatch("[a-z]+(-[a-z0-9]+)*", word) for word in command)
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(command[2]) is not None, command
