@@ -19,7 +19,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
-    "mathml",
+    "equations",
     "public_names",
     "environment_pages",
     "api_pages",
@@ -37,7 +37,7 @@ html_theme = "furo"
 html_title = f"dcgrid {release}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_math_renderer = "mathml"
+html_math_renderer = "svg"
 html_theme_options = {"navigation_with_keys": True}
 html_copy_source = False
 pygments_dark_style = "github-dark"

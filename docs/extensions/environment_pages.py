@@ -134,9 +134,9 @@ def headroom_table(preset: str) -> str:
     rows = [(row.what, row.meaning, row.j, row.score) for row in found.rows]
     return (
         table(("controller", "what it is", "J", "score (95 % interval)"), rows)
-        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; the score is 0 for the tuned droop "
-        f"and 1 for hindsight ([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has every "
-        "controller.\n\n"
+        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; the score is 0 for the tuned "
+        f"droop and 1 for hindsight ([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has "
+        "every controller.\n\n"
         f"    dcgrid benchmark --scenarios {preset} --controllers all --out results/benchmark"
     )
 
@@ -217,8 +217,8 @@ def gallery() -> str:
     parts = [
         "# All environments",
         "Every preset is a Gymnasium id, a PettingZoo environment, a native batch and a tensor environment. J is the "
-        "cost of a mean test episode, lower is better; the last column says how much of the way from the tuned droop to "
-        "hindsight the best policy that ships goes.",
+        "cost of a mean test episode, lower is better; the last column says how much of the way from the tuned droop "
+        "to hindsight the best policy that ships goes.",
     ]
     for family in FAMILIES:
         rows = []
