@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 from dcgrid_env.cli.command import Group
 from dcgrid_env.cli.main import COMMANDS
 
-WIDTH = "100"
+WIDTH = "80"
 
 
 def helps(group: Group, prog: str) -> Iterator[tuple[str, str]]:

@@ -9,6 +9,8 @@ from helpers.places import ROOT
 DOCUMENTS = sorted(path for pattern in ("*.md", "docs/**/*.md", "traces/*.md") for path in ROOT.glob(pattern))
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 TOCTREE = re.compile(r"^:::\{toctree\}\n(.*?)^:::$", re.MULTILINE | re.DOTALL)
+EXTERNAL = {"https://github.com/gpu2grid/openg2g"}
+"""Addresses that documents link to, each opened by hand before it was listed: no test needs the network."""
 MADE = ("environments/", "api/")
 """Folders of docs/ whose pages are made when the site is built, which checks their links."""
 
@@ -30,6 +32,11 @@ def listed(path):
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_links_point_at_files(path):
     assert [target for target in (*targets(path), *listed(path)) if not (path.parent / target).exists()] == []
+
+
+def test_external_links_are_those_that_were_opened():
+    texts = [path.read_text(encoding="utf-8") for path in DOCUMENTS]
+    assert {target for text in texts for target in LINK.findall(text) if "://" in target} == EXTERNAL
 
 
 def test_every_page_can_be_reached_from_the_readme():
