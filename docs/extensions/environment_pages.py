@@ -19,6 +19,8 @@ from dcgrid_env import IDS, PRESETS, Scenario, field_names, make_scenario, scena
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 
+STEPS = 75
+"""Steps after which ``docs/picture.py`` draws, of an episode that is longer."""
 FOLDER = "environments"
 SUFFIX = ".myst"
 """Made pages have a suffix of their own, so that what is checked in every ``.md`` is what people write."""
@@ -61,12 +63,12 @@ def page(preset: str) -> str:
     scenario = make_scenario(preset, split="test")
     gym_id = next(name for name, of in IDS.items() if of == preset)
     family = family_of(preset)
-    picture = f"pictures/{preset}.png"
+    picture, steps = f"pictures/{preset}.png", min(STEPS, scenario.horizon - 1)
     parts = [
         f"# {preset}",
         f"{PRESETS[preset][0].upper()}{PRESETS[preset][1:]}.",
         f"![{preset} under the droop law: the feeder's voltages, and the course of the episode]({picture})",
-        f"*`python docs/picture.py {preset}.png {preset}`: the paper's droop, test split, seed 0, after 75 steps.*",
+        f"*`python docs/picture.py {preset}.png {preset}`: droop law, test split, seed 0, after {steps} steps.*",
         f"```python\nimport gymnasium, dcgrid_env\n\n"
         f'env = gymnasium.make("{gym_id}")  # one agent holds all actuators\n'
         f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # a native batch\n'
