@@ -29,13 +29,17 @@ class RowsOnDemand:
 
     Parameters
     ----------
-    source, split, dt_s, duration_s, count, boost_share : see `library`, whose rows these are.
-    spare_steps : steps by which a window may begin later in a row than it must; kept for who draws windows.
+    source, split, dt_s, duration_s, count, boost_share
+        See ``library``, whose rows these are.
+    spare_steps
+        Steps by which a window may begin later in a row than it must; kept for who draws windows.
 
     Attributes
     ----------
-    p_share, compute_share : (count, n_steps) float64.
-    begin_h : time of day at which each row begins, h, (count,) float64; None for a source that does not follow the day.
+    p_share, compute_share
+        Float64 of shape (count, n_steps).
+    begin_h
+        Time of day at which each row begins, h, (count,) float64; None for a source that does not follow the day.
     """
 
     def __init__(

@@ -52,7 +52,7 @@ class FeedbackOptimisation(ModelController):
     dual_step
         Dual step, 0 < s <= 1; at 1 the multipliers follow the last measurement alone.
     width_pu
-        Deviation at which a term's multiplier reaches the weight of mean |V - 1|, p.u.
+        Deviation at which a term's multiplier reaches the weight of mean abs(V - 1), p.u.
     """
 
     gain: float = 10.0

@@ -60,6 +60,7 @@ SHORTER = {
     "dcgrid list": {},
     "python docs/picture.py": {},
     "python docs/agents.py": {},
+    "python docs/headline.py": {},
 }
 """Options that are given these values, by how a command begins."""
 
@@ -103,6 +104,7 @@ ELSEWHERE = {
     "python -m venv": ".ci/run",
     "python -m pip": ".ci/run",
     "python -m pytest": ".ci/run",
+    "python -m sphinx": ".ci/run",
     "ruff check": ".ci/run",
     "ruff format": ".ci/run",
     "pyright": ".ci/run",
@@ -203,7 +205,8 @@ def check_read(command):
         name_alone = all(re.fullmatch("[a-z]+(-[a-z0-9]+)*", word) for word in command)
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:2] == ["python", "-m"]:
-        assert importlib.util.find_spec(command[2]) is not None, command
+        in_ci = ELSEWHERE.get(listed(ELSEWHERE, command) or "") == ".ci/run"  # with an extra that tests do without
+        assert in_ci or importlib.util.find_spec(command[2]) is not None, command
     elif command[0] in ("python", "bash"):
         assert (ROOT / command[1]).is_file(), command
 

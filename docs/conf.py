@@ -1,0 +1,65 @@
+"""How the site is built: ``python -m sphinx -W -n docs site``, without the network (docs/decisions/0019-site.md)."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from dcgrid_env import __version__
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+project = "dcgrid"
+author = "The dcgrid authors"
+copyright = "2026, the dcgrid authors"
+release = __version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "equations",
+    "public_names",
+    "environment_pages",
+    "api_pages",
+    "command_line_page",
+]
+source_suffix = {".md": "myst-nb", ".myst": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtext"}
+root_doc = "index"
+exclude_patterns = ["extensions/*"]
+
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"  # tests run the notebooks
+
+html_theme = "furo"
+html_title = f"dcgrid {release}"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_math_renderer = "svg"
+html_theme_options = {"navigation_with_keys": True}
+html_copy_source = False
+pygments_dark_style = "github-dark"
+
+autosummary_generate = False  # lists alone: extensions/api_pages.py makes the pages
+autodoc_default_options = {"inherited-members": "Env, ParallelEnv, VectorEnv, ABC, tuple, Exception, PickledByFields"}
+suppress_warnings = ["ref.python"]  # a word in the text of a type that is the name of several members
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 88
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+
+
+def without_empty_globs(app: Any, docname: str, source: list[str]) -> None:
+    """Leave out of the first page's lists the patterns that no page matches, of which Sphinx would warn."""
+    if docname == root_doc:
+        lines = source[0].splitlines()
+        pages = [Path(app.srcdir).glob(f"{line}.*") if line.endswith("*") else [line] for line in lines]
+        source[0] = "\n".join(line for line, found in zip(lines, pages, strict=True) if any(True for _ in found))
+
+
+def setup(app: Any) -> None:
+    """Connect what stands in this file."""
+    app.connect("source-read", without_empty_globs)

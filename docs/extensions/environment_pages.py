@@ -1,0 +1,273 @@
+"""A page for each preset, made from the registry of scenarios when the site is built."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from families import FAMILIES, Family, family_of
+from headroom import headroom
+from sphinx.application import Sphinx
+from sphinx.util import logging
+
+from dcgrid_env import IDS, PRESETS, Scenario, field_names, make_scenario, scenario_hash
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+
+STEPS = 75
+"""Steps after which ``docs/picture.py`` draws, of an episode that is longer."""
+FOLDER = "environments"
+SUFFIX = ".myst"
+"""Made pages have a suffix of their own, so that what is checked in every ``.md`` is what people write."""
+OBSERVED = {
+    "v_deviation": "(V - 1) / band: 1 is the band's edge",
+    "v_change": "change of V over the last step / band",
+    "p": "draw, share of the rating; an injection is negative",
+    "q": "dispatched reactive power, share of the limit at zero active power",
+    "q_limit": "reactive limit now, the same share",
+    "r": "fall of the own voltage per MW drawn / band",
+    "x": "fall of the own voltage per Mvar drawn / band",
+    "v_lowest": "lowest of its phases, as v_deviation",
+    "v_highest": "highest of its phases, as v_deviation",
+}
+"""Meaning of what every agent observes; devices say it of their own fields."""
+CHARGED = {
+    "voltage": r"mean over buses of $\lvert V - 1 \rvert$",
+    "violation": r"mean over buses of $\max(\lvert V - 1 \rvert - 0.05, 0)$",
+    "backlog": "queued work of all sites, s at their rated power",
+    "effort": "mean over agents of the share of the reactive rating in use",
+    "leftover": "work left at the episode's end, s at the rated power; charged once, over T",
+    "switching": "mean number of taps and switchings over the equipment",
+    "ramp_excess": "mean over sites of what a ramp exceeds the utility's limit by",
+    "voltage_step_excess": "mean over buses of what a step of the voltage exceeds the utility's limit by",
+    "burnt": "power burnt to hold a floor or a ramp",
+    "trips": "sites that leave the grid in the step",
+    "away": "sites that are away",
+    "recharge": "energy missing in the UPS at the episode's end",
+    "inverter_trips": "inverters that trip in the step",
+    "moving": "work moved between sites",
+    "late": "work past its deadline",
+    "missing_energy": "energy missing in storages at the episode's end",
+}
+"""What the cost terms charge, before their weights."""
+LOG = logging.getLogger(__name__)
+
+
+def page(preset: str) -> str:
+    """The page of a preset, as MyST Markdown."""
+    scenario = make_scenario(preset, split="test")
+    gym_id = next(name for name, of in IDS.items() if of == preset)
+    family = family_of(preset)
+    picture, steps = f"pictures/{preset}.png", min(STEPS, scenario.horizon - 1)
+    parts = [
+        f"# {preset}",
+        f"{PRESETS[preset][0].upper()}{PRESETS[preset][1:]}.",
+        f"![{preset} under the droop law: the feeder's voltages, and the course of the episode]({picture})",
+        f"*`python docs/picture.py {preset}.png {preset}`: droop law, test split, seed 0, after {steps} steps.*",
+        f"```python\nimport gymnasium, dcgrid_env\n\n"
+        f'env = gymnasium.make("{gym_id}")  # one agent holds all actuators\n'
+        f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # a native batch\n'
+        f'many = dcgrid_env.parallel_env("{preset}")  # PettingZoo: {scenario.n_agents} agents\n```',
+        facts(scenario),
+        "## Headroom",
+        headroom_table(preset),
+        "## Agents",
+        agents(scenario),
+        "## Actions",
+        "An agent's action is its channels in this order, each scaled to -1 .. 1.",
+        channels(scenario),
+        "## Observations",
+        "Each agent sees its own fields alone, in this order; `observe=` shows more ([spaces](../environments.md)).",
+        fields(scenario),
+        "## Cost",
+        cost(scenario),
+        "## More on it",
+        read_on(family, preset),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def facts(scenario: Scenario) -> str:
+    """Feeder, time, load and hash, as a table."""
+    feeder, sensing, trace = scenario.feeder, scenario.sensing, scenario.workload.trace
+    kind = "three-phase" if isinstance(feeder, ThreePhaseFeeder) else "balanced"
+    told = f"{feeder.name}, {kind}, {feeder.n_bus} buses"
+    if isinstance(feeder, RandomFeeders):
+        told = f"random feeders of {feeder.n_bus} buses"
+    rows = [
+        ("feeder", told),
+        ("substation", f"{scenario.source_voltage_pu:g} p.u."),
+        ("episode", f"{scenario.horizon} steps of {scenario.dt_s:g} s"),
+        ("load of the sites", f"`{trace}`" if isinstance(trace, str) else "recorded"),
+        ("noise of the other loads", f"{scenario.background.load_sigma:.0%}"),
+        ("power flow", f"`{scenario.power_flow}`"),
+        ("hash of the test split", f"`{scenario_hash(scenario)}`"),
+    ]
+    if scenario.faults:
+        rows.insert(4, ("lost for a while", ", ".join(kind for fault in scenario.faults for kind in fault.among)))
+    if scenario.sags:
+        rows.insert(4, ("sags", f"{len(scenario.sags)} in an episode"))
+    if sensing.noise_pu or sensing.delay_steps or not sensing.preview:
+        preview = "with" if sensing.preview else "without"
+        told = f"noise of {sensing.noise_pu:g} p.u., {sensing.delay_steps} steps late, {preview} preview"
+        rows.insert(4, ("measured voltage", told))
+    if source := source_of(feeder):
+        rows.append(("source of the feeder", source))
+    return table(("", ""), rows)
+
+
+def source_of(feeder: Any) -> str:
+    """Where a feeder that ships was published; empty for one that is drawn."""
+    path = files("dcgrid_env.grid.data") / feeder.name / "feeder.toml"
+    if not path.is_file():
+        return ""
+    facts = tomllib.loads(path.read_text(encoding="utf-8"))
+    return " ".join(facts.get("source_of_facts", facts["source"]).split())
+
+
+def headroom_table(preset: str) -> str:
+    """What each controller reaches, and where that stands."""
+    found = headroom(preset)
+    rows = [(row.what, row.meaning, row.j, row.score) for row in found.rows]
+    return (
+        table(("controller", "what it is", "J", "score (95 % interval)"), rows)
+        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; the score is 0 for the tuned "
+        f"droop and 1 for hindsight ([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has "
+        "every controller.\n\n"
+        f"    dcgrid benchmark --scenarios {preset} --controllers all --out results/benchmark"
+    )
+
+
+def agents(scenario: Scenario) -> str:
+    """Groups of agents: names, number, places, sizes of their spaces."""
+    rows, begin, names = [], 0, field_names(scenario)
+    for device in scenario.devices:
+        own = scenario.agents[begin : begin + device.count]
+        begin += device.count
+        buses = getattr(device, "buses", None)
+        where = ", ".join(buses) if buses else "drawn in each episode"
+        label = f"`{own[0]}`" if len(own) == 1 else f"`{own[0]}` .. `{own[-1]}`"
+        rows.append((label, device.kind, where, f"({len(device.channels)},)", f"({len(names[own[0]])},)"))
+    total = f"({sum(d.count * len(d.channels) for d in scenario.devices)},)"
+    observed = f"({sum(map(len, names.values()))},)"
+    rows.append(("all together", "`gymnasium.make`", "", total, observed))
+    return table(("agents", "kind", "buses", "action", "observation"), rows)
+
+
+def channels(scenario: Scenario) -> str:
+    """What the channels of each kind of device stand for."""
+    rows = [
+        (device.kind, f"`{channel.name}`", channel.unit, *map(span, (channel.lowest, channel.highest, channel.rest)))
+        for device in scenario.devices
+        for channel in device.channels
+    ]
+    return table(("kind", "channel", "unit", "at -1", "at 1", "at rest"), rows)
+
+
+def span(values: np.ndarray) -> str:
+    """A figure that all slots share, or the lowest and the highest of them."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:g}" if low == high else f"{low:g} .. {high:g}"
+
+
+def fields(scenario: Scenario) -> str:
+    """Observed fields: what every agent sees, then what each kind of device adds."""
+    common = [name for name in next(iter(field_names(scenario).values())) if name in OBSERVED]
+    rows = [("all", f"`{name}`", OBSERVED[name]) for name in common]
+    for device in scenario.devices:
+        own = device.fields(scenario.horizon, scenario.dt_s)
+        rows += [(device.kind, f"`{field.name}`", field.unit) for field in own]
+    return table(("who", "field", "unit"), rows)
+
+
+def cost(scenario: Scenario) -> str:
+    """The terms of the cost of a step and their weights."""
+    weights = {name: weight for name, weight in scenario.weights._asdict().items() if weight}
+    for device in scenario.devices:
+        for term in device.cost_terms(scenario.horizon, scenario.dt_s):
+            if term.weight:
+                weights[term.name] = term.weight
+    rows = [
+        (f"`cost_{name}`", f"{weight:g}", CHARGED.get(name, name.replace("_", " "))) for name, weight in weights.items()
+    ]
+    return (
+        "The sum of these terms, each a weight times an amount, is the cost of a step; J is its mean over the episode. "
+        "[The model](../model.md#cost) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
+    )
+
+
+def read_on(family: Family, preset: str) -> str:
+    """Links to the family's other presets and to the pages that say more."""
+    others = [f"[{name}]({name}{SUFFIX})" for name in family.presets if name != preset]
+    pages = [f"[](../{name}.md)" for name in family.read_on]
+    return "\n".join(f"- {link}" for link in (*pages, *others, "[](../training.md)"))
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A table of Markdown."""
+    cells = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("\n", " ") for cell in row) + " |" for row in cells)
+
+
+def gallery() -> str:
+    """The page that lists all presets by family, with the headroom of each."""
+    parts = [
+        "# All environments",
+        "Every preset is a Gymnasium id, a PettingZoo environment, a native batch and a tensor environment. J is the "
+        "cost of a mean test episode, lower is better; the last column says how much of the way from the tuned droop "
+        "to hindsight the best policy that ships goes.",
+    ]
+    for family in FAMILIES:
+        rows = []
+        for preset in family.presets:
+            found = {row.what.strip("`"): row for row in headroom(preset).rows}
+            best = next((row for name, row in found.items() if name.startswith(f"{preset}-")), None)
+            top = found.get("hindsight") or found["best known"]
+            shown = best.score.split()[0] if best else "none ships"
+            rows.append(
+                (
+                    f"[{preset}]({preset}{SUFFIX})",
+                    PRESETS[preset],
+                    found["none"].j,
+                    found["droop-tuned"].j,
+                    top.j,
+                    shown,
+                )
+            )
+        head = ("preset", "what it is", "J: none", "J: droop-tuned", "J: hindsight", "best policy's score")
+        parts += [f"## {family.title}", family.about, table(head, rows)]
+        parts.append(":::{toctree}\n:hidden:\n\n" + "\n".join(family.presets) + "\n:::")
+    return "\n\n".join(parts) + "\n"
+
+
+def draw(docs: Path, folder: Path) -> None:
+    """Draw the pictures that are not there yet, in processes of their own."""
+    missing = [name for name in PRESETS if not (folder / f"{name}.png").exists()]
+    if not missing:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    LOG.info("drawing %d pictures of environments", len(missing))
+    subprocess.run(
+        [sys.executable, str(docs / "extensions" / "draw_environments.py"), str(folder), *missing], check=True
+    )
+
+
+def make(app: Sphinx) -> None:
+    """Write the pages and pictures before the sources are read."""
+    folder = Path(app.srcdir) / FOLDER
+    draw(Path(app.srcdir), folder / "pictures")
+    for name, text in {**{preset: page(preset) for preset in PRESETS}, "index": gallery()}.items():
+        path = folder / f"{name}{SUFFIX}"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Make the pages when the builder is there."""
+    app.connect("builder-inited", make)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,53 @@
+"""What the site's pages are made of: every preset has a family and a headroom, and the README's table is what ships.
+
+The site itself is built by .ci/run, where Sphinx is installed and a warning is an error.
+"""
+
+import runpy
+import sys
+
+import pytest
+
+from dcgrid_env import PRESETS
+from helpers.places import ROOT
+
+EXTENSIONS = ROOT / "docs" / "extensions"
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXTENSIONS))
+    yield
+    for name in ("families", "headroom"):
+        sys.modules.pop(name, None)
+
+
+def test_every_preset_stands_in_one_family():
+    families = runpy.run_path(str(EXTENSIONS / "families.py"))
+    presets = [preset for family in families["FAMILIES"] for preset in family.presets]
+    assert sorted(presets) == sorted(PRESETS)
+    assert families["family_of"]("routing").title == "Sites with more than a clock"
+    with pytest.raises(ValueError, match=r"preset 'new' stands in no family; add it to FAMILIES"):
+        families["family_of"]("new")
+    pages = {page for family in families["FAMILIES"] for page in family.read_on}
+    assert [page for page in pages if not (ROOT / "docs" / f"{page}.md").is_file()] == []
+
+
+def test_headroom_is_that_of_the_benchmark_and_the_cards():
+    headroom = runpy.run_path(str(EXTENSIONS / "headroom.py"))
+    for preset in PRESETS:
+        rows = {row.what.strip("`"): row for row in headroom["headroom"](preset).rows}
+        best = rows.get("hindsight") or rows["best known"]
+        assert float(best.j) < float(rows["droop-tuned"].j) < float(rows["none"].j)
+        (card,) = [headroom["best_card"](preset)]
+        assert rows[f"{preset}-{card.algorithm}"].j == f"{card.scored.J:.4f}"
+    weak = headroom["headroom"]("ieee33-weak")
+    assert (weak.page, weak.episodes, weak.rows[2].what) == ("benchmark", 100, "`constant-q-tuned`")
+    with pytest.raises(ValueError, match=r"no section '## new: N test episodes'"):
+        headroom["headroom"]("new")
+
+
+def test_the_readme_has_the_table_that_its_command_prints():
+    made = runpy.run_path(str(ROOT / "docs" / "headline.py"))["table"]()
+    assert made.count("\n") == 7
+    assert made in (ROOT / "README.md").read_text(encoding="utf-8")
