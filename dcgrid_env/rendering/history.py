@@ -67,8 +67,8 @@ class History:
         """Which capacitor banks a fault has taken in the last step, bool, (n_capacitor,)."""
         if not scenario.faults:
             return np.zeros(len(scenario.capacitor_connected), bool)
-        drawn = self.episode._replace(fault=self.episode.fault[self.lane, None])
-        return episode.lost(scenario, drawn, np.array([self.last]))[0, scenario.n_agents :]
+        fault = self.episode.fault[self.lane, None]
+        return episode.lost(scenario, fault, np.array([self.last]))[0, scenario.n_agents :]
 
 
 class PhaseHistory:
