@@ -17,7 +17,7 @@ from dcgrid_env.rendering.replay_course import of_devices
 _SIZE_PX = np.array([420.0, 330.0])
 """A small map, on which names are given their room; on a larger one they have more."""
 _MARGIN_PX = 30.0
-_LETTER_PX = 10.0
+_LETTER_PX = 13.0
 _REACH_PX = 11.0
 """How far a site's rings reach from its bus."""
 _WIDTHS = 3

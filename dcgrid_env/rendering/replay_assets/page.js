@@ -56,7 +56,7 @@ function drawLegend(data) {
   const stops = data.colours.map((c, i) => `<stop offset="${i / (data.colours.length - 1)}" stop-color="${c}"/>`).join("");
   const marks = [1 - data.band_pu, 1 + data.band_pu].map((v) =>
     `<line x1="${at(v)}" x2="${at(v)}" y1="0" y2="16" stroke="#000" stroke-width="3"/>`).join("");
-  const ticks = [low, 1 - data.band_pu, 1, 1 + data.band_pu, high].map((v) =>
+  const ticks = [1 - data.band_pu, 1, 1 + data.band_pu].map((v) =>
     `<text x="${at(v)}" y="29" font-size="11" text-anchor="middle" fill="#333">${v.toFixed(3)}</text>`).join("");
   const mark = (inner) => `<svg width="20" height="20" viewBox="-10 -10 20 20" aria-hidden="true">${inner}</svg>`;
   const ring = (colour, r) => `<circle r="${r}" fill="none" stroke="#d4d4d4" stroke-width="3"/><path d="M0 ${-r} A${r} ${r} 0 0 1 0 ${r}" fill="none" stroke="${colour}" stroke-width="3"/>`;
@@ -79,13 +79,12 @@ function drawLegend(data) {
     <span>voltage (p.u.)</span>` + entries.map(([sign, text]) => `<span>${sign}${text}</span>`).join("");
 }
 
-function fitMaps(n) {
-  const wide = window.innerWidth > 700;
-  const columns = wide ? Math.min(n, window.innerWidth >= 1100 ? 4 : 2) : 1;
-  const style = document.documentElement.style;
-  style.setProperty("--columns", columns);
-  const height = wide ? Math.max(260, Math.min(560, window.innerHeight - (n > 1 ? 330 : 310))) : Math.round(window.innerWidth * 0.82);
-  style.setProperty("--map-height", `${height}px`);
+function fitMaps(data) {
+  const n = data.runs.length, wide = window.innerWidth > 700, style = document.documentElement.style;
+  style.setProperty("--columns", wide ? Math.min(n, window.innerWidth >= 1100 ? 4 : 2) : 1);
+  const width = byId("maps").querySelector(".map").clientWidth;
+  const most = wide ? Math.max(300, window.innerHeight - 440) : window.innerHeight * 0.55;
+  style.setProperty("--map-height", `${Math.round(Math.max(190, Math.min(most, fittingHeight(data, width))))}px`);
 }
 
 async function openReplay() {
@@ -95,8 +94,8 @@ async function openReplay() {
   document.head.appendChild(library);
   const data = unpackAll(JSON.parse(await unzipped("data")));
   byId("title").textContent = data.title;
-  fitMaps(data.runs.length);
   const cards = data.runs.map((run, r) => runCard(data, run, r));
+  fitMaps(data);
   drawLegend(data);
   const firstSite = data.map.agents.find((one) => one.bus !== undefined);
   replayState.bus = firstSite ? firstSite.bus : 0;
@@ -179,7 +178,7 @@ async function openReplay() {
     else return;
     event.preventDefault();
   });
-  window.addEventListener("resize", () => fitMaps(data.runs.length));
+  window.addEventListener("resize", () => fitMaps(data));
   select(replayState.bus);
   byId("message").hidden = true;
 }
