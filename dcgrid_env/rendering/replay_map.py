@@ -14,12 +14,13 @@ from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.feeder_map import Room, agent_colour, fed_through
 from dcgrid_env.rendering.replay_course import of_devices
 
-_SIZE_PX = np.array([420.0, 330.0])
+_WIDTH_PX, _HEIGHTS_PX = 380.0, (190.0, 340.0)
 """A small map, on which names are given their room; on a larger one they have more."""
-_MARGIN_PX = 30.0
+_MARGIN_PX, _STRETCH = 26.0, 1.6
+"""As in feeder_map.js: what is left free around the feeder, and how far one axis may be drawn larger than the other."""
 _LETTER_PX = 13.0
-_REACH_PX = 11.0
-"""How far a site's rings reach from its bus."""
+_REACH_PX = 15.0
+"""How far the rings of a device reach from its bus."""
 _WIDTHS = 3
 """Widths in which branches are drawn, by the load behind them."""
 
@@ -57,9 +58,15 @@ def _rounded(values: np.ndarray) -> list[float]:
 
 def _room(feeder: Any, xy: np.ndarray) -> Room:
     """What is taken on a small map, in pixels from its lower left corner."""
-    scale = float(np.max(np.ptp(xy, axis=0) / (_SIZE_PX - 2 * _MARGIN_PX))) or 1.0
-    at = (xy - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) / scale + 0.5 * _SIZE_PX
-    return Room(at, np.full(len(xy), 5.0), feeder.parent, np.stack((0.0 * _SIZE_PX, _SIZE_PX)), False)
+    span = np.maximum(np.ptp(xy, axis=0), 1e-9)
+    inner = _WIDTH_PX - 2 * _MARGIN_PX
+    height = np.clip(inner * _STRETCH * span[1] / span[0] + 2 * _MARGIN_PX, *_HEIGHTS_PX)
+    size = np.array([_WIDTH_PX, float(height)])
+    unit = span / (size - 2 * _MARGIN_PX)
+    unit = np.maximum(unit, unit.max() / _STRETCH)
+    at = (xy - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) / unit + 0.5 * size
+    radius = np.full(len(xy), 8.0 if isinstance(feeder, ThreePhaseFeeder) else 6.0)
+    return Room(at, radius, feeder.parent, np.stack((0.0 * size, size)), False)
 
 
 def _agents(run: Series, room: Room) -> list[dict[str, Any]]:

@@ -22,7 +22,7 @@ class Curves {
     for (const i of data.agentsAt(bus)) {
       const there = data.runs[0].agents[i];
       for (const name of Object.keys(there)) {
-        if (name === "p_ref_kw" || (name === "q_kvar" && there.q_kvar.every((q) => q === 0))) continue;
+        if (name === "p_ref_kw" || (name === "q_kvar" && data.runs.every((run) => run.agents[i].q_kvar.every((q) => q === 0)))) continue;
         const [label, unit, decimals] = data.shown[name];
         const asked = name === "p_kw" && there.p_ref_kw;
         list.push({
@@ -59,6 +59,7 @@ class Curves {
       const axis = { gridcolor: "#e6e6e6", zeroline: false, fixedrange: true, nticks: 4, linecolor: "#888", automargin: false };
       layout[`xaxis${id}`] = { ...axis, nticks: 6, domain: [left / width, right / width], anchor: `y${id}`, range: [0, data.last * data.dt_s] };
       layout[`yaxis${id}`] = { ...axis, domain: [1 - bottom / height, 1 - top / height], anchor: `x${id}`, rangemode: panel.held ? "tozero" : "normal" };
+      if (panel.band) layout[`yaxis${id}`].tickformat = ".2f";
       if (row === rows - 1 || i + columns >= panels.length) layout[`xaxis${id}`].ticksuffix = " s";
       layout.annotations.push({
         text: panel.name.replaceAll("<", "&lt;"), xref: "paper", yref: "paper", x: (left - 40) / width, y: 1 - (top - 4) / height,

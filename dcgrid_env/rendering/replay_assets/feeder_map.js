@@ -1,7 +1,7 @@
 "use strict";
 // The feeder under one controller: voltages on its buses, what its devices and its equipment do.
 
-const MARGIN_PX = 34;
+const MARGIN_PX = 26;
 const STRETCH = 1.6; // how much taller than wide a diagram may be drawn to fill its place
 const HALO_S = 30; // backlog, in s at the rating, at which a halo is largest
 const HALO_PX = 29;

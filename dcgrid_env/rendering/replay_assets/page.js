@@ -25,7 +25,8 @@ function runCard(data, run, r) {
     stroke-width="3" stroke-dasharray="${["", "9 4", "3 3", "9 3 3 3"][r]}"/></svg>`;
   element(heading, "span", run.name);
   const cost = element(heading, "span", "", { class: "j" });
-  const state = element(card, "p", "", { class: "state" });
+  const trips = run.agents.some((one) => one.on_grid_pct);
+  const state = element(card, "p", "", { class: trips ? "state long" : "state" });
   const map = element(card, "div", "", { class: "map", role: "img", "aria-label": `map of the feeder under ${run.name}` });
   const reading = element(card, "p", "", { class: "reading" });
   return { run, cost, state, map, reading };
@@ -83,7 +84,7 @@ function fitMaps(data) {
   const n = data.runs.length, wide = window.innerWidth > 700, style = document.documentElement.style;
   style.setProperty("--columns", wide ? Math.min(n, window.innerWidth >= 1100 ? 4 : 2) : 1);
   const width = byId("maps").querySelector(".map").clientWidth;
-  const most = wide ? Math.max(300, window.innerHeight - 440) : window.innerHeight * 0.55;
+  const most = wide ? Math.max(300, window.innerHeight - 440) : Math.min(340, window.innerHeight * 0.5);
   style.setProperty("--map-height", `${Math.round(Math.max(190, Math.min(most, fittingHeight(data, width))))}px`);
 }
 
