@@ -13,8 +13,10 @@ import tyro
 
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
-from dcgrid_env.cli.settings import Overrides, processes, tuned_from
-from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.opening import offer
+from dcgrid_env.cli.runs import draw_first
+from dcgrid_env.cli.settings import Overrides, check_folder, processes, tuned_from
+from dcgrid_env.cli.terminal import plain_console, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -54,6 +56,10 @@ class Evaluate(Command):
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""
+    out: Path = Path("results/evaluate")
+    """Folder for figure.png, the first episode under the policy and the tuned droop law; made if it is not there."""
+    open: bool = False
+    """Open the figure at the end."""
 
     @property
     def resumes(self) -> str:
@@ -71,6 +77,7 @@ class Evaluate(Command):
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
                 raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
+        check_folder(self.out)
         jobs, file, spec = processes(self.jobs), _file(self.policy), _scenario_of(self)
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
@@ -96,6 +103,10 @@ class Evaluate(Command):
             said.append(IS_NO_BOUND)
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
+        shown = {name: controllers[name] for name in (self.policy, REFERENCE) if name in controllers}
+        figure = draw_first(scenario, self.seed, shown, self.out, console)
+        say(console, f"wrote {figure}")
+        offer(console, figure, self.open)
 
 
 ROWS = (

@@ -19,6 +19,7 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.rendering.feeder_map import VOLTAGE_CMAP, voltage_norm
+from dcgrid_env.rendering.map_panel import time_unit
 from dcgrid_env.rendering.replay_course import SHOWN, course
 from dcgrid_env.rendering.replay_map import feeder_map
 from dcgrid_env.scenario.scenario import Scenario
@@ -74,6 +75,7 @@ def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str
     norm = voltage_norm(s.band_pu)
     data = {
         "title": title or f"{s.name}, {s.split} split",
+        "time": [s.dt_s / time_unit(s)[0], time_unit(s)[1]],
         "dt_s": s.dt_s,
         "horizon": s.horizon,
         "band_pu": s.band_pu,
@@ -94,8 +96,8 @@ def check_size(scenario: Scenario, n_runs: int) -> None:
     if per_step * (scenario.horizon + 1) > MOST_VALUES:
         most = MOST_VALUES // per_step - 1
         raise ValueError(
-            f"{n_runs} episodes of {scenario.horizon:,} steps at {scenario.feeder.n_node} nodes are too long for one "
-            f"page; replay fewer controllers, or run it with --set horizon={most} or less"
+            f"{n_runs} x {scenario.horizon:,} steps at {scenario.feeder.n_node} nodes are too much for one page; replay "
+            f"fewer controllers, or an episode of {most:,} steps at most (--set horizon={most})"
         )
 
 

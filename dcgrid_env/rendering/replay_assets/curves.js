@@ -46,7 +46,7 @@ class Curves {
     const { data } = this, panels = this.panels();
     const columns = Math.min(panels.length, width >= 1000 ? 4 : width >= 720 ? 3 : width >= 480 ? 2 : 1);
     const rows = Math.ceil(panels.length / columns), height = rows * ROW_PX;
-    const t = Array.from({ length: data.last + 1 }, (_, k) => k * data.dt_s);
+    const t = Array.from({ length: data.last + 1 }, (_, k) => k * data.time[0]);
     const layout = {
       width, height, margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, hovermode: "x", dragmode: false,
       annotations: [], shapes: [], paper_bgcolor: "#fff", plot_bgcolor: "#fff", font: { size: 11 },
@@ -57,10 +57,10 @@ class Curves {
       const left = (column * width) / columns + 48, right = ((column + 1) * width) / columns - 12;
       const top = row * ROW_PX + 24, bottom = (row + 1) * ROW_PX - 26;
       const axis = { gridcolor: "#e6e6e6", zeroline: false, fixedrange: true, nticks: 4, linecolor: "#888", automargin: false };
-      layout[`xaxis${id}`] = { ...axis, nticks: 6, domain: [left / width, right / width], anchor: `y${id}`, range: [0, data.last * data.dt_s] };
+      layout[`xaxis${id}`] = { ...axis, nticks: 6, domain: [left / width, right / width], anchor: `y${id}`, range: [0, data.last * data.time[0]] };
       layout[`yaxis${id}`] = { ...axis, domain: [1 - bottom / height, 1 - top / height], anchor: `x${id}`, rangemode: panel.held ? "tozero" : "normal" };
       if (panel.band) layout[`yaxis${id}`].tickformat = ".2f";
-      if (row === rows - 1 || i + columns >= panels.length) layout[`xaxis${id}`].ticksuffix = " s";
+      if (row === rows - 1 || i + columns >= panels.length) layout[`xaxis${id}`].ticksuffix = ` ${data.time[1]}`;
       layout.annotations.push({
         text: panel.name.replaceAll("<", "&lt;"), xref: "paper", yref: "paper", x: (left - 40) / width, y: 1 - (top - 4) / height,
         xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12, color: "#222" },
@@ -75,7 +75,7 @@ class Curves {
     Plotly.react(this.holder, traces, layout, { displayModeBar: false });
     if (this.listens) return;
     this.listens = true;
-    this.holder.on("plotly_click", (event) => this.seek(Math.round(event.points[0].x / data.dt_s)));
+    this.holder.on("plotly_click", (event) => this.seek(Math.round(event.points[0].x / data.time[0])));
   }
 
   lines(panel, t, axes) {
@@ -101,7 +101,7 @@ class Curves {
   }
 
   place() {
-    for (const cursor of this.cursors) cursor.x0 = cursor.x1 = this.step * this.data.dt_s;
+    for (const cursor of this.cursors) cursor.x0 = cursor.x1 = this.step * this.data.time[0];
   }
 
   select(bus) {

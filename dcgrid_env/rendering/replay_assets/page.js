@@ -113,9 +113,10 @@ async function openReplay() {
   function show() {
     const { step, bus } = replayState;
     time.value = step;
-    const t = (step * data.dt_s).toFixed(data.dt_s < 1 ? 1 : 0), end = (data.horizon * data.dt_s).toFixed(0);
-    byId("clock").textContent = `t = ${t} of ${end} s`;
-    time.setAttribute("aria-valuetext", `${t} seconds`);
+    const [each, unit] = data.time, decimals = each % 1 === 0 ? 0 : each < 0.1 ? 2 : 1;
+    const t = (step * each).toFixed(decimals), end = (data.horizon * each).toFixed(0);
+    byId("clock").textContent = `t = ${t} of ${end} ${unit}`;
+    time.setAttribute("aria-valuetext", `${t} ${unit}`);
     cards.forEach(({ run, cost, state, reading }, r) => {
       const k = stepOf(run, step);
       cost.textContent = `J so far ${figure(run.j[k], 3)} of ${figure(run.j[run.steps - 1], 3)}`;
