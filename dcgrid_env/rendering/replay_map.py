@@ -17,7 +17,7 @@ from dcgrid_env.rendering.replay_course import of_devices
 _WIDTH_PX, _HEIGHTS_PX = 380.0, (190.0, 340.0)
 """A small map, on which names are given their room; on a larger one they have more."""
 _MARGIN_PX, _STRETCH = 26.0, 1.6
-"""As in feeder_map.js: what is left free around the feeder, and how far one axis may be drawn larger than the other."""
+"""What is left free around the feeder, and how far one axis may be drawn larger than the other; as in feeder_map.js."""
 _LETTER_PX = 13.0
 _REACH_PX = 15.0
 """How far the rings of a device reach from its bus."""
