@@ -4,16 +4,31 @@ import importlib.util
 import json
 import sys
 import webbrowser
+from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from dcgrid_env.agents.training.config import Training
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.install import from_clone
 
 drawn = pytest.mark.skipif(
     importlib.util.find_spec("plotly") is None, reason=f"plotly not installed; {from_clone('replay')}"
 )
+
+
+@dataclass(frozen=True)
+class Ppo(Training):
+    """Nothing more than the settings that ship for toy6 name."""
+
+    gamma: float = 0.9
+    outputs: str = "setpoint"
+    nameplate: bool = False
+    wait: float = 10.0
+    log_std: float = -0.7
+    learning_rate: float = 3e-3
+    steps: int = 10
 
 
 @pytest.fixture
@@ -109,8 +124,6 @@ def test_a_gif_in_one_command(tmp_path, capsys):
 @pytest.fixture
 def training(tmp_path, monkeypatch):
     """A stand-in for an algorithm that writes a curve, and what happened in which order."""
-    from test_train_and_evaluate import Ppo  # type: ignore[import-not-found]
-
     made, seen = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in."), []
     made.Ppo = Ppo  # type: ignore[attr-defined]
     made.main = lambda cfg: seen.append("trained") or tmp_path  # type: ignore[attr-defined]

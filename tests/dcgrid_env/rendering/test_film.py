@@ -41,7 +41,7 @@ def test_a_gif_shows_every_so_many_steps_of_all(tmp_path):
     with Image.open(path) as film:
         assert film.n_frames == 4  # 0, 2, 4 and the last
         assert film.info["duration"] == 200
-        assert film.size == (1154, 356)
+        assert film.size == (1152, 356)
     assert [own.name for own in path.parent.iterdir()] == ["a.gif"]
 
 
