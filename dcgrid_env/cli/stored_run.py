@@ -78,7 +78,9 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
 
 def _command(path: Path, words: list[str]) -> Run:
     if words[:2] != ["dcgrid", "run"]:
-        raise ValueError(f"{path} was not written by dcgrid run but by {' '.join(words[:3])!r}; replay a run, or give --scenario")
+        raise ValueError(
+            f"{path} was not written by dcgrid run but by {' '.join(words[:3])!r}; replay a run, or give --scenario"
+        )
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):

@@ -43,8 +43,11 @@ class History:
         history, rows = cls(run.scenario), len(run.v_pu)
         history.v_pu[:rows] = run.v_pu
         if run.scenario.n_sites:
-            states = [state for device, state in zip(run.scenario.devices, run.devices, strict=True)
-                      if device.input == "workload"]
+            states = [
+                state
+                for device, state in zip(run.scenario.devices, run.devices, strict=True)
+                if device.input == "workload"
+            ]
             history.f_mhz[:rows] = np.concatenate([state.f_mhz for state in states], axis=1)
             history.backlog_kws[:rows] = np.concatenate([state.backlog_kws for state in states], axis=1)
         history.p_kw[:rows] = run.p_kw_from_reset[:, history.order]

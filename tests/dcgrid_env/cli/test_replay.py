@@ -112,9 +112,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
     assert "a replay is drawn by plotly; install it" in refused(capsys, "--scenario", "toy6")
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("imageio") is None, reason=f"imageio not installed; {from_clone('video')}"
-)
+@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason=f"imageio not installed; {from_clone('video')}")
 def test_a_gif_in_one_command(tmp_path, capsys):
     main(["replay", "--scenario", "toy6", "--set", "horizon=2", "--compare", "none", "--gif", str(tmp_path / "a.gif")])
     assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")

@@ -67,7 +67,9 @@ def test_phases_taps_storages_and_trips_are_there():
     assert len(three["runs"][0]["tap"]) == sum(len(bank["rows"]) for bank in three["map"]["banks"]) > 0
     run = episode("ieee33-weak-ups", "droop", horizon=3)
     stored = agent_figures(run)[-1]["stored_pct"]
-    np.testing.assert_allclose(stored, 100.0 * run.stored_kwh[:, -1] / run.scenario.devices[-1].parameters.energy_kwh[-1])
+    np.testing.assert_allclose(
+        stored, 100.0 * run.stored_kwh[:, -1] / run.scenario.devices[-1].parameters.energy_kwh[-1]
+    )
     faulty = make_scenario("fault", split="test")
     lost = rollout(faulty, make_controller("none"), range(8))
     for lane in range(8):

@@ -51,8 +51,10 @@ def page(browser, tmp_path, request):
 
 def fills(page, run=0):
     """Colours of all marks of a map."""
-    return page.locator(".map").nth(run).evaluate(
-        "map => [...map.querySelectorAll('path.point')].map(mark => mark.style.fill)"
+    return (
+        page.locator(".map")
+        .nth(run)
+        .evaluate("map => [...map.querySelectorAll('path.point')].map(mark => mark.style.fill)")
     )
 
 
