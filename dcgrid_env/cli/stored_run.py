@@ -38,8 +38,8 @@ class StoredRun(NamedTuple):
         if stored is None or math.isclose(stored, cost, rel_tol=1e-9, abs_tol=1e-12):
             return ""
         return (
-            f"{name}: J is {cost:.6g} and was {stored:.6g} when the run was stored: the package, a policy's file or the "
-            "gains have changed since"
+            f"{name}: J is {cost:.6g} and was {stored:.6g} when the run was stored: the package, a policy's file or "
+            "the gains have changed since"
         )
 
 

@@ -25,7 +25,10 @@ from dcgrid_env.core.install import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
 """Options of the command beside an algorithm's configuration, and the fields that they set."""
-SEEDS = "--open opens the curve at the end; --wandb sends it to Weights & Biases as well. With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own."
+SEEDS = (
+    "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own. --open opens the "
+    "curve at the end, --wandb sends it to Weights & Biases as well."
+)
 """What the help of every algorithm says of the options that stand beside its configuration."""
 
 

@@ -1,4 +1,4 @@
-"""Weights & Biases as a mirror of what a training writes for TensorBoard; nothing of it is needed without the option."""
+"""Weights & Biases as a mirror of what a training writes for TensorBoard; nothing of it is needed otherwise."""
 
 from __future__ import annotations
 

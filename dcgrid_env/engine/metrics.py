@@ -116,7 +116,7 @@ class Series:
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
         self.trace_start, self.buses, self.fault = (own[lane] for own in course.drawn)
-        """Where the trace window of each site begins, (n_site,); position in ``bus_ids`` of each agent's bus, (n_agent,);
+        """Where each site's trace window begins, (n_site,); position in ``bus_ids`` of each agent's bus, (n_agent,);
         what each fault strikes and when, ``Episode.fault``, (n_fault, 3)."""
         self.converged = bool(converged[-1])
 

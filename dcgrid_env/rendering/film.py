@@ -87,7 +87,7 @@ def frames(runs: Mapping[str, Series], every: int = 1, scale: float = 1.0) -> It
     viewers = [Viewer(run.scenario, "rgb_array") for run in runs.values()]
     histories = [History.of(run) for run in runs.values()]
     ends = [history.last for history in histories]
-    size = tuple(2 * round(0.5 * scale * side) for side in (SIZE_PX[0], SIZE_PX[1] + _STRIP_PX))
+    width, height = (2 * round(0.5 * scale * side) for side in (SIZE_PX[0], SIZE_PX[1] + _STRIP_PX))
     for step in [*range(0, max(ends), every), max(ends)]:
         pictures = []
         for (name, run), viewer, history, end in zip(runs.items(), viewers, histories, ends, strict=True):
@@ -95,7 +95,7 @@ def frames(runs: Mapping[str, Series], every: int = 1, scale: float = 1.0) -> It
             spent = run.cost_j[: history.last].sum() / run.scenario.horizon
             strip = _strip(f"{name}    J so far = {spent:.3f}")
             whole = Image.fromarray(np.vstack((strip, viewer.show(history))))  # pyright: ignore
-            pictures.append(np.asarray(whole.resize(size, Image.Resampling.LANCZOS)))
+            pictures.append(np.asarray(whole.resize((width, height), Image.Resampling.LANCZOS)))
         yield np.hstack(pictures)
 
 

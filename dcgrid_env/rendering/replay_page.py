@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.colors
 import numpy as np
 
 from dcgrid_env.core.files import write_text
@@ -96,8 +97,8 @@ def check_size(scenario: Scenario, n_runs: int) -> None:
     if per_step * (scenario.horizon + 1) > MOST_VALUES:
         most = MOST_VALUES // per_step - 1
         raise ValueError(
-            f"{n_runs} x {scenario.horizon:,} steps at {scenario.feeder.n_node} nodes are too much for one page; replay "
-            f"fewer controllers, or an episode of {most:,} steps at most (--set horizon={most})"
+            f"{n_runs} x {scenario.horizon:,} steps at {scenario.feeder.n_node} nodes are too much for one page; "
+            f"replay fewer controllers, or an episode of {most:,} steps at most (--set horizon={most})"
         )
 
 

@@ -1,6 +1,7 @@
 """Films of episodes: their frames are the viewer's own."""
 
 import importlib.util
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ def test_a_frame_is_what_the_environment_draws(scenario, steps):
 def test_a_gif_shows_every_so_many_steps_of_all(tmp_path):
     run, _ = recorded("toy6", 5, horizon=5)
     path = write_film(tmp_path / "new" / "a.gif", {"one": run, "two": run}, fps=5.0, every=2)
+    film: Any
     with Image.open(path) as film:
         assert film.n_frames == 4  # 0, 2, 4 and the last
         assert film.info["duration"] == 200

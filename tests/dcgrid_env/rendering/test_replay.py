@@ -6,6 +6,7 @@ import importlib.util
 import json
 import re
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def held(page):
 
 
 def unpacked(figure):
-    steps = np.array([np.nan if d is None else d for d in figure["d"]])
+    steps = np.array([np.nan if d is None else d for d in figure["d"]], np.float64)
     known = np.isfinite(steps)
     steps[known] = np.cumsum(steps[known]) / 10.0 ** figure["k"]
     return steps
@@ -66,10 +67,8 @@ def test_phases_taps_storages_and_trips_are_there():
     assert set(three["map"]["nodes"]["phase"]) == {0, 1, 2}
     assert len(three["runs"][0]["tap"]) == sum(len(bank["rows"]) for bank in three["map"]["banks"]) > 0
     run = episode("ieee33-weak-ups", "droop", horizon=3)
-    stored = agent_figures(run)[-1]["stored_pct"]
-    np.testing.assert_allclose(
-        stored, 100.0 * run.stored_kwh[:, -1] / run.scenario.devices[-1].parameters.energy_kwh[-1]
-    )
+    stored, energy_kwh = agent_figures(run)[-1]["stored_pct"], run.scenario.devices[-1].parameters.energy_kwh
+    np.testing.assert_allclose(stored, 100.0 * run.stored_kwh[:, -1] / energy_kwh[-1])
     faulty = make_scenario("fault", split="test")
     lost = rollout(faulty, make_controller("none"), range(8))
     for lane in range(8):
@@ -85,17 +84,18 @@ def test_a_voltage_that_is_none_is_left_out():
 
 def test_what_cannot_be_replayed_is_refused(monkeypatch):
     run = episode(horizon=3)
-    for history, message in (
+    refused: Any = (
         ([], "history is empty"),
         ({"a": "b"}, "history 'a' is a str"),
         ([run] * 5, "5 episodes do not fit side by side; replay 4 at most"),
         ([run, episode(horizon=4)], "history 'episode 2' is of another episode"),
         ([episode("ieee123", horizon=2), episode("ieee123", seed=1, horizon=2)], "of another episode"),
-    ):
+    )
+    for history, message in refused:
         with pytest.raises(ValueError, match=message):
             replay(history)
     monkeypatch.setattr("dcgrid_env.rendering.replay_page.MOST_VALUES", 20)
-    with pytest.raises(ValueError, match="1 x 3 steps at 6 nodes are too much for one page; .*horizon=2"):
+    with pytest.raises(ValueError, match=r"1 x 3 steps at 6 nodes are too much for one page; .*horizon=2"):
         replay(run)
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
