@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_specs, split_names
+from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes, tuned_from
 from dcgrid_env.cli.terminal import plain_console
@@ -52,6 +53,8 @@ class Benchmark(Command):
     """Folder for what is written; made if it is not there."""
     jobs: int | None = None
     """Number of processes; by default one for each core."""
+    open: bool = False
+    """Open the report at the end."""
 
     def run(self) -> None:
         """Run what is not done yet, sum up, write. ValueError for bad settings, before anything is written."""
@@ -185,3 +188,4 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     for row in (row for result in results for row in result.summary.rows if row.failure):
         console.print(f"{row.scenario}, {row.controller}: {row.failure}")
     console.print(f"wrote results.json, results.md and report.html in {cfg.out}")
+    offer(console, cfg.out / "report.html", cfg.open)

@@ -13,10 +13,12 @@ import tyro
 
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
+from dcgrid_env.cli.opening import offer
+from dcgrid_env.cli.runs import draw_first
 from dcgrid_env.cli.sb3_export import SUFFIX as SB3
 from dcgrid_env.cli.sb3_export import require_trusted
-from dcgrid_env.cli.settings import Overrides, processes, tuned_from
-from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.settings import Overrides, check_folder, processes, tuned_from
+from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.install import from_clone
 
 if TYPE_CHECKING:
@@ -61,6 +63,10 @@ class Evaluate(Command):
     trust: bool = False
     """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds; dcgrid
     export-sb3 converts one without."""
+    out: Path = Path("results/evaluate")
+    """Folder for figure.png, the first episode under the policy and the tuned droop law; made if it is not there."""
+    open: bool = False
+    """Open the figure at the end."""
 
     @property
     def resumes(self) -> str:
@@ -81,6 +87,7 @@ class Evaluate(Command):
         jobs, file = processes(self.jobs), _file(self.policy)
         if file.endswith(SB3):
             require_trusted(file, self.trust, self.scenario or "SCENARIO")
+        check_folder(self.out)
         spec = _scenario_of(self)
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
@@ -107,6 +114,10 @@ class Evaluate(Command):
             said.append(IS_NO_BOUND)
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
+        shown = {name: controllers[name] for name in (self.policy, REFERENCE) if name in controllers}
+        figure = draw_first(scenario, self.seed, shown, self.out, console)
+        say(console, f"wrote {figure}")
+        offer(console, figure, self.open)
 
 
 ROWS = (

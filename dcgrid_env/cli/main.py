@@ -28,6 +28,7 @@ from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
 from dcgrid_env.cli.pareto import Pareto
 from dcgrid_env.cli.random_feeder_table import RandomFeederTable
+from dcgrid_env.cli.replay import Replay
 from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
@@ -92,6 +93,7 @@ COMMANDS = Group(
         "export-sb3": ExportSb3,
         "submit": Submit,
         "verify": Verify,
+        "replay": Replay,
         "tune": Tune,
         "capacity": Capacity,
         "reproduce": Reproduce,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
+from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.runs import Runs
@@ -68,6 +69,8 @@ class Run(Command):
     be kept in memory, parquet always (both take the extra parquet), or none."""
     out: Path = Path("results/run")
     """Folder for results.json, figure.png and, with --feeder, scenario.toml; made if it is not there."""
+    open: bool = False
+    """Open the figure at the end."""
 
     def run(self) -> None:
         """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
@@ -80,7 +83,7 @@ class Run(Command):
         if self.episodes < 1 or self.seed < 0:
             raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
         _check_options(self)
-        scenario = _scenario(self)
+        scenario = scenario_of(self)
         names = split_names(self.controllers)
         controllers = {name: find_controller(name, scenario, self.tuned) for name in names}
         if not controllers:
@@ -123,6 +126,7 @@ class Run(Command):
         say(console, f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}")
         if self.feeder is not None:
             say(console, f"`dcgrid check {written[-1]}` says whether it is worth learning on")
+        offer(console, self.out / "figure.png", self.open, f"; `dcgrid replay {self.out}` shows its steps in a browser")
 
 
 def _check_options(cfg: Run) -> None:
@@ -134,7 +138,8 @@ def _check_options(cfg: Run) -> None:
         raise ValueError(f"save_scenario is {str(cfg.save_scenario)!r}; give a file that ends in .toml")
 
 
-def _scenario(cfg: Run) -> Scenario:
+def scenario_of(cfg: Run) -> Scenario:
+    """The scenario that a command names; ValueError for one that cannot be."""
     from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES

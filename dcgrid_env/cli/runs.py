@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,3 +96,14 @@ class Runs:
 
         draw = long_figure if self.in_parts else run_figure
         write_figure(path, draw(self.scenario.member(self.seeds[0]), self._drawn, self.seeds[0]), dpi=130)
+
+
+def draw_first(
+    scenario: Scenario, seed: int, controllers: Mapping[str, Controller], out: Path, console: Console
+) -> Path:
+    """Draw one episode under several controllers, side by side, and write it to figure.png in a folder; its path."""
+    runs = Runs(scenario, [seed], "none", out, console)
+    for name, controller in controllers.items():
+        runs.add(name, controller, lambda: None)
+    runs.draw(out / "figure.png")
+    return out / "figure.png"

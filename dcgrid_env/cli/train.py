@@ -10,19 +10,26 @@ import dataclasses
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 import tyro
 
 from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import processes
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.install import from_clone
 
-SEEDS = "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own."
-"""What the help of every algorithm says of the option that stands beside its configuration."""
+OWN = {"--open": "opens", "--wandb": "wandb"}
+"""Options of the command beside an algorithm's configuration, and the fields that they set."""
+SEEDS = (
+    "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own. --open opens the "
+    "curve at the end, --wandb sends it to Weights & Biases as well."
+)
+"""What the help of every algorithm says of the options that stand beside its configuration."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,12 @@ class Algorithm:
     def parse(self, words: Sequence[str], prog: str) -> Command:
         """Read the algorithm's own options; ValueError where torch is not installed, or for seeds that cannot be."""
         n, words = _seeds(words)
-        configuration = self.configured(words, prog)
+        own = {field: option in words for option, field in OWN.items()}
+        configuration = self.configured([word for word in words if word not in OWN], prog)
         if n is None:
-            return Training(self.module(), configuration)
+            return Training(self.module(), configuration, **own)
+        if any(own.values()):
+            raise ValueError(f"seeds: {' and '.join(OWN)} are of a single training; leave them out, or --seeds")
         return Seeds(tuple(of_seed(configuration, configuration.seed + i) for i in range(n)))
 
 
@@ -85,6 +95,10 @@ class Training(Command):
     module: ModuleType
     """The algorithm's."""
     configuration: Any
+    opens: bool = False
+    """Open the curve at the end."""
+    wandb: bool = False
+    """Send what goes to TensorBoard to Weights & Biases as well."""
 
     @property
     def resumes(self) -> str:
@@ -94,13 +108,18 @@ class Training(Command):
     def run(self) -> None:
         """Train. ValueError for a run that cannot begin or go on."""
         from dcgrid_env.agents.training.run_folder import TrainingError
+        from dcgrid_env.cli.weights_and_biases import logged
 
         if line := shipped_settings(self.configuration):
             print(line)
         try:
-            self.module.main(self.configuration)
+            with logged(self.configuration, self.wandb):
+                folder = self.module.main(self.configuration)
         except TrainingError as error:
             raise ValueError(error) from error
+        console = plain_console()
+        say(console, f"`dcgrid evaluate {folder}` scores it; `tensorboard --logdir {folder}` draws its curve")
+        offer(console, Path(folder) / "curve.csv", self.opens)
 
 
 @dataclass(frozen=True)

@@ -182,12 +182,12 @@ def assemble(
     return Episode(key, buses, observation.placement(scenario, buses), start, sun, begin_h, still, fault, sag)
 
 
-def lost(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
-    """What is lost in the interval that ends at ``step`` (lane,), bool: agents, then capacitors.
+def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """What ``Episode.fault`` takes in the interval that ends at ``step`` (lane,), bool: agents, then capacitors.
 
     (lane, n_agent + n_bus), or n_capacitor instead of n_bus on a three-phase feeder.
     """
-    target, begin, end = np.moveaxis(episode.fault, -1, 0)
+    target, begin, end = np.moveaxis(fault, -1, 0)
     struck = (begin <= step[:, None]) & (step[:, None] < end)
     out = np.zeros((len(step), scenario.n_agents + len(scenario.capacitor_connected)), bool)
     lane, i = np.nonzero(struck)
@@ -275,7 +275,7 @@ def exogenous(
     if three_phase and not scenario.capacitors:
         capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
     if scenario.faults:
-        agents, capacitors = np.split(lost(scenario, episode, step), [scenario.n_agents], axis=1)
+        agents, capacitors = np.split(lost(scenario, episode.fault, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
         if three_phase:
             capacitor_on = float(scenario.capacitors) * (1.0 - capacitors)

@@ -104,7 +104,7 @@ class Series:
         series = cls.__new__(cls)
         from_reset = over_arrays(lambda values: values[: steps + 1, lane], stacked.from_reset)
         of_steps = over_arrays(lambda values: values[:steps, lane], stacked.of_steps)
-        series._take(scenario, _Course(from_reset, of_steps, stacked.trace_start), lane)
+        series._take(scenario, _Course(from_reset, of_steps, stacked.drawn), lane)
         return series
 
     def _take(self, scenario: Scenario, course: _Course, lane: int) -> None:
@@ -115,7 +115,9 @@ class Series:
         self.p_kw = self.p_kw_from_reset[1:]
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
-        self.trace_start = course.trace_start[lane]
+        self.trace_start, self.buses, self.fault = (own[lane] for own in course.drawn)
+        """Where each site's trace window begins, (n_site,); position in ``bus_ids`` of each agent's bus, (n_agent,);
+        what each fault strikes and when, ``Episode.fault``, (n_fault, 3)."""
         self.converged = bool(converged[-1])
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -210,8 +212,8 @@ class _Course(NamedTuple):
     """Voltages, draws, states of the devices and of three phases, loading, from the reset on."""
     of_steps: tuple[Any, ...]
     """Reactive injections, losses, costs, whether the power flow had a solution, and the terms of the cost."""
-    trace_start: np.ndarray
-    """(lane, n_site)"""
+    drawn: tuple[np.ndarray, ...]
+    """Beginnings of the trace windows, buses of the agents, and faults, as a transition has them."""
 
 
 def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]) -> _Course:
@@ -223,7 +225,8 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
     states = [t.state for t in transitions]
     from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading) for s in states]
     of_steps = [(t.state.q_kvar, t.loss_kw, t.cost_j, t.converged, t.costs) for t in transitions[1:]]
-    return _Course(over_time(from_reset), over_time(of_steps), transitions[0].trace_start)
+    begun = transitions[0]
+    return _Course(over_time(from_reset), over_time(of_steps), (begun.trace_start, begun.buses, begun.fault))
 
 
 class Recorder:

@@ -175,4 +175,6 @@ class Simulation:
             loss_kw=solution.loss_kw,
             converged=solution.converged,
             trace_start=drawn.start,
+            buses=drawn.buses,
+            fault=drawn.fault,
         )

@@ -37,6 +37,10 @@ class Transition(NamedTuple):
     """Whether the power flow has a solution, bool, (lane,)."""
     trace_start: np.ndarray
     """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    fault: np.ndarray
+    """What each fault strikes and when, ``Episode.fault``, (lane, n_fault, 3)."""
 
 
 class Snapshot(NamedTuple):

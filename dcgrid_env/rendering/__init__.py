@@ -1,4 +1,4 @@
-"""Pictures: the feeder on its map, the curves of an episode, the figure of a run.
+"""Pictures: the feeder on its map, the curves of an episode, the figure of a run, a replay for the browser.
 
 The names are imported when they are asked for: matplotlib takes long, and an environment that draws nothing needs none.
 """
@@ -11,16 +11,19 @@ if TYPE_CHECKING:
     from dcgrid_env.rendering.bus_positions import positions
     from dcgrid_env.rendering.envelope import Envelope
     from dcgrid_env.rendering.feeder_map import INK, draw_feeder
+    from dcgrid_env.rendering.replay_page import Replay, replay
     from dcgrid_env.rendering.side_by_side import run_figure
 
-__all__ = ["INK", "Envelope", "draw_feeder", "long_figure", "positions", "run_figure"]
+__all__ = ["INK", "Envelope", "Replay", "draw_feeder", "long_figure", "positions", "replay", "run_figure"]
 
 _MODULES = {
     "Envelope": "envelope",
     "INK": "feeder_map",
+    "Replay": "replay_page",
     "draw_feeder": "feeder_map",
     "long_figure": "banded_figure",
     "positions": "bus_positions",
+    "replay": "replay_page",
     "run_figure": "side_by_side",
 }
 

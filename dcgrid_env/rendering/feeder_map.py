@@ -86,7 +86,7 @@ class FeederMap:
 
     def _draw_network(self, few: bool) -> None:
         ax, feeder, xy = self.ax, self.feeder, self.xy
-        share = _fed_through(feeder)
+        share = fed_through(feeder)
         width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
         segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
         ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
@@ -285,7 +285,7 @@ def draw_feeder(
     return drawn
 
 
-def _fed_through(feeder: AnyFeeder) -> np.ndarray:
+def fed_through(feeder: AnyFeeder) -> np.ndarray:
     """Base load that each branch feeds, kW, (n_branch,)."""
     total = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
     for bus in feeder.depth_first.order[:0:-1]:

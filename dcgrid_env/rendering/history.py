@@ -13,6 +13,7 @@ from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from dcgrid_env.engine.metrics import Series
     from dcgrid_env.engine.simulation import Snapshot
     from dcgrid_env.engine.state import ThreePhaseState
 
@@ -35,6 +36,29 @@ class History:
         self.key: Any = None
         self.episode: Any = None
         self.solved = True
+
+    @classmethod
+    def of(cls, run: Series) -> History:
+        """A whole episode as it was recorded; ``last`` says up to which step a picture shows it."""
+        history, rows = cls(run.scenario), len(run.v_pu)
+        history.v_pu[:rows] = run.v_pu
+        if run.scenario.n_sites:
+            states = [
+                state
+                for device, state in zip(run.scenario.devices, run.devices, strict=True)
+                if device.input == "workload"
+            ]
+            history.f_mhz[:rows] = np.concatenate([state.f_mhz for state in states], axis=1)
+            history.backlog_kws[:rows] = np.concatenate([state.backlog_kws for state in states], axis=1)
+        history.p_kw[:rows] = run.p_kw_from_reset[:, history.order]
+        history.q_kvar[0], history.q_kvar[1:rows] = 0.0, run.q_kvar[:, history.order]
+        if history.phases is not None:
+            history.phases.fill(run.three_phase, rows)
+        drawn: Any = dict.fromkeys(episode.Episode._fields)
+        drawn |= {"buses": run.buses[None], "start": run.trace_start[None], "fault": run.fault[None]}
+        history.episode, history.first, history.last = episode.Episode(**drawn), 0, rows - 1
+        history.solved = run.converged
+        return history
 
     def add(self, snapshot: Snapshot) -> None:
         """Copy the lane: it is small, while a reference would keep the arrays of every lane alive."""
@@ -67,8 +91,8 @@ class History:
         """Which capacitor banks a fault has taken in the last step, bool, (n_capacitor,)."""
         if not scenario.faults:
             return np.zeros(len(scenario.capacitor_connected), bool)
-        drawn = self.episode._replace(fault=self.episode.fault[self.lane, None])
-        return episode.lost(scenario, drawn, np.array([self.last]))[0, scenario.n_agents :]
+        fault = self.episode.fault[self.lane, None]
+        return episode.lost(scenario, fault, np.array([self.last]))[0, scenario.n_agents :]
 
 
 class PhaseHistory:
@@ -81,6 +105,12 @@ class PhaseHistory:
         self.on = np.empty((rows, feeder.n_capacitor), np.float32)
         self.moves = np.empty((rows, 2), np.int64)
         """Taps and switchings made since t = 0."""
+
+    def fill(self, over_time: ThreePhaseState, rows: int) -> None:
+        """Take a whole episode's states, arrays with so many rows in front."""
+        regulators, banks = over_time.equipment
+        self.unbalance[:rows], self.tap[:rows], self.on[:rows] = over_time.unbalance, regulators.tap, banks.on
+        self.moves[:rows] = np.column_stack((regulators.moves.sum(axis=1), banks.switchings.sum(axis=1)))
 
     def add(self, state: ThreePhaseState, lane: int, step: int) -> None:
         """Copy a lane's state after a step."""

@@ -76,7 +76,10 @@ class Viewer:
 
         RuntimeError before the first episode.
         """
-        history = self._histories[lane]
+        return self.show(self._histories[lane])
+
+    def show(self, history: History) -> np.ndarray | None:
+        """Draw a history, up to its last step, as ``draw`` does."""
         if history.last < 0:
             raise RuntimeError("nothing to draw yet; record a snapshot first")
         if self._figure is None:

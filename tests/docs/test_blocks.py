@@ -51,6 +51,7 @@ SHORTER = {
     "dcgrid submit": {"--episodes": "2"},
     "dcgrid verify": {"--fresh": "2"},
     "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
+    "dcgrid replay": {"--set": "horizon=4"},
     "dcgrid check": {"--episodes": "1", "--seconds": "1", "--jobs": "1"},
     "dcgrid import matpower": {},
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--jobs": "1"},
@@ -72,6 +73,7 @@ ELSEWHERE = {
     "dcgrid dev transfer": "tests/agents/studies",
     "dcgrid dev tune-agent": "tests/agents/studies",
     "dcgrid dev sags": "tests/agents/studies",
+    "dcgrid replay results/run": "tests/dcgrid_env/cli/test_replay.py",  # there of a run that the shell began
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
@@ -83,6 +85,7 @@ ELSEWHERE = {
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
+    "python docs/replay_picture.py": "tests/dcgrid_env/rendering/test_replay_in_browser.py",  # there with a Chromium
     "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "python docs/examples/sb3_vec_env.py": "tests/docs/test_examples.py",

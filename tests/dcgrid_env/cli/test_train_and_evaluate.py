@@ -34,12 +34,18 @@ class Ppo(Training):
     steps: int = 10
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A folder of the test's own, where what no --out names is written."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def module(monkeypatch):
     """A stand-in for an algorithm."""
     made = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in.")
     made.Ppo = Ppo  # type: ignore[attr-defined]
-    made.main = lambda cfg: seen.append(cfg)  # type: ignore[attr-defined]
+    made.main = lambda cfg: seen.append(cfg) or "run"  # type: ignore[attr-defined]
     made.seen = seen = []  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, made.__name__, made)
     return made

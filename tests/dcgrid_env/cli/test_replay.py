@@ -1,0 +1,162 @@
+"""dcgrid replay, and the file that a command ends by: --open, and --wandb of a training."""
+
+import importlib.util
+import json
+import sys
+import webbrowser
+from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+from dcgrid_env.agents.training.config import Training
+from dcgrid_env.cli.main import main
+from dcgrid_env.core.install import from_clone
+
+drawn = pytest.mark.skipif(
+    importlib.util.find_spec("plotly") is None, reason=f"plotly not installed; {from_clone('replay')}"
+)
+
+
+@dataclass(frozen=True)
+class Ppo(Training):
+    """Nothing more than the settings that ship for toy6 name."""
+
+    gamma: float = 0.9
+    outputs: str = "setpoint"
+    nameplate: bool = False
+    wait: float = 10.0
+    log_std: float = -0.7
+    learning_rate: float = 3e-3
+    steps: int = 10
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What a browser is asked to open."""
+    seen: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", lambda uri: seen.append(uri) or True)
+    return seen
+
+
+def command(monkeypatch, *words):
+    """Run a command as the shell does, which results.json takes down."""
+    monkeypatch.setattr(sys, "argv", ["dcgrid", *words])
+    main()
+
+
+def refused(capsys, *words):
+    with pytest.raises(SystemExit) as stopped:
+        main(["replay", *words])
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+@drawn
+def test_a_stored_run_is_replayed_exactly(tmp_path, monkeypatch, capsys, opened):
+    monkeypatch.chdir(tmp_path)
+    few = ("--scenario", "toy6", "--set", "horizon=6", "--episodes", "2", "--seed", "3")
+    command(monkeypatch, "run", *few, "--controllers", "none, droop", "--open")
+    printed = capsys.readouterr().out
+    assert "open results/run/figure.png; `dcgrid replay results/run`" in printed
+    assert opened == [(tmp_path / "results/run/figure.png").as_uri()]
+    main(["replay", "results/run", "--open"])
+    printed = capsys.readouterr().out
+    assert "was" not in printed  # J is what was stored
+    assert "seed 3" in (tmp_path / "results/run/replay.html").read_text(encoding="utf-8")
+    assert opened[1:] == [(tmp_path / "results/run/replay.html").as_uri()]
+    results = tmp_path / "results/run/results.json"
+    stored = json.loads(results.read_text())
+    stored["episodes"][0]["J"] += 1e-3
+    results.write_text(json.dumps(stored))
+    main(["replay", "results/run", "--out", "again.html"])
+    assert "none: J is" in capsys.readouterr().out
+    stored["meta"]["scenario_hash"] = "0"
+    results.write_text(json.dumps(stored))
+    assert "its scenario is another one now" in refused(capsys, "results/run")
+
+
+def test_a_run_of_code_asks_for_trust(tmp_path, monkeypatch, capsys):
+    ran = tmp_path / "ran"
+    (tmp_path / "law.py").write_text(f"open({str(ran)!r}, 'w')\n")
+    about = {"command": "dcgrid run --scenario toy6 --controllers law.py:Law", "scenario_hash": "0"}
+    (tmp_path / "results.json").write_text(json.dumps({"meta": about, "episodes": []}))
+    monkeypatch.chdir(tmp_path)
+    assert "'law.py:Law', which a replay would run; if you trust it, add --trust" in refused(capsys, ".")
+    assert not ran.exists()
+
+
+def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
+    def stored(meta):
+        (tmp_path / "results.json").write_text(json.dumps({"meta": meta, "episodes": []}))
+        return refused(capsys, str(tmp_path))
+
+    assert "one of them" in refused(capsys)
+    assert "is no folder of dcgrid run, it has no results.json" in refused(capsys, str(tmp_path))
+    assert "is no file of dcgrid run (KeyError: 'command')" in stored({})
+    assert "not written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})
+    assert "cannot read its command" in stored({"command": "dcgrid run --colour red", "scenario_hash": ""})
+    for words, message in (
+        (["--compare", "pid"], "unknown controller 'pid'"),
+        (["--compare", ","], "name at least one controller"),
+        (["--compare", "none,none,droop,inverters,droop-q,volt-var"], "replay 4 at most"),
+        (["--set", "horizon=9000000", "--compare", "none"], "are too much for one page"),
+        (["--gif", "a.mp4"], "give a file that ends in .gif"),
+        (["--gif", "a.gif", "--out", "a.html"], "give it without --gif and --mp4"),
+        (["--seed", "-1"], "seed is -1"),
+    ):
+        assert message in refused(capsys, "--scenario", "toy6", *words)
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    assert "a replay is drawn by plotly; install it" in refused(capsys, "--scenario", "toy6")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason=f"imageio not installed; {from_clone('video')}")
+def test_a_gif_in_one_command(tmp_path, capsys):
+    main(["replay", "--scenario", "toy6", "--set", "horizon=2", "--compare", "none", "--gif", str(tmp_path / "a.gif")])
+    assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")
+    assert f"open {tmp_path / 'a.gif'}" in capsys.readouterr().out
+
+
+@pytest.fixture
+def training(tmp_path, monkeypatch):
+    """A stand-in for an algorithm that writes a curve, and what happened in which order."""
+    made, seen = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in."), []
+    made.Ppo = Ppo  # type: ignore[attr-defined]
+    made.main = lambda cfg: seen.append("trained") or tmp_path  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    return seen
+
+
+def test_a_training_is_mirrored_to_weights_and_biases(training, tmp_path, monkeypatch, capsys, opened):
+    wandb = ModuleType("wandb")
+
+    def init(**given):
+        assert given["project"] == "dcgrid"
+        assert given["sync_tensorboard"] is True
+        assert given["config"]["seed"] == "3"
+        training.append("begun")
+        return SimpleNamespace(finish=lambda exit_code: training.append(f"finished {exit_code}"))
+
+    wandb.init = init  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    main(["train", "ppo", "--scenario", "toy6", "--seed", "3", "--wandb", "--open"])
+    assert training == ["begun", "trained", "finished 0"]
+    assert opened == [(tmp_path / "curve.csv").as_uri()]
+    assert f"tensorboard --logdir {tmp_path}" in capsys.readouterr().out
+    for words, message in ((["--wandb", "--seeds", "2"], "single training"), (["--wandb"], "pip install wandb")):
+        monkeypatch.setitem(sys.modules, "wandb", None)
+        with pytest.raises(SystemExit):
+            main(["train", "ppo", *words])
+        assert message in capsys.readouterr().err
+    assert len(training) == 3
+
+
+def test_without_a_display_nothing_is_opened(training, tmp_path, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(webbrowser, "open", lambda uri: pytest.fail("opened"))
+    main(["train", "ppo", "--scenario", "toy6", "--open"])
+    assert "nothing could be opened from here: no display" in capsys.readouterr().out
