@@ -12,7 +12,7 @@ import numpy as np
 from dcgrid_env import Scenario, make_scenario, own_sensitivity, random_feeder
 from dcgrid_env.baselines import Controller, Droop, ModelAided, make_controller, rollout
 
-PRESETS = ("ieee33-weak", "das69", "sync", "fault")
+PRESETS = ("ieee33-weak", "das69", "sync", "fault", "zero-shot")
 SEEDS = range(32)
 STYLES = ("urban", "rural", "european-lv", "us-mv")
 FEEDERS = range(16)
@@ -36,14 +36,37 @@ class WithoutDamping(ModelAided):
         """See ``Placed``."""
         super().place(buses)
         assert self._known is not None
-        alone = self._known.by_q * self.site.q_scale_kvar[:, None] / self.alike
-        self._known = self._known._replace(by_all=0.0 * self._known.by_all + alone[:, :, None])
+        alone = self._known.by_q * self.site.q_scale_kvar[:, None]
+        by_all = 0.0 * self._known.by_all + alone[:, :, None]
+        self._known = self._known._replace(by_all=by_all, alike=1.0 + 0.0 * self._known.alike)
+
+
+class WithOneDamping(ModelAided):
+    """All agents have the damping that the search for theirs begins at."""
+
+    def place(self, buses: np.ndarray) -> None:
+        """See ``Placed``."""
+        super().place(buses)
+        assert self._known is not None
+        self._known = self._known._replace(alike=self.alike + 0.0 * self._known.alike)
+
+
+class WithoutAnswers(ModelAided):
+    """Each agent takes the others to stand still where it moves."""
+
+    def place(self, buses: np.ndarray) -> None:
+        """See ``Placed``."""
+        super().place(buses)
+        assert self._known is not None
+        self._known = self._known._replace(by_own=self._known.by_q)
 
 
 PARTS = {
     "whole": ModelAided(),
     "without inference from the own voltage (gain 0)": WithoutInference(),
     "without the others' reactions (no rounds)": ModelAided(rounds=0),
+    "without the others' answers (each as if they stood still)": WithoutAnswers(),
+    "with one damping for all (0.8)": WithOneDamping(),
     "without damping (each as if alone)": WithoutDamping(),
     "without the pull (hold 0, pull 0)": ModelAided(hold=0.0, pull=0.0),
     "without relief by the clock (price 1e6)": ModelAided(price=1e6),

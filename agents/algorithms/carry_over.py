@@ -7,7 +7,9 @@ of whole episodes is followed down its gradient, which goes through the grid and
 
     loss = mean over the batch's scenarios of the logarithm of J
 
-The logarithm lets a feeder that is hard count no more than one that is easy. What is kept is the policy with the least
+The logarithm lets a feeder that is hard count no more than one that is easy. Batches of a few feeders differ much from
+each other, so that policies are judged, and kept, with the mean of the latest weights, and not with those of one
+update: B. T. Polyak and A. B. Juditsky, SIAM J. Control Optim. 30(4), 1992. What is kept is the policy with the least
 mean J on held-out scenarios of the same family. No named feeder is ever seen.
 """
 
@@ -36,6 +38,8 @@ _NORMALISED_ON = 16
 _OF_A_SEED = 1 << 24
 """Scenarios of one training seed."""
 _LEAST_STD = 2e-2
+_KEPT = 0.97
+"""Share of the mean of the weights that an update leaves."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +50,13 @@ class CarryOver(Training):
     """The family of scenarios on random feeders; there is no other."""
     updates: int = 150
     """Steps of the optimiser."""
-    feeders: int = 3
+    feeders: int = 6
     """Scenarios of a batch, each on a feeder of its own."""
-    num_envs: int = 4
+    num_envs: int = 8
     """Episodes on each."""
     steps: int = 60
     """Steps of an episode in training, all in one window; it is judged on episodes of 120."""
-    learning_rate: float = 4e-3
+    learning_rate: float = 3e-3
     """At the beginning; it falls to nothing along a cosine."""
     max_grad_norm: float = 0.3
     """Gradients are cut to this norm."""
@@ -186,9 +190,12 @@ def main(cfg: CarryOver) -> Path:
 def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> Path:
     """Train from the run's checkpoint on; the folder written."""
     optimiser = torch.optim.Adam(networks.parameters(), lr=cfg.learning_rate)
+    averages = torch.optim.swa_utils
+    mean = averages.AveragedModel(networks, multi_avg_fn=averages.get_ema_multi_avg_fn(_KEPT))
     best, done, state = math.inf, 0, run.load()
     if state is not None:
         networks.load_state_dict(state["networks"])
+        mean.load_state_dict(state["mean"])
         optimiser.load_state_dict(state["optimiser"])
         best, done = state["best"], state["update"]
     with progress(f"{FAMILY}, {cfg.algorithm()}", cfg.updates, done) as advance:
@@ -198,17 +205,19 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
                 0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (update - 1) / cfg.updates))
             )
             figures = _update(cfg, run, networks, optimiser, update)
+            mean.update_parameters(networks)
             if update % cfg.validate_every == 0 or update == cfg.updates:
-                validated = judge(networks)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
+                judged: Corrections = mean.module  # pyright: ignore[reportAssignmentType]
+                validated = judge(judged)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
                 if validated["J"] < best:
                     best = validated["J"]
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
-                    networks.policy().save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
+                    judged.policy().save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
                 run.record(validated | figures)
                 text = f"J {validated['J']:.4f}, law {validated['J_law']:.4f}"
             if update % cfg.checkpoint_every == 0 or update == cfg.updates:
-                state = {"networks": networks.state_dict(), "optimiser": optimiser.state_dict()}
-                run.save({**state, "best": best, "update": update})
+                state = {"networks": networks.state_dict(), "mean": mean.state_dict()}
+                run.save({**state, "optimiser": optimiser.state_dict(), "best": best, "update": update})
             advance(update, text)
     finish(run)
     print(f"{run.folder}: best on held-out feeders {best:.4f}, the law {judge.by_law.mean():.4f}, {run.seconds:.0f} s")

@@ -30,7 +30,7 @@ SERVED, REACTIVE = 0.3, 0.3
 """Bounds of the corrections: of the dynamic rating, and of the largest reactive power."""
 OF_ALL = (
     "deviation", "change", "surprise", "share", "to_rest", "step", "slope", "violation_slope", "mean_deviation",
-    "spread", "reach", "own_reach", "crowd", "effort", "draw", "gain",
+    "spread", "reach", "own_reach", "crowd", "effort", "draw", "gain", "answered", "damping",
 )  # fmt: skip
 OF_SITES = ("coming", "backlog", "relief", "cut", "to_serve", "draw_reach")
 FEATURES = {"datacenter": (*OF_ALL, *OF_SITES), "inverter": OF_ALL}
@@ -75,6 +75,8 @@ class LawInterface:
         self._dynamic_kw = array(np.asarray(s.datacenter.p_dynamic_kw))
         band = self.columns.band_pu
         own = known.by_q * site.q_scale_kvar[:, None]
+        left = (known.by_own * site.q_scale_kvar[:, None]).sum(-1) / np.maximum(own.sum(-1), 1e-12)
+        self._answered, self._damping = array(np.clip(left, -1.0, 1.0)), array(np.log(known.alike))
         worth = np.maximum(s.weights.voltage * own.mean(-1), 1e-12)
         still = (own.mean(-1) / band, known.own_by_q * site.q_scale_kvar / band)
         self._worth, self._reach, self._own_reach = array(worth), *(array(_small(a)) for a in still)
@@ -101,7 +103,7 @@ class LawInterface:
             step.chosen - step.share, step.slope / self._worth, beyond.mean(-1), e.mean(-1),
             1.0 / (band * step.inverse_spread.mean(-1)) + like, self._reach + like, self._own_reach + like,
             xp.log1p(to_all) + like, self._effort + like, step.p_kw / self._rated_kw,
-            self._gain + like,
+            self._gain + like, self._answered + like, self._damping + like,
         ]  # fmt: skip
         every = xp.stack(of_all, axis=-1)
         seen = {}

@@ -90,8 +90,9 @@ class LawStep:
         self._known = known
         self._price = VoltagePrice.of(s)
         self.known = Commissioned(*map(array, known))
-        self.own = array(known.by_q * site.q_scale_kvar[:, None])
-        """What each agent does to every voltage by its whole reactive power, p.u., (placement, n_agent, node)."""
+        self.own = array(known.by_own * site.q_scale_kvar[:, None])
+        """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
+        (placement, n_agent, node)."""
         self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
         self._dc = {name: array(np.asarray(getattr(s.datacenter, name))) for name in ("p_idle_kw", "p_dynamic_kw")}
         self._n_dc = s.n_datacenters
@@ -128,7 +129,7 @@ class LawStep:
         if n_dc:
             v = _joined((v[:, :n_dc] + known.by_draw[:, :n_dc] * cut_kw[..., None], v[:, n_dc:]), 1)
         if _tracks(v):
-            chosen = self._respond(v, inverse, site.law.alike * by_all, share, chosen, rest, p_host)
+            chosen = self._respond(v, inverse, known.alike[..., None] * by_all, share, chosen, rest, p_host)
         chosen = chosen + site.law.pull * self._pulled * (rest - chosen)
         relief = like(best.relief) / known.waiting.clip(1e-12, None)
         return Step(

@@ -3,7 +3,8 @@
 Moments of the operation (``operating_points``) are solved by the exact power flow with all agents at their static
 optimum u* (with a schedule of the sun: at six levels of it), and each agent's estimate of all voltages from its own is
 their regression (``regression``). Then the agents respond to what each sees, some rounds of ``decision`` at every
-moment, so that what others do about a deviation is in the statistics too.
+moment, so that what others do about a deviation is in the statistics too, and how they answer what an agent does
+itself (``answers``). At last each finds how far to move at once (``damping``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 
 from dcgrid_env import Scenario, sensitivity_to_agents
 from dcgrid_env.baselines.controller import require_draws_of_work, require_known_devices
+from dcgrid_env.baselines.model_aided.answers import answered, slopes
+from dcgrid_env.baselines.model_aided.damping import settled
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun
 from dcgrid_env.baselines.model_aided.moment_flow import MomentFlow
@@ -25,6 +28,7 @@ SUN_LEVELS = 6
 _MOMENTS_OF_OPTIMUM = 12
 _CAUTIOUS_ROUNDS = 3  # the first, of which each goes only a part of the way
 _PART = 0.6
+_MOMENTS_OF_DAMPING = 4  # one of so many
 _ON_THE_WAY = 0.1  # share of the moments at which all stand between nothing and their response
 _MISSING = 0.05  # share of the moments at which an agent is without reactive power, as one that is lost
 # What is put off is served later, and relieves as much less then: that pays where the relief now is so many times what
@@ -97,9 +101,9 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     by_draw[:n_dc] += _correlated(draw[:, :n_dc]) @ by_p[:n_dc]
     own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
     start = rest_kvar @ (by_q @ flow.seen.T)
-    slopes = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_p, by_draw, own_by_q, own_by_draw)
-    waiting, none = np.full((1, n_dc), site.waiting), np.empty(0)
-    fields: list[np.ndarray] = [*(field[None] for field in slopes), *[none] * 6, waiting]
+    still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
+    alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
+    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
@@ -111,9 +115,24 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
         relief = best.relief
         kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
         kvar = kvar + law.pull * site.scheduled * (rest_all - kvar)
-        moved = there * np.clip(kvar, -limit, limit) - origin
+        kvar = np.clip(kvar, -limit, limit)
+        slope = slopes(own_v - moved * own_by_q, kvar)
+        known = known._replace(by_own=answered(by_q, by_q @ flow.seen.T, slope)[None])
+        moved = there * kvar - origin
         known = regressed(site, known, v, moved, flow.seen)
     later = _TIMES * np.quantile(relief, _BEST_MOMENTS, axis=0)
+
+    some = slice(None, None, _MOMENTS_OF_DAMPING)
+
+    def respond(damping: np.ndarray, share: np.ndarray) -> np.ndarray:
+        kvar = share * scale
+        own_v = (v[some] + (kvar - origin) @ by_q) @ flow.seen.T
+        seen = Seen(own_v, draw[some], kvar, kvar, draw[some], span_kw[some], rest_all[some])
+        most = limit[some] / scale
+        return np.clip(decide(site, known._replace(alike=damping[None]), seen).share, -most, most)
+
+    if law.rounds:
+        known = known._replace(alike=settled(known.alike[0], rest_all[some] / scale, respond)[None])
     return known._replace(waiting=np.clip(later, site.waiting, max(site.waiting, site.never))[None])
 
 

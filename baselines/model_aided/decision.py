@@ -6,14 +6,15 @@ The clock: work is served as long as a kW less relieves the expected cost by les
 
 The reactive setpoint, if all agents move alike: find t with
 
-    sum_k c'(V^_k + t O_k) X_ik q_i + effort'(u + t) + hold (u + t - u*) = 0
+    sum_k c'(V^_k + t O_k) X'_ik q_i + effort'(u + t) + hold (u + t - u*) = 0
 
-c' is the slope of the expected cost (``expected_cost``), X_ik what the agent's own reactive power does to bus k, u its
-setpoint as a share of its limit q_i, and O_k what all agents do to bus k when each moves by its whole limit. The
-gradient is the agent's own; the voltages it is taken at are those after all have moved as it does. Without that each
-agent would do all that is missing, and together they would overshoot by the number of agents. Both left sides rise, so
-that a bracket closes on the zero (Illinois method: M. Dowell and P. Jarratt, BIT 11, 1971); steps by the local slope
-alone (Newton) oscillate, as the cost is almost piecewise linear where voltages are known well.
+c' is the slope of the expected cost (``expected_cost``), X'_ik what the agent's own reactive power does to bus k once
+the others have answered it (``answers``), u its setpoint as a share of its limit q_i, and O_k what all agents do to bus
+k when each moves by its whole limit, times the agent's damping (``damping``). The gradient is the agent's own; the
+voltages it is taken at are those after all have moved as it does. Without that each agent would do all that is missing,
+and together they would overshoot by the number of agents. Both left sides rise, so that a bracket closes on the zero
+(Illinois method: M. Dowell and P. Jarratt, BIT 11, 1971); steps by the local slope alone (Newton) oscillate, as the
+cost is almost piecewise linear where voltages are known well.
 """
 
 from __future__ import annotations
@@ -77,15 +78,15 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
     given = [
         np.ascontiguousarray(values)
         for values in (
-            known.base_pu, known.own_base_pu, known.gain, known.inverse_spread, known.by_all, known.by_q, known.by_p,
-            known.by_draw, known.waiting, level, weight, e_own, seen.kvar - known.origin_kvar,
-            seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale,
+            known.alike, known.base_pu, known.own_base_pu, known.gain, known.inverse_spread, known.by_all,
+            known.by_q, known.by_own, known.by_p, known.by_draw, known.waiting, level, weight, e_own,
+            seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale,
             site.s_rated_kva, site.q_scale_kvar, site.effort,
         )
     ]  # fmt: skip
 
     def part(first: int, last: int) -> int:
-        return kernel(first, last, price.voltage, price.violation, price.band_pu, law.alike, law.hold, *given, *done)
+        return kernel(first, last, price.voltage, price.violation, price.band_pu, law.hold, *given, *done)
 
     over_lanes(part, n_lane)
     return done

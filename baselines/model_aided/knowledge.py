@@ -93,6 +93,8 @@ class Commissioned(NamedTuple):
     """The setpoint that deviations are counted from, (m, n)."""
     by_q: np.ndarray
     """X: rise of each voltage by own injection, p.u. per kvar, (m, n, k)."""
+    by_own: np.ndarray
+    """Rise of each voltage by own injection once the others have answered it, p.u. per kvar, (m, n, k)."""
     by_p: np.ndarray
     """R: drop of each voltage by own draw, p.u. per kW, (m, n, k)."""
     by_draw: np.ndarray
@@ -113,6 +115,8 @@ class Commissioned(NamedTuple):
     """1 / s, (m, n, L, k)."""
     by_all: np.ndarray
     """Rise of each voltage when all agents inject their whole limit more, p.u., (m, n, L, k)."""
+    alike: np.ndarray
+    """Share of all limits that an agent takes to move as it moves, (m, n)."""
     waiting: np.ndarray
     """Price of letting a kW of work wait, (m, n_dc)."""
 

@@ -54,7 +54,7 @@ class ModelAided(LocalController):
     floor_pu
         Least standard deviation of an estimated voltage, p.u.: what the model cannot know of itself.
     alike
-        Share of the others' limits that is taken to move as the agent moves; below it reacts faster, above slower.
+        Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
     hold
         Price of being a whole limit away from the static optimum, in units of the cost.
     pull

@@ -19,9 +19,9 @@ _MOST = 12  # steps of a search
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def decide(
-    first, last, by_voltage, by_violation, band_pu, alike, hold, base, own_base, gain, inverse_spread, by_all,
-    by_q, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest, s_rated,
-    q_scale, effort, new, cut_kw, slope, relief, surprise,
+    first, last, by_voltage, by_violation, band_pu, hold, alike, base, own_base, gain, inverse_spread, by_all,
+    by_q, by_own, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest,
+    s_rated, q_scale, effort, new, cut_kw, slope, relief, surprise,
 ):  # fmt: skip
     """Decide for the lanes from ``first`` to before ``last``, writing to ``new .. surprise``.
 
@@ -44,8 +44,8 @@ def decide(
                 v = (1.0 - part) * low_v + part * high_v
                 e[k] = v + up * by_q[of, i, k] - down * by_draw[of, i, k] - 1.0
                 inverse[k] = (1.0 - part) * inverse_spread[of, i, at, k] + part * inverse_spread[of, i, to, k]
-                together[k] = alike * ((1.0 - part) * by_all[of, i, at, k] + part * by_all[of, i, to, k])
-                own[k] = q_scale[i] * by_q[of, i, k]
+                together[k] = alike[of, i] * ((1.0 - part) * by_all[of, i, at, k] + part * by_all[of, i, to, k])
+                own[k] = q_scale[i] * by_own[of, i, k]
             p_next = p_kw[m, i]
             if i < span_kw.shape[1]:
                 cut, relief[m, i] = _cut(
