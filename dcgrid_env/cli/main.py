@@ -17,6 +17,7 @@ from dcgrid_env.cli.capacity import Capacity
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
+from dcgrid_env.cli.dataset import Dataset
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
 from dcgrid_env.cli.gradient_cosine import GradientCosine
@@ -85,6 +86,7 @@ COMMANDS = Group(
         "train": Group("Train a policy; `dcgrid train ALGORITHM --help` shows an algorithm's options.", ALGORITHMS),
         "evaluate": Evaluate,
         "tune": Tune,
+        "dataset": Dataset,
         "capacity": Capacity,
         "reproduce": Reproduce,
         "list": List,
