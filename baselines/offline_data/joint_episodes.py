@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -128,11 +129,11 @@ def _driven(
         )
 
 
-def agent_layout(scenario: Scenario) -> dict[str, dict[str, object]]:
+def agent_layout(scenario: Scenario) -> dict[str, dict[str, Any]]:
     """Where each agent stands in the joint observation and action: kind, begin and end of both, names of entries."""
     layout, fields = action_layout(scenario), field_names(scenario)
     kinds = [device.kind for device in scenario.devices for _ in range(device.count)]
-    found: dict[str, dict[str, object]] = {}
+    found: dict[str, dict[str, Any]] = {}
     begin = 0
     for agent, kind in zip(scenario.agents, kinds, strict=True):
         cut, end = layout.slices[agent], begin + len(fields[agent])

@@ -129,7 +129,7 @@ def main(
     trace: float = 0.9,
     advantage_trace: float = 0.0,
     width: int = 64,
-    validate_every: int = 3,
+    validate_every: int = 1,
     episodes: int = 20,
     seed: int = 0,
     save: Path | None = None,

@@ -1,4 +1,4 @@
-"""The tutorials: kept without outputs, every cell whole and every link right; they run from the first cell to the last."""
+"""The tutorials: kept without outputs, every cell whole, every link right; they run from the first cell to the last."""
 
 import ast
 import json

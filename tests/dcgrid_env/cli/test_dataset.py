@@ -48,6 +48,7 @@ def test_a_data_set_is_read_by_minari_and_replays_bit_by_bit(here, monkeypatch, 
     for episode, kept in zip(dataset, about, strict=True):
         observation, _ = env.reset(seed=kept["seed"])
         np.testing.assert_array_equal(observation, episode.observations[0])
+        info = {}
         for t, action in enumerate(episode.actions):
             observation, reward, *_, info = env.step(action)
             np.testing.assert_array_equal(observation, episode.observations[t + 1])
@@ -70,6 +71,7 @@ def test_the_card_says_what_the_data_are(here):
     assert card["traces"][0]["name"] == "generator inference"
 
 
+@pytest.mark.slow
 def test_what_acts_has_its_score_from_its_card_or_by_definition(here):
     for controller, score in (("droop-tuned", 0.0), ("ieee33-weak-ppo", 0.5526763709910201), ("random", None)):
         main(["dataset", "--controller", controller, "--episodes", "1", "--out", "sets"])
