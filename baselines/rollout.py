@@ -189,7 +189,7 @@ def transitions(
     try:
         yield env.transition
         while True:
-            action = _asked(called, "act", _action_of, controller, observations)
+            action = _asked(called, "act", action_of, controller, observations)
             try:
                 observations, *_ = env.step(action)
             except ActionError as error:
@@ -208,7 +208,7 @@ def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, re
         raise ControllerError(called, during, error, refused) from error
 
 
-def _action_of(controller: Controller, observations: np.ndarray) -> Any:
+def action_of(controller: Controller, observations: np.ndarray) -> Any:
     """The action for observations, a tensor of another library as an array.
 
     A tensor that records gradients is refused rather than detached: all that led to it would be kept in memory step

@@ -40,6 +40,7 @@ from dcgrid_env.engine.observation import field_names
 from dcgrid_env.engine.parquet_course import ParquetCourse
 from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
 from dcgrid_env.envs.base import HugeObservationWarning
+from dcgrid_env.envs.info import info_arrays
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
@@ -150,6 +151,7 @@ __all__ = [
     "fcfs_delays",
     "field_names",
     "forecast",
+    "info_arrays",
     "lindistflow",
     "load_feeder",
     "make_scenario",

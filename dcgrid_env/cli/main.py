@@ -17,6 +17,7 @@ from dcgrid_env.cli.capacity import Capacity
 from dcgrid_env.cli.check import Check
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
+from dcgrid_env.cli.dataset import Dataset
 from dcgrid_env.cli.evaluate import Evaluate
 from dcgrid_env.cli.generalise import Generalise
 from dcgrid_env.cli.gradient_cosine import GradientCosine
@@ -95,6 +96,7 @@ COMMANDS = Group(
         "verify": Verify,
         "replay": Replay,
         "tune": Tune,
+        "dataset": Dataset,
         "capacity": Capacity,
         "reproduce": Reproduce,
         "list": List,

@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from dcgrid_env import make_scenario
-from dcgrid_env.agents import Policy, find_controller
+from dcgrid_env.agents import Card, Policy, find_controller
 from dcgrid_env.baselines import rollout
+from dcgrid_env.cli.main import main as dcgrid
 from helpers.places import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -117,3 +118,26 @@ def test_cleanrl_advantages_stop_at_the_end_of_an_episode():
     # The last observation's value counts, half of it, though the episode ended there.
     found = example("cleanrl_ppo").advantages(rewards, none, none + 1.0, ended, 0.5, 0.5)
     assert found.squeeze().tolist() == [1.5 + 0.25 * 2.5, 2.5, 4.5]
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("temperature", [None, 0.5])
+def test_offline_learning_and_its_policy_without_torch(temperature, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
+    dcgrid(["dataset", "--controller", "droop", "--noise", "0.2", "--episodes", "3", "--set", "horizon=8"])
+    name, small = "dcgrid/ieee33-weak/droop-noise-0_2-v0", {"rounds": 1, "epochs": 2, "batch": 8, "episodes": 2}
+    found, droop = example("offline_awr").main([name], temperature=temperature, **small, save=tmp_path / "made")
+    assert printed_figures(capsys) == pytest.approx([found, droop], abs=0.00051)
+    validation = make_scenario("ieee33-weak", split="validation", horizon=8)
+    kept = Policy.load(tmp_path / "made.safetensors")
+    assert float(rollout(validation, kept, range(2)).costs().mean()) == found
+    card = Card.load(tmp_path / "made.json")
+    assert card.algorithm == ("behaviour-cloning" if temperature is None else "awr")
+
+
+def test_offline_returns_count_the_last_value():
+    # gamma 0.5: with lambda 1 the discounted sum and a quarter of the last value; with lambda 0 a step and its value.
+    reward, value = torch.tensor([[1.0, 2.0]]), torch.tensor([[0.0, 6.0, 8.0]])
+    returns = example("offline_awr").returns
+    assert returns(reward, value, 0.5, 1.0).tolist() == [[1.0 + 0.5 * 2.0 + 0.25 * 8.0, 2.0 + 0.5 * 8.0]]
+    assert returns(reward, value, 0.5, 0.0).tolist() == [[1.0 + 0.5 * 6.0, 2.0 + 0.5 * 8.0]]

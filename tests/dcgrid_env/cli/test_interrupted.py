@@ -24,6 +24,8 @@ WRITING = {
         "tuned.json",
     ),
     "reproduce": (("reproduce", "--trace", "generated", "--out", "out"), "reproduction.json"),
+    "dataset": (("dataset", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "card.json"),
+    "dataset, whole": (("dataset", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "droop-tuned-v0"),
     "traces show": (("traces", "show", "training", "--duration-s", "10", "--out", "out/trace.png"), "trace.png"),
     "train": (("train", "analytic", "--scenario", "toy6", "--num-envs", "4", "--out", "out"), "config.json"),
 }

@@ -1,0 +1,148 @@
+"""Episodes as the joint environment gives them: observations, actions, rewards and the terms of the cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import Scenario, action_layout, field_names, info_arrays
+from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.offline_data.behaviour import Behaviour
+from dcgrid_env.baselines.rollout import as_driven, transitions
+
+
+@dataclass(frozen=True)
+class JointEpisode:
+    """One episode of ``gymnasium.make``: T steps, and T + 1 rows of what is observed.
+
+    Arrays hold what the environment gives, bit by bit.
+    """
+
+    seed: int
+    """Seed of ``reset``."""
+    observations: np.ndarray
+    """(T + 1, n_observation), float32."""
+    actions: np.ndarray
+    """(T, n_action), float32, in [-1, 1]."""
+    rewards: np.ndarray
+    """The team's reward, (T,), float64."""
+    terminations: np.ndarray
+    """(T,), bool; the power flow has no solution."""
+    truncations: np.ndarray
+    """(T,), bool; the horizon is reached."""
+    infos: Mapping[str, np.ndarray]
+    """Every figure of ``info``, (T + 1,) each, float64."""
+    buses: Mapping[str, str]
+    """Bus of each agent."""
+
+    @property
+    def J(self) -> float:
+        """Cost of the episode."""
+        return float(self.infos["J"][-1])
+
+
+def joint_episodes(
+    scenario: Scenario,
+    controller: Controller,
+    seeds: Sequence[int],
+    *,
+    noise: float = 0.0,
+    behaviour_seed: int = 0,
+    on_step: Callable[[], None] | None = None,
+    name: str | None = None,
+) -> list[JointEpisode]:
+    """Drive one episode for each seed to its end, all at once.
+
+    Parameters
+    ----------
+    scenario
+        What to run; its split says which episodes the seeds mean.
+    controller
+        What acts. It must take the scenario's own scope of observation, which is what the episodes hold.
+    seeds
+        One episode each.
+    noise, behaviour_seed
+        See :class:`Behaviour`.
+    on_step
+        Called after each step.
+    name
+        What errors call the controller.
+
+    Raises
+    ------
+    ValueError
+        For a controller that needs another scope of observation.
+    ControllerError
+        See ``rollout``.
+    """
+    needed = as_driven(scenario, controller).observe
+    if needed != scenario.observe:
+        raise ValueError(
+            f"controller {name or type(controller).__name__!r} observes {needed!r}, and the episodes would hold "
+            f"{scenario.observe!r}; set the scenario's field observe to {needed!r}"
+        )
+    episodes: dict[int, JointEpisode] = {}
+    for member, lanes in scenario.members(seeds):
+        own = [seeds[lane] for lane in lanes.tolist()]
+        driver = Behaviour(controller, own, noise, behaviour_seed)
+        for episode in _driven(member, driver, own, on_step, name):
+            episodes[episode.seed] = episode
+    return [episodes[seed] for seed in seeds]
+
+
+def _driven(
+    scenario: Scenario,
+    driver: Behaviour,
+    seeds: Sequence[int],
+    on_step: Callable[[], None] | None,
+    name: str | None,
+) -> Iterator[JointEpisode]:
+    """Run the lanes until the last of them has ended, and give the episode of each."""
+    steps = transitions(scenario, driver, seeds, name)
+    passed = [next(steps)]
+    lengths = np.zeros(len(seeds), dtype=np.int64)
+    while not lengths.all():
+        passed.append(next(steps))
+        over = passed[-1].terminated | passed[-1].truncated
+        lengths[over & (lengths == 0)] = len(passed) - 1
+        if on_step is not None:
+            on_step()
+    steps.close()
+    observed, rewards = np.stack([t.observation for t in passed]), np.stack([t.reward for t in passed])
+    terminated, truncated = np.stack([t.terminated for t in passed]), np.stack([t.truncated for t in passed])
+    figures = [info_arrays(scenario, transition) for transition in passed]
+    infos = {key: np.stack([row[key] for row in figures]) for key in figures[0]}
+    actions, bus_ids = np.stack(driver.actions), scenario.feeder.bus_ids
+    for lane, (seed, n) in enumerate(zip(seeds, lengths.tolist(), strict=True)):
+        yield JointEpisode(
+            seed=seed,
+            observations=observed[: n + 1, lane].copy(),
+            actions=actions[:n, lane].copy(),
+            rewards=rewards[1 : n + 1, lane].copy(),
+            terminations=terminated[1 : n + 1, lane].copy(),
+            truncations=truncated[1 : n + 1, lane].copy(),
+            infos={key: values[: n + 1, lane].astype(np.float64) for key, values in infos.items()},
+            buses={a: str(bus_ids[b]) for a, b in zip(scenario.agents, driver.buses[lane], strict=True)},
+        )
+
+
+def agent_layout(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Where each agent stands in the joint observation and action: kind, begin and end of both, names of entries."""
+    layout, fields = action_layout(scenario), field_names(scenario)
+    kinds = [device.kind for device in scenario.devices for _ in range(device.count)]
+    found: dict[str, dict[str, Any]] = {}
+    begin = 0
+    for agent, kind in zip(scenario.agents, kinds, strict=True):
+        cut, end = layout.slices[agent], begin + len(fields[agent])
+        found[agent] = {
+            "kind": kind,
+            "observation": [begin, end],
+            "action": [cut.start, cut.stop],
+            "fields": list(fields[agent]),
+            "channels": [channel for of, channel in layout.names if of == agent],
+        }
+        begin = end
+    return found

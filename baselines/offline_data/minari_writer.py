@@ -1,0 +1,176 @@
+"""Data sets on disk in Minari's layout: ROOT/ID/data is what ``minari.load_dataset`` reads, ROOT/ID/card.json its card.
+
+Minari is imported when a data set is written. Episodes are those of the joint environment, see
+docs/decisions/0020-offline-data.md.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+from gymnasium.envs.registration import EnvSpec
+
+from dcgrid_env import IDS, Scenario, episode_hash
+from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode, agent_layout
+from dcgrid_env.core.files import whole_folder, write_json
+from dcgrid_env.core.install import from_clone
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+REMEDY = from_clone("minari")
+ROOT_VARIABLE = "MINARI_DATASETS_PATH"
+"""Environment variable that tells Minari where data sets are."""
+CARD = "card.json"
+AGENTS = "agents"
+"""Key of Minari's metadata that says where each agent stands in the joint observation and action."""
+_PLAIN = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def require_minari() -> None:
+    """ValueError, saying what to install, where Minari or what it writes HDF5 with is missing."""
+    for package in ("minari", "h5py"):
+        try:
+            importlib.import_module(package)
+        except ImportError:
+            raise ValueError(f"data sets are written with {package}, which is not installed; {REMEDY}") from None
+
+
+def default_root() -> Path:
+    """Where data sets go unless something else is asked for: where Minari is told to look, or results/datasets."""
+    return Path(os.environ.get(ROOT_VARIABLE) or "results/datasets")
+
+
+def dataset_id(scenario: Scenario, name: str) -> str:
+    """What Minari calls the data of a scenario: ``dcgrid/SCENARIO/NAME-v0``.
+
+    ValueError for a name of other signs than letters, digits, - and _.
+    """
+    if not _PLAIN.fullmatch(name) or name.startswith("-"):
+        raise ValueError(f"name is {name!r}; give letters, digits, - and _ only, and no - in front")
+    return f"dcgrid/{file_name(scenario.name)}/{name}-v0"
+
+
+def env_spec(scenario: Scenario) -> EnvSpec:
+    """The spec from which ``minari`` makes the environment of a data set again.
+
+    ScenarioError for a scenario that holds what JSON cannot, a recording made in Python for instance.
+    """
+    registered = {name: env_id for env_id, name in IDS.items()}
+    spec = EnvSpec(
+        registered.get(scenario.name) or f"dcgrid/{file_name(scenario.name)}-v0",
+        entry_point="dcgrid_env.envs.single:DcgridEnv",
+        vector_entry_point="dcgrid_env.envs.vector:DcgridVectorEnv",
+        disable_env_checker=True,
+        kwargs={"scenario": scenario},
+    )
+    env = gymnasium.make(spec)
+    try:
+        made = env.spec
+        assert made is not None
+        made.to_json()
+        return made
+    finally:
+        env.close()
+
+
+@contextmanager
+def new_dataset(root: Path, name: str, scenario: Scenario, algorithm: str) -> Iterator[DatasetWriter]:
+    """Write a data set: it is at ``root / name``, with all of it, once the block has ended without an error.
+
+    Parameters
+    ----------
+    root
+        Folder of all data sets.
+    name
+        What ``dataset_id`` gives.
+    scenario
+        What the episodes are of.
+    algorithm
+        What acts in them.
+
+    Raises
+    ------
+    ValueError
+        Where there is one of that name, or Minari is not installed.
+    OSError
+        Where it cannot be written.
+    """
+    require_minari()
+    folder = root / name
+    if folder.exists():
+        raise ValueError(f"{folder} is there already; give another --name, or delete it")
+    with whole_folder(folder) as part:
+        yield DatasetWriter(part, name, scenario, algorithm)
+
+
+class DatasetWriter:
+    """A data set that is being written into a folder of its own; made by :func:`new_dataset`."""
+
+    def __init__(self, folder: Path, name: str, scenario: Scenario, algorithm: str):
+        storage: Any = importlib.import_module("minari.dataset.minari_storage")
+        self._buffer = importlib.import_module("minari.data_collector").EpisodeBuffer
+        spec = env_spec(scenario)
+        env = gymnasium.make(spec)
+        data = folder / "data"
+        self._scenario, self._folder = scenario, folder
+        self._storage = storage.MinariStorage.new(data, env.observation_space, env.action_space, spec, "hdf5")
+        env.close()
+        self._storage.update_metadata(
+            {
+                "dataset_id": name,
+                "minari_version": importlib.import_module("minari").__version__,
+                "algorithm_name": algorithm,
+                "description": (
+                    f"Episodes of {scenario.name} ({scenario.split} split) under {algorithm}, all agents' observations "
+                    f"and actions joined in the order of {AGENTS!r}; the card is {CARD}."
+                ),
+                AGENTS: agent_layout(scenario),
+            }
+        )
+
+    def add(self, episodes: Sequence[JointEpisode]) -> None:
+        """Append episodes, in order."""
+        first = self._storage.total_episodes
+        self._storage.update_episodes(map(self._as_buffer, episodes))
+        about = [self._about(episode) for episode in episodes]
+        self._storage.update_episode_metadata(about, range(first, first + len(episodes)))
+
+    def _as_buffer(self, episode: JointEpisode) -> Any:
+        return self._buffer(
+            seed=episode.seed,
+            observations=episode.observations,
+            actions=episode.actions,
+            rewards=episode.rewards,
+            terminations=episode.terminations,
+            truncations=episode.truncations,
+            infos=dict(episode.infos),
+        )
+
+    def _about(self, episode: JointEpisode) -> dict[str, Any]:
+        """What is kept of an episode beside its steps, as Minari's episode metadata."""
+        buses = {f"buses/{agent}": bus for agent, bus in episode.buses.items()}
+        return {"J": episode.J, "episode_hash": episode_hash(self._scenario, episode.seed), **buses}
+
+    def describe(self, card: Mapping[str, Any]) -> None:
+        """Write the card. ValueError for a NaN in it."""
+        write_json(self._folder / CARD, card)
+
+
+def lanes_at_once(horizon: int) -> int:
+    """How many episodes to run side by side, so that memory does not grow with their length or number."""
+    return int(min(max(1_000_000 // horizon, 1), 64))
+
+
+def batches(seeds: Sequence[int], horizon: int) -> Iterable[Sequence[int]]:
+    """Seeds in batches of ``lanes_at_once``."""
+    n = lanes_at_once(horizon)
+    return (seeds[first : first + n] for first in range(0, len(seeds), n))

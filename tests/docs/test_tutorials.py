@@ -1,0 +1,55 @@
+"""The tutorials: kept without outputs, every cell whole, every link right; they run from the first cell to the last."""
+
+import ast
+import json
+import re
+
+import nbclient
+import nbformat
+import pytest
+
+from helpers.places import ROOT
+
+FOLDER = ROOT / "docs" / "tutorials"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+NAMES = [path.stem for path in NOTEBOOKS]
+LINK = re.compile(r"\]\(([^)#\s]+)")
+
+
+def text_of(cell):
+    return "".join(cell["source"])
+
+
+def test_there_are_the_tutorials_that_the_gallery_shows():
+    listed = re.findall(r"\]\(([\w-]+)\.ipynb\)", (FOLDER / "index.md").read_text(encoding="utf-8"))
+    assert sorted(listed) == NAMES
+    assert len(NAMES) == 6
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
+def test_a_notebook_is_kept_without_outputs_and_every_cell_is_whole(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], set(notebook["metadata"])) == (4, {"kernelspec", "language_info"})
+    cells = notebook["cells"]
+    assert cells[0]["cell_type"] == "markdown"
+    assert text_of(cells[0]).startswith("# ")
+    assert len({cell["id"] for cell in cells}) == len(cells)
+    for cell in cells:
+        assert text_of(cell).strip()
+        assert cell["metadata"] == {}
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None)
+            ast.parse(text_of(cell))
+        else:
+            missing = [at for at in LINK.findall(text_of(cell)) if "://" not in at and not (FOLDER / at).exists()]
+            assert missing == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
+def test_a_notebook_runs_and_shows_something(path, tmp_path):
+    notebook = nbformat.read(path, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 1
+    assert not [output["text"] for output in outputs if output.get("name") == "stderr"]
