@@ -102,8 +102,9 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
     start = rest_kvar @ (by_q @ flow.seen.T)
     still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
+    hold = law.hold * s.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
     alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
-    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, alike, waiting]
+    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
