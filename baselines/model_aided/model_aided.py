@@ -56,8 +56,8 @@ class ModelAided(LocalController):
     alike
         Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
     hold
-        Price of being a whole limit away from the static optimum, as a share of what that limit costs or saves where all
-        voltages are on the same side.
+        Price of being a whole limit away from the static optimum, as a share of what that limit costs or saves where
+        all voltages are on the same side. 0 where the scenario says that its model is not exact.
     pull
         Share of the way to the optimum of its level of the sun that an inverter with a schedule goes at each step.
     price
