@@ -188,8 +188,8 @@ class LawStep:
         """``chosen`` with its derivative."""
         limit = self._like(self.site.limit_kvar(p_kw)) / self._scale
         slope, curve = self._slopes(v + (chosen - share)[..., None] * by_all, inverse)
-        rise = (slope * self.own).sum(-1) + self.site.law.hold * (chosen - rest)
-        steep = (curve * self.own * by_all).sum(-1) + self.site.law.hold
+        rise = (slope * self.own).sum(-1) + self.known.hold * (chosen - rest)
+        steep = (curve * self.own * by_all).sum(-1) + self.known.hold
         inside = (abs(chosen) < 0.999 * limit) & (abs(chosen) > 0.0)
         return _implicit(chosen, rise, steep, inside)
 

@@ -102,8 +102,11 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
     start = rest_kvar @ (by_q @ flow.seen.T)
     still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
+    # A model that is said to be wrong tells too little of the optimum, the others' answers and their pace.
+    trusted = float(s.r_model_share == s.x_model_share == 1.0)
+    hold = trusted * law.hold * s.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
     alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
-    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, alike, waiting]
+    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
     known = regressed(site, known, v, moved, flow.seen)
@@ -116,7 +119,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
         kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
         kvar = kvar + law.pull * site.scheduled * (rest_all - kvar)
         kvar = np.clip(kvar, -limit, limit)
-        slope = slopes(own_v - moved * own_by_q, kvar)
+        slope = trusted * slopes(own_v - moved * own_by_q, kvar)
         known = known._replace(by_own=answered(by_q, by_q @ flow.seen.T, slope)[None])
         moved = there * kvar - origin
         known = regressed(site, known, v, moved, flow.seen)
@@ -131,7 +134,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
         most = limit[some] / scale
         return np.clip(decide(site, known._replace(alike=damping[None]), seen).share, -most, most)
 
-    if law.rounds:
+    if law.rounds and trusted:
         known = known._replace(alike=settled(known.alike[0], rest_all[some] / scale, respond)[None])
     return known._replace(waiting=np.clip(later, site.waiting, max(site.waiting, site.never))[None])
 

@@ -68,7 +68,7 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
     from dcgrid_env.core.threads import over_lanes
 
     kernel: Any = response_kernels.decide
-    price, law, scale = VoltagePrice.of(site.scenario), site.law, site.share_of_kvar
+    price, scale = VoltagePrice.of(site.scenario), site.share_of_kvar
     e_own = own_error(known, seen.v_pu, seen.then_kw, seen.then_kvar)
     key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
     level, weight = between(np.where(site.scheduled, seen.then_kw, e_own), key)
@@ -78,15 +78,15 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
     given = [
         np.ascontiguousarray(values)
         for values in (
-            known.alike, known.base_pu, known.own_base_pu, known.gain, known.inverse_spread, known.by_all,
-            known.by_q, known.by_own, known.by_p, known.by_draw, known.waiting, level, weight, e_own,
-            seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale, seen.rest_kvar / scale,
-            site.s_rated_kva, site.q_scale_kvar, site.effort,
+            known.hold, known.alike, known.base_pu, known.own_base_pu, known.gain, known.inverse_spread,
+            known.by_all, known.by_q, known.by_own, known.by_p, known.by_draw, known.waiting, level, weight, e_own,
+            seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale,
+            seen.rest_kvar / scale, site.s_rated_kva, site.q_scale_kvar, site.effort,
         )
     ]  # fmt: skip
 
     def part(first: int, last: int) -> int:
-        return kernel(first, last, price.voltage, price.violation, price.band_pu, law.hold, *given, *done)
+        return kernel(first, last, price.voltage, price.violation, price.band_pu, *given, *done)
 
     over_lanes(part, n_lane)
     return done

@@ -15,7 +15,7 @@ class Law(NamedTuple):
 
     floor_pu: float = 0.0003
     alike: float = 0.8
-    hold: float = 0.01
+    hold: float = 0.06
     pull: float = 0.3
     price: float = 1.0
     rounds: int = 6
@@ -115,6 +115,8 @@ class Commissioned(NamedTuple):
     """1 / s, (m, n, L, k)."""
     by_all: np.ndarray
     """Rise of each voltage when all agents inject their whole limit more, p.u., (m, n, L, k)."""
+    hold: np.ndarray
+    """Price of being a whole limit away from u*, in units of the cost, (m, n)."""
     alike: np.ndarray
     """Share of all limits that an agent takes to move as it moves, (m, n)."""
     waiting: np.ndarray

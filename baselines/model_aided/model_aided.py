@@ -56,7 +56,8 @@ class ModelAided(LocalController):
     alike
         Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
     hold
-        Price of being a whole limit away from the static optimum, in units of the cost.
+        Price of being a whole limit away from the static optimum, as a share of what that limit costs or saves where
+        all voltages are on the same side. 0 where the scenario says that its model is not exact.
     pull
         Share of the way to the optimum of its level of the sun that an inverter with a schedule goes at each step.
     price
@@ -67,7 +68,7 @@ class ModelAided(LocalController):
 
     floor_pu: float = 0.0003
     alike: float = 0.8
-    hold: float = 0.01
+    hold: float = 0.06
     pull: float = 0.3
     price: float = 1.0
     rounds: int = 6

@@ -60,8 +60,8 @@ def decide(
             if q_scale[i] > 0.0:
                 limit = min(np.sqrt(max(s_rated[i] ** 2 - p_next**2, 0.0)) / q_scale[i], 1.0)
             new[m, i], slope[m, i] = respond(
-                e, inverse, together, own, by_voltage, by_violation, band_pu, share[m, i], limit, effort[i], hold,
-                rest[m, i],
+                e, inverse, together, own, by_voltage, by_violation, band_pu, share[m, i], limit, effort[i],
+                hold[of, i], rest[m, i],
             )  # fmt: skip
     return 0
 
