@@ -213,7 +213,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
                     best = validated["J"]
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
                     judged.policy().save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
-                run.record(validated | figures)
+                run.record(validated | figures | {"env_steps": update * cfg.feeders * cfg.num_envs * cfg.steps})
                 text = f"J {validated['J']:.4f}, law {validated['J_law']:.4f}"
             if update % cfg.checkpoint_every == 0 or update == cfg.updates:
                 state = {"networks": networks.state_dict(), "mean": mean.state_dict()}

@@ -115,7 +115,7 @@ def _cost(trial: Any, base: Any, space: Mapping[str, Any], folder: Path, optuna:
     from dcgrid_env.agents.training.run_folder import TrainingError, watched
 
     chosen = {name: _suggested(trial, name, own) for name, own in space.items()}
-    config = dataclasses.replace(base, **chosen, out=folder, resume=True)
+    config = dataclasses.replace(base, **chosen, out=folder, resume=folder.exists())
     validations = 0
 
     def report(figures: Mapping[str, float]) -> None:

@@ -67,7 +67,9 @@ def _column(path: Path, rows: Sequence[Mapping[str, str | None]], name: str) -> 
     try:
         return np.array([float(row[name] or "nan") for row in rows])
     except (KeyError, ValueError) as error:
-        raise ValueError(f"{path}: column {name} is missing or holds no figures ({error}); train again") from None
+        raise ValueError(
+            f"{path}: column {name} is missing or holds no figures ({error}); give a run that records it"
+        ) from None
 
 
 def _policy_kind(path: Path) -> str:

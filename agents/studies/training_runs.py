@@ -62,7 +62,8 @@ def train(config: Any) -> str | None:
 
     try:
         with new_folder(config.out), _log(config.out / LOG) as log, contextlib.redirect_stdout(log):
-            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=True))
+            begun = (config.out / "config.json").exists()
+            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=begun))
     except TrainingError as error:
         return str(error)
     write_json(config.out / FINISHED, _settings(config))

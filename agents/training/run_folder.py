@@ -81,7 +81,8 @@ def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequenc
     config
         The algorithm's configuration, a dataclass.
     resume
-        Go on from the folder's checkpoint (from the beginning where there is none yet).
+        Go on from the folder's checkpoint. Where there is none yet ``Run.load`` says so on a line, and the run begins
+        anew, so that a queue may start and restart a training by the same command.
     scenarios
         What is trained on; their hashes stand in config.json, so that no run goes on with others of the same names.
 
@@ -110,7 +111,7 @@ class Run:
     """A training run's folder; made by :func:`open_run`."""
 
     def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
-        self.folder, self.scenarios = folder, tuple(scenarios)
+        self.folder, self.scenarios, self.resume = folder, tuple(scenarios), resume
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
         self._before_s = 0.0
@@ -141,6 +142,8 @@ class Run:
         """What the last checkpoint holds, or None without one; later rows of the curve are dropped."""
         path = self.checkpoint_path
         if not path.exists():
+            if self.resume:
+                print(f"{self.folder}: no checkpoint to resume from, training begins anew")
             (self.folder / "curve.csv").unlink(missing_ok=True)
             return None
         try:

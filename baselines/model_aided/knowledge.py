@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints
+from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 
-class Law(NamedTuple):
-    """Settings of the law, see ``ModelAided``."""
+@dataclass
+class Law:
+    """Settings of the law.
+
+    Parameters
+    ----------
+    floor_pu
+        Least standard deviation of an estimated voltage, p.u.: what the model cannot know of itself.
+    alike
+        Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
+    hold
+        Price of being a whole limit away from the static optimum, as a share of what that limit costs or saves where
+        all voltages are on the same side. Nothing where the scenario says that its model is not exact.
+    pull
+        Share of the way to the optimum of its level of the sun that an inverter with a schedule goes at each step.
+    price
+        Price of letting work wait, as a share of what MPC charges.
+    rounds
+        Rounds of the others' reactions in what commissioning takes for the statistics.
+
+    Raises
+    ------
+    ValueError
+        Naming the setting, for one that is negative or not finite, or a ``floor_pu`` of 0.
+    """
 
     floor_pu: float = 0.0003
     alike: float = 0.8
@@ -19,6 +44,11 @@ class Law(NamedTuple):
     pull: float = 0.3
     price: float = 1.0
     rounds: int = 6
+
+    def __post_init__(self) -> None:
+        require_non_negative("model-aided", **{field.name: getattr(self, field.name) for field in fields(Law)})
+        if self.floor_pu == 0.0:
+            raise ValueError("model-aided: floor_pu is 0; give a standard deviation > 0")
 
 
 class Site(NamedTuple):

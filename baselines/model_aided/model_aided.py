@@ -20,7 +20,7 @@ Equipment that is an agent follows its own control; cost terms beside voltage, b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -30,7 +30,6 @@ from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
-from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 
 class _Work(NamedTuple):
@@ -46,46 +45,16 @@ class _Work(NamedTuple):
 
 
 @dataclass
-class ModelAided(LocalController):
-    """The model-aided local law.
-
-    Parameters
-    ----------
-    floor_pu
-        Least standard deviation of an estimated voltage, p.u.: what the model cannot know of itself.
-    alike
-        Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
-    hold
-        Price of being a whole limit away from the static optimum, as a share of what that limit costs or saves where
-        all voltages are on the same side. 0 where the scenario says that its model is not exact.
-    pull
-        Share of the way to the optimum of its level of the sun that an inverter with a schedule goes at each step.
-    price
-        Price of letting work wait, as a share of what MPC charges.
-    rounds
-        Rounds of the others' reactions in what commissioning takes for the statistics.
-    """
-
-    floor_pu: float = 0.0003
-    alike: float = 0.8
-    hold: float = 0.06
-    pull: float = 0.3
-    price: float = 1.0
-    rounds: int = 6
+class ModelAided(Law, LocalController):
+    """The model-aided local law; its settings are those of :class:`Law`."""
 
     scope: ClassVar[str] = "model-aided"
-
-    def __post_init__(self) -> None:
-        own = {name: getattr(self, name) for name in ("floor_pu", "alike", "hold", "pull", "price", "rounds")}
-        require_non_negative("model-aided", **own)
-        if self.floor_pu == 0.0:
-            raise ValueError("model-aided: floor_pu is 0; give a standard deviation > 0")
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError for devices, or sites that draw otherwise, than this law is made for."""
         super().reset(env_info)
         s = self.scenario
-        self._site = site_of(s, Law(self.floor_pu, self.alike, self.hold, self.pull, self.price, self.rounds))
+        self._site = site_of(s, Law(**asdict(self)))
         self._steps = 0
         self._known: Commissioned | None = None
         self._past: list[tuple[np.ndarray, np.ndarray]] = []

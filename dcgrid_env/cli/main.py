@@ -41,7 +41,7 @@ from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
-from dcgrid_env.cli.unseen_feeders import CarryOver
+from dcgrid_env.cli.unseen_feeders import UnseenFeeders
 from dcgrid_env.cli.verify import Verify
 from dcgrid_env.core.processes import terminated_in_order
 
@@ -57,7 +57,7 @@ DEV = Group(
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,
-        "carry-over": CarryOver,
+        "unseen-feeders": UnseenFeeders,
         "curves": Curves,
         "transfer": Transfer,
         "tune-agent": TuneAgent,

@@ -1,4 +1,4 @@
-"""The command ``dcgrid dev carry-over``."""
+"""The command ``dcgrid dev unseen-feeders``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class CarryOver(Command):
+class UnseenFeeders(Command):
     """Score controllers and policies on feeders that they never saw: named ones, and each random one of zero-shot."""
 
     controllers: str = "model-aided"
@@ -28,7 +28,7 @@ class CarryOver(Command):
     worst: int = 5
     """How many of the worst random feeders to show."""
     out: Path | None = None
-    """Folder for carry-over.md; nothing is written unless given."""
+    """Folder for unseen-feeders.md; nothing is written unless given."""
 
     def run(self) -> None:
         """Drive, score, print. ValueError for a setting that cannot be, before anything is run."""
@@ -56,5 +56,5 @@ class CarryOver(Command):
         if self.out is not None:
             from dcgrid_env.core.files import write_text
 
-            write_text(self.out / "carry-over.md", unseen_feeders.markdown(shown, of_feeders, meta()["command"]))
-            say(console, f"wrote {self.out / 'carry-over.md'}")
+            write_text(self.out / "unseen-feeders.md", unseen_feeders.markdown(shown, of_feeders, meta()["command"]))
+            say(console, f"wrote {self.out / 'unseen-feeders.md'}")

@@ -70,7 +70,7 @@ ELSEWHERE = {
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",
-    "dcgrid dev carry-over": "tests/agents/studies",
+    "dcgrid dev unseen-feeders": "tests/agents/studies",
     "dcgrid dev transfer": "tests/agents/studies",
     "dcgrid dev tune-agent": "tests/agents/studies",
     "dcgrid dev sags": "tests/agents/studies",

@@ -24,6 +24,7 @@ def test_it_begins_as_the_law_and_learns(tmp_path):
     main(cfg)
     first, second = read_curve(tmp_path)
     assert first["J"] != second["J"]
+    assert [row["env_steps"] for row in (first, second)] == [6.0, 12.0]  # 1 feeder, 2 episodes of 3 steps each
     policy = Policy.load(tmp_path / "policy.safetensors")
     assert isinstance(policy, ModelAidedPolicy)
     assert policy.trained_on == "drawn-feeders"

@@ -1,4 +1,4 @@
-"""dcgrid dev carry-over, as a user runs it, and the score of each random feeder by itself."""
+"""dcgrid dev unseen-feeders, as a user runs it, and the score of each random feeder by itself."""
 
 from typing import Any
 
@@ -24,22 +24,22 @@ def test_each_random_feeder_has_a_score_of_its_own():
 def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--controllers", "droop-q,ieee33-weak-analytic", "--scenarios", "toy6", "--episodes", "2", "--out", "docs"]
-    main(["dev", "carry-over", *words])
-    page = (tmp_path / "docs" / "carry-over.md").read_text()
+    main(["dev", "unseen-feeders", *words])
+    page = (tmp_path / "docs" / "unseen-feeders.md").read_text()
     assert page.startswith("# Feeders that were never seen\n")
     assert "| toy6 |" in page
-    assert "wrote docs/carry-over.md" in capsys.readouterr().out
+    assert "wrote docs/unseen-feeders.md" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", [("--episodes", "1"), ("--worst", "0"), ("--controllers", ""), ("--worst", "-1")])
 def test_settings_that_cannot_be_are_refused(words, capsys):
     with pytest.raises(SystemExit):
-        main(["dev", "carry-over", *words])
+        main(["dev", "unseen-feeders", *words])
     assert capsys.readouterr().err.startswith(f"dcgrid: {words[0].removeprefix('--')} is ")
 
 
 def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_why(capsys):
-    words = ["dev", "carry-over", "--scenarios", "toy6", "--episodes", "2", "--controllers"]
+    words = ["dev", "unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--controllers"]
     with pytest.raises(SystemExit) as raised:
         main([*words, "droop-q,nosuch"])
     said = capsys.readouterr()

@@ -125,6 +125,21 @@ def test_a_damaged_configuration_is_refused_on_one_line(tmp_path):
         pass
 
 
+def test_a_resumption_without_a_checkpoint_says_that_it_begins_anew_and_goes_on_from_the_next(tmp_path, capsys):
+    """The first start of a job, its restart after a kill before the first checkpoint, and the one after that."""
+    folder = tmp_path / "run"
+    for _ in range(2):
+        with open_run(folder, CONFIG, resume=True) as run:
+            assert run.load() is None
+        assert capsys.readouterr().out == f"{folder}: no checkpoint to resume from, training begins anew\n"
+    with open_run(folder, CONFIG, resume=True) as run:
+        run.save({})
+        assert run.load() is not None
+    with open_run(tmp_path / "plain", CONFIG) as run:
+        assert run.load() is None
+    assert capsys.readouterr().out == ""
+
+
 def test_rows_after_the_checkpoint_are_dropped(tmp_path):
     with open_run(tmp_path, CONFIG) as run:
         for step in (1, 2):

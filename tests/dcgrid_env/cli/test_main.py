@@ -11,7 +11,6 @@ import pytest
 import dcgrid_env
 from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.main import COMMANDS, DEV, main
-from dcgrid_env.cli.train import ALGORITHMS
 
 
 def commands(group=COMMANDS, prog="dcgrid"):
@@ -32,8 +31,7 @@ def stopped(capsys, *arguments):
 @pytest.mark.parametrize("name", DEV.members)
 def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
     code, said = stopped(capsys, name, "--jobs", "1")
-    also = f"`dcgrid train {name}` or " if name in ALGORITHMS else ""
-    assert (code, said.err) == (2, f"dcgrid: there is no `dcgrid {name}`; it is {also}`dcgrid dev {name}`\n")
+    assert (code, said.err) == (2, f"dcgrid: there is no `dcgrid {name}`; it is `dcgrid dev {name}`\n")
 
 
 @pytest.mark.parametrize(
