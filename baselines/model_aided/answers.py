@@ -38,10 +38,6 @@ def answered(by_q: np.ndarray, at_own: np.ndarray, slope: np.ndarray) -> np.ndar
         b, kvar per p.u., (n,).
     """
     n = len(by_q)
-    out = by_q.copy()
-    for i in range(n):
-        others = np.delete(np.arange(n), i)
-        matrix = np.eye(n - 1) - slope[others, None] * at_own[np.ix_(others, others)].T * (1.0 - np.eye(n - 1))
-        answer = np.linalg.solve(matrix, slope[others] * at_own[i, others])
-        out[i] += answer @ by_q[others]
-    return out
+    others = at_own.T * (1.0 - np.eye(n))
+    joint = np.linalg.inv(np.eye(n) - slope[:, None] * others)  # column i: all setpoints in proportion, where i moves
+    return (joint / np.diag(joint)).T @ by_q
