@@ -29,7 +29,7 @@ def draw(folder: str, preset: str) -> None:
     warnings.simplefilter("ignore")  # random numbers wrap around, of which NumPy warns where the compiler does not
     path = Path(folder, f"{preset}.png")
     part = path.with_suffix(".part.png")
-    draw_picture(str(part), preset)
+    draw_picture(str(part), preset, "droop-tuned")
     part.replace(path)
 
 
