@@ -1,22 +1,27 @@
-"""Draw a picture of the documents: python docs/picture.py PATH [SCENARIO], the README's unless a scenario is given."""
+"""Draw a picture of the documents, the README's unless told otherwise: python docs/picture.py PATH [SCENARIO [LAW]]."""
 
 import sys
 
 import matplotlib.image
 
-from dcgrid_env import DcgridEnv
-from dcgrid_env.baselines import Droop
+from dcgrid_env import DcgridEnv, make_scenario
+from dcgrid_env.baselines import make_controller
 
 STEPS = 75
+LONGEST = 300
+"""Steps of an episode that is drawn whole; of a longer one the first 150 make the axes."""
 
 
-def draw(path: str, scenario: str = "ieee123") -> None:
-    """Write the picture of a scenario's first test episode under the droop law after some steps."""
-    env = DcgridEnv(scenario, split="test", render_mode="rgb_array")
-    controller = Droop()
+def draw(path: str, scenario: str = "ieee123", law: str = "droop") -> None:
+    """Write the picture of a scenario's first test episode under a law after some steps."""
+    drawn = make_scenario(scenario, split="test")
+    if drawn.horizon > LONGEST:
+        drawn = make_scenario(drawn, horizon=2 * STEPS)
+    env = DcgridEnv(drawn, render_mode="rgb_array")
+    controller = make_controller(law, drawn)
     observation, _ = env.reset(seed=0)
-    controller.reset(env.scenario)
-    for _ in range(min(STEPS, env.scenario.horizon - 1)):
+    controller.reset(drawn)
+    for _ in range(min(STEPS, drawn.horizon - 1)):
         observation, *_ = env.step(controller.act(observation))
     matplotlib.image.imsave(path, env.render())
     env.close()

@@ -14,8 +14,9 @@ from pathlib import Path
 os.environ["MPLBACKEND"] = "agg"
 import numba
 
-from dcgrid_env.traces.serving import kernel  # noqa: F401  compiled: it serves millions of requests
+from dcgrid_env.traces import generate_site
 
+generate_site(60.0, seed=0)  # compiles the kernel that serves requests, millions of them, before the switch
 numba.config.DISABLE_JIT = True  # type: ignore[attr-defined]
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from picture import draw as draw_picture  # noqa: E402  behind the switch, and from the folder of the documents
@@ -29,7 +30,7 @@ def draw(folder: str, preset: str) -> None:
     warnings.simplefilter("ignore")  # random numbers wrap around, of which NumPy warns where the compiler does not
     path = Path(folder, f"{preset}.png")
     part = path.with_suffix(".part.png")
-    draw_picture(str(part), preset)
+    draw_picture(str(part), preset, "droop-tuned")
     part.replace(path)
 
 

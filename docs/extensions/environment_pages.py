@@ -66,9 +66,9 @@ def page(preset: str) -> str:
     picture, steps = f"pictures/{preset}.png", min(STEPS, scenario.horizon - 1)
     parts = [
         f"# {preset}",
-        f"{PRESETS[preset][0].upper()}{PRESETS[preset][1:]}.",
-        f"![{preset} under the droop law: the feeder's voltages, and the course of the episode]({picture})",
-        f"*`python docs/picture.py {preset}.png {preset}`: droop law, test split, seed 0, after {steps} steps.*",
+        f"{sentence(PRESETS[preset])}.",
+        f"![{preset} under the tuned droop: the feeder's voltages, and the course of the episode]({picture})",
+        f"*`python docs/picture.py {preset}.png {preset} droop-tuned`: test split, seed 0, after {steps} steps.*",
         f"```python\nimport gymnasium, dcgrid_env\n\n"
         f'env = gymnasium.make("{gym_id}")  # one agent holds all actuators\n'
         f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # a native batch\n'
@@ -90,6 +90,11 @@ def page(preset: str) -> str:
         read_on(family, preset),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def sentence(about: str) -> str:
+    """A preset's line with a capital, unless it begins with the name of another preset."""
+    return about if about.split()[0] in PRESETS else about[0].upper() + about[1:]
 
 
 def facts(scenario: Scenario) -> str:
