@@ -24,10 +24,10 @@ def double(array):
     return torch.from_numpy(np.array(array))
 
 
-def observed(preset):
+def observed(preset, deviations=(-1.2, -0.4)):
     """Observations of two lanes somewhere within what voltages, powers and queues are."""
     scenario, rng = make_scenario(preset), np.random.default_rng(3)
-    between = {"v_deviation": (-1.2, -0.4), "p": (0.3, 0.8), "q": (-0.2, 0.9), "p_ref_next": (0.6, 1.0),
+    between = {"v_deviation": deviations, "p": (0.3, 0.8), "q": (-0.2, 0.9), "p_ref_next": (0.6, 1.0),
                "backlog": (0.5, 2.0)}  # fmt: skip
     names = [name for agent in scenario.agents for name in field_names(scenario)[agent]]
     ranges = np.array([between.get(name, (0.0, 0.0)) for name in names])
@@ -42,20 +42,22 @@ def test_tensors_and_arrays_come_to_the_same(preset):
         np.testing.assert_allclose(its.numpy(), ours, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("of", ["cut_kw", "chosen"])
-def test_the_derivative_is_that_of_the_decisions(of):
-    joint, apart = observed("ieee33-weak"), 5e-3  # of the band
-    names = [name for own in field_names(make_scenario("ieee33-weak")).values() for name in own]
+@pytest.mark.parametrize(
+    ("preset", "deviations", "of"), [("ieee33-weak", (-1.2, -0.4), "cut_kw"), ("khodr141", (-0.4, 0.2), "chosen")]
+)
+def test_the_derivative_is_that_of_the_decisions(preset, deviations, of):
+    joint, apart = observed(preset, deviations), 5e-3  # of the band
+    names = [name for own in field_names(make_scenario(preset)).values() for name in own]
     columns = [i for i, name in enumerate(names) if name == "v_deviation"]
     leaf = double(joint).requires_grad_()
-    now = getattr(steps("ieee33-weak", double, leaf), of)
+    now = getattr(steps(preset, double, leaf), of)
     (slope,) = torch.autograd.grad(now.sum(), leaf)
     compared = 0
     for agent, column in zip(range(now.shape[1]), columns, strict=False):
         below, above = (joint.copy() for _ in range(2))
         below[:, column] -= apart
         above[:, column] += apart
-        low, high = (getattr(steps("ieee33-weak", np.asarray, there), of)[:, agent] for there in (below, above))
+        low, high = (getattr(steps(preset, np.asarray, there), of)[:, agent] for there in (below, above))
         left, right = (now[:, agent].detach().numpy() - low) / apart, (high - now[:, agent].detach().numpy()) / apart
         straight = (abs(left - right) < 0.2 * abs(left)) & (left != 0.0)  # elsewhere a limit or a kink is between
         expected = (high - low)[straight] / (2.0 * apart)

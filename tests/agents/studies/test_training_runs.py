@@ -37,7 +37,7 @@ def test_a_command_means_the_run(config, tmp_path):
 def test_a_command_names_what_differs_only():
     assert command(Analytic(scenario="ieee123")) == "dcgrid train analytic --scenario ieee123"
     assert command(Analytic.for_scenario("mixed")) == "dcgrid train analytic --scenario mixed"
-    assert command(Analytic(scenario="mixed")) == "dcgrid train analytic --scenario mixed --updates 200"
+    assert command(Analytic(scenario="mixed")) == "dcgrid train analytic --scenario mixed --updates 200 --history 0"
     made = command(Analytic.for_scenario("toy6", preview=False, delay_limit_s=2.0))
     assert made == "dcgrid train analytic --scenario toy6 --no-preview --delay-limit-s 2"
 
