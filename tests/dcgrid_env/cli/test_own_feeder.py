@@ -70,7 +70,7 @@ def test_devices_in_words_are_placed_printed_and_written_as_a_file_for_all_comma
     printed = capsys.readouterr().out
     assert "3 data centres of 250 kW at buses 27, 65, 35; 2 inverters of 200 kVA at buses " in printed
     assert "source at 1.04375 p.u. (the feeder's own is 1)" in printed
-    assert printed.endswith("`dcgrid check mine.toml` says whether it is worth learning on\n")
+    assert "`dcgrid check mine.toml` says whether it is worth learning on\nopen out/figure.png" in printed
     assert not (folders / "out" / "scenario.toml").exists()
     mine = make_scenario("mine.toml", split="test")
     assert scenario_hash(mine) == results["meta"]["scenario_hash"]
