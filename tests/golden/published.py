@@ -44,7 +44,7 @@ def of_preset(preset: str) -> dict[str, Any]:
 
 def names_of(preset: str) -> list[str]:
     """Shipped policies that were trained on a preset."""
-    return [f"{preset}-{algorithm}" for algorithm in ("analytic", "ppo", "safe")]
+    return [f"{preset}-{algorithm}" for algorithm in ("analytic", "ppo", "ppo-counterfactual", "safe")]
 
 
 def costs(scenario: Scenario, controller: Controller) -> list[float]:
