@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import pickle
 from collections import ChainMap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +29,11 @@ from dcgrid_env.baselines.tuning.search import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
+from dcgrid_env.core.work.packing import packed
+from dcgrid_env.core.work.worker import shared
+
+CARRIED = "controllers"
+"""Name of the shared value that has pickles of the user's own controllers, by what names them, on workers elsewhere."""
 
 
 def _profile(name: str) -> Callable[[], Controller]:
@@ -165,6 +172,17 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     before, inner = split_prefix(spec)
     if before:
         return CONTROLLER_REGISTRY.make(before, find_controller(inner, scenario, tuned), scenario, tuned)
+    if (own := shared(CARRIED, {}).get(spec)) is not None:
+        return pickle.loads(own)
+    if parse(spec) is not None or is_file(spec):
+        return _own_controller(spec)
+    if spec not in CONTROLLER_REGISTRY:
+        raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
+    return make_controller(spec, scenario, tuned)
+
+
+def _own_controller(spec: str) -> Controller:
+    """A controller that a file or code of the user's own gives; errors as of ``find_controller``."""
     reference = parse(spec)
     if reference is not None:
         controller = _construct(spec, reference, load(reference, f"controller {spec!r}"))
@@ -173,13 +191,22 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
                 f"controller {spec!r}: {type(controller).__name__} is no controller; give it reset and act"
             )
         return controller
-    if is_file(spec):
-        if not Path(spec).is_file():
-            raise ValueError(f"controller {spec!r}: there is no such file; {_forms()}")
-        return CONTROLLER_REGISTRY.make(Path(spec).suffix, spec)
-    if spec not in CONTROLLER_REGISTRY:
-        raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
-    return make_controller(spec, scenario, tuned)
+    if not Path(spec).is_file():
+        raise ValueError(f"controller {spec!r}: there is no such file; {_forms()}")
+    return CONTROLLER_REGISTRY.make(Path(spec).suffix, spec)
+
+
+def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
+    """Pickles of the user's own among the controllers that texts name, each fresh; without those that cannot be made.
+
+    Those are asked for again where they are to act, and say there why.
+    """
+    found: dict[str, bytes] = {}
+    for _, inner in map(split_prefix, specs):
+        if parse(inner) is not None or is_file(inner):
+            with contextlib.suppress(ValueError):
+                found[inner] = packed(_own_controller(inner))
+    return found
 
 
 def split_prefix(spec: str) -> tuple[str, str]:

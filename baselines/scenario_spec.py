@@ -10,11 +10,12 @@ This is the one place where such texts become scenarios; processes that share wo
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import shlex
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,8 +24,11 @@ from weakref import WeakKeyDictionary
 
 from dcgrid_env import PRESETS, SCENARIO_REGISTRY, Scenario, ScenarioError, make_scenario
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
+from dcgrid_env.core.work.worker import shared
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
+CARRIED = "scenarios"
+"""Name of the shared value that has the user's own scenarios, by what names them, on workers elsewhere."""
 _specs: WeakKeyDictionary[Scenario, ScenarioSpec] = WeakKeyDictionary()
 """What the scenarios that were made here were named by."""
 
@@ -144,8 +148,24 @@ def read_value(field: str, text: str, option: str = "set") -> Any:
     return text
 
 
+def own_scenarios(wheres: Iterable[str]) -> dict[str, Scenario]:
+    """The user's own among the scenarios that texts name, several with commas between; without those that cannot be.
+
+    Those are asked for again where units run, and say there why.
+    """
+    found: dict[str, Scenario] = {}
+    for name in (name.strip() for where in wheres for name in ([where] if parse(where) else where.split(","))):
+        with contextlib.suppress(ValueError):
+            base = _base(name)
+            if isinstance(base, Scenario):
+                found[name] = base
+    return found
+
+
 def _base(where: str) -> str | Scenario:
     """The name of a scenario that has one, or the user's own scenario."""
+    if own := shared(CARRIED, {}).get(where):
+        return own
     if where.endswith(".toml"):
         status = Path(where).stat() if Path(where).is_file() else None
         return _read(where, status and (status.st_mtime_ns, status.st_size))

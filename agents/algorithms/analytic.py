@@ -41,7 +41,6 @@ from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_r
 from dcgrid_env.agents.training.torch_modules import HistoryPerceptron, Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
 from dcgrid_env.agents.training.variants import scenarios, variant
-from dcgrid_env.baselines.file_names import file_name
 
 
 @dataclass(frozen=True)
@@ -257,9 +256,7 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     model = learner(cfg, grids)
     judged_on = scenarios(cfg.scenario, cfg.set, "validation")
     validate = Validation(judged_on, cfg.validation_episodes)
-    label = "+".join(file_name(scenario.name) for scenario in judged_on)
-    folder = cfg.out or Path("results/train") / f"{label}-{cfg.algorithm()}-{cfg.seed}"
-    with open_run(folder, cfg, cfg.resume, judged_on) as run:
+    with open_run(cfg.folder, cfg, cfg.resume, judged_on) as run:
         return _train(cfg, run, model, grids, validate)
 
 

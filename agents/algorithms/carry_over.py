@@ -71,6 +71,11 @@ class CarryOver(Training):
     checkpoint_every: int = 25
     """Updates from one checkpoint to the next."""
 
+    @property
+    def subject(self) -> str:
+        """The family, which is no scenario that has a name of its own."""
+        return FAMILY
+
     @classmethod
     def algorithm(cls) -> str:
         """Name of the algorithm on the command line."""
@@ -181,8 +186,7 @@ def main(cfg: CarryOver) -> Path:
     check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     torch.manual_seed(cfg.seed)
-    folder = cfg.out or Path("results/train") / f"{FAMILY}-{cfg.algorithm()}-{cfg.seed}"
-    with open_run(folder, cfg, cfg.resume) as run:
+    with open_run(cfg.folder, cfg, cfg.resume) as run:
         networks = Corrections(moments(cfg), cfg.hidden)
         return _train(cfg, run, networks, HeldOut(cfg))
 

@@ -263,7 +263,7 @@ def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
     if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
         raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
-    with sb3.begin(cfg, "ppo", cfg.outputs) as (run, vec_env):
+    with sb3.begin(cfg, cfg.outputs) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(
             cfg, run, vec_env, model,

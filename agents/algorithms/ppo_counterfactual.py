@@ -290,7 +290,7 @@ def exported(cfg: PpoCounterfactual, model: CounterfactualPpo) -> Policy:
 def main(cfg: PpoCounterfactual) -> Path:
     """Train; the folder written."""
     vec_env = vec_env_for(cfg)
-    with sb3.run_of(cfg, cfg.algorithm()) as run:
+    with sb3.run_of(cfg) as run:
         model = make(cfg, vec_env)
         return sb3.train(
             cfg, run, vec_env, model,

@@ -40,7 +40,7 @@ def exported(cfg: Sac, vec_env: JointVecEnv, model: SAC) -> Policy:
 
 def main(cfg: Sac) -> Path:
     """Train; the folder written."""
-    with sb3.begin(cfg, "sac") as (run, vec_env):
+    with sb3.begin(cfg) as (run, vec_env):
         model = make(cfg, vec_env)
         temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore
         return sb3.train(

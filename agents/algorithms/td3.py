@@ -64,7 +64,7 @@ def exported(cfg: Td3, vec_env: JointVecEnv, model: TD3) -> Policy:
 
 def main(cfg: Td3) -> Path:
     """Train; the folder written."""
-    with sb3.begin(cfg, "td3") as (run, vec_env):
+    with sb3.begin(cfg) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(
             cfg, run, vec_env, model,

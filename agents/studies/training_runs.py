@@ -12,14 +12,12 @@ import importlib
 import io
 import json
 import shlex
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.core.files import new_folder, write_json
-from dcgrid_env.core.processes import Died, each
 
 FINISHED, LOG = "finished.json", "training.log"
 PLACES = ("out", "resume")
@@ -81,33 +79,19 @@ def _log(path: Path) -> Iterator[TextIO]:
             path.unlink()
 
 
-def train_seed(config: Any) -> tuple[Path, str | None]:
-    """Do a run in the folder that its algorithm gives it, going on where it stopped; the folder, and why it failed.
+def train_seed(config: Any) -> str | None:
+    """Do a run, going on where it stopped; why it failed, if it did.
 
-    What it says is not shown. Its policy names the command of this seed alone.
+    What it says is not shown.
     """
     from dcgrid_env.agents.training.run_folder import TrainingError
 
-    words = shlex.split(command(config))
-    before, sys.argv = sys.argv, words
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            main = importlib.import_module(type(config).__module__).main
-            return main(dataclasses.replace(config, resume=True)), None
+            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=True))
     except TrainingError as error:
-        return Path(), str(error)
-    finally:
-        sys.argv = before
-
-
-def train_all(configs: Sequence[Any], jobs: int) -> Iterator[tuple[Any, str | None]]:
-    """Do the runs, several at once, each in a process of its own; each with why it failed, as they are done.
-
-    A process that dies fails its run alone. Leaving the iterator ends them; what they have kept is gone on from.
-    """
-    for config, failure in each(train, configs, jobs):
-        died = isinstance(failure, Died)
-        yield config, f"its process ended with exit code {failure.exit_code}" if died else failure
+        return str(error)
+    return None
 
 
 def trained(config: Any) -> tuple[Policy, Card]:

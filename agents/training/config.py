@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from dcgrid_env.agents.training.preset_settings import settings
+from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 Act = Literal["both", "clock", "q"]
@@ -76,6 +77,22 @@ class Training:
         """
         chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
         return cls(**(settings(cls.algorithm(), **chosen) | chosen | fields))
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run; ValueError where it is named after a scenario that cannot be."""
+        return self.out or Path("results/train") / f"{self.subject}-{self.kind}-{self.seed}"
+
+    @property
+    def subject(self) -> str:
+        """What a run's folder is named after first: what is trained on."""
+        named = [name.strip() for name in self.scenario.split(",") if name.strip()]
+        return "+".join(file_name(ScenarioSpec(name, self.set).make("validation").name) for name in named)
+
+    @property
+    def kind(self) -> str:
+        """What a run's folder is named after next."""
+        return self.algorithm()
 
     @classmethod
     def algorithm(cls) -> str:

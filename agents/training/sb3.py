@@ -27,7 +27,6 @@ from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
-from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 ABOVE_0 = ("epochs", "minibatches", "clip", "max_grad_norm", "buffer", "batch", "gradient_steps", "tau")
@@ -47,6 +46,11 @@ class Config(Training):
     """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
     wait: float = 10.0
     """Steps of waiting that cost the same with the discount as without; the longer, the dearer is deferral."""
+
+    @property
+    def kind(self) -> str:
+        """The algorithm, and whether it drives all agents at once."""
+        return self.algorithm() if self.view == "shared" else f"{self.algorithm()}-centralised"
 
 
 @dataclass(frozen=True)
@@ -81,24 +85,20 @@ class OffPolicy(Config):
 
 
 @contextmanager
-def begin(cfg: Config, algorithm: str, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointVecEnv]]:
+def begin(cfg: Config, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointVecEnv]]:
     """The run's folder, held for the block, and the vector environment of the training split.
 
     ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
     """
     vec_env = vec_env_for(cfg, outputs)
-    with run_of(cfg, algorithm if cfg.view == "shared" else f"{algorithm}-centralised") as run:
+    with run_of(cfg) as run:
         yield run, vec_env
 
 
-def run_of(cfg: Training, name: str) -> AbstractContextManager[Run]:
-    """The run's folder, held for the block, by default named after the scenario, ``name`` and the seed.
-
-    TrainingError for one that cannot be gone on from.
-    """
+def run_of(cfg: Training) -> AbstractContextManager[Run]:
+    """The run's folder, held for the block; TrainingError for one that cannot be gone on from."""
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
-    folder = cfg.out or Path("results/train") / f"{file_name(judged_on.name)}-{name}-{cfg.seed}"
-    return open_run(folder, cfg, cfg.resume, [judged_on])
+    return open_run(cfg.folder, cfg, cfg.resume, [judged_on])
 
 
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:

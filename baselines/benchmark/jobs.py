@@ -48,6 +48,11 @@ class Unit:
     """Version of this package."""
 
     @property
+    def label(self) -> str:
+        """What messages call it."""
+        return f"{self.scenario}, {self.controller}, seeds {self.first} to {self.seeds[-1]}"
+
+    @property
     def seeds(self) -> range:
         """Seeds of its episodes."""
         return range(self.first, self.first + self.episodes)

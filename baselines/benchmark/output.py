@@ -11,7 +11,7 @@ from dcgrid_env.baselines.benchmark.benchmark_figures import draw, png, score_fi
 from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, scenario_table, score_table
 from dcgrid_env.baselines.benchmark.gather import Results
 from dcgrid_env.core.files import write_json, write_text
-from dcgrid_env.core.processes import each
+from dcgrid_env.core.work.unit import Place, Unit
 
 
 def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]) -> None:
@@ -32,11 +32,14 @@ def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]
     write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
 
 
-def write_report(out: Path, results: Sequence[Results], jobs: int, meta: Mapping[str, Any]) -> None:
-    """report.html, its figures drawn by so many processes."""
+def write_report(
+    out: Path, results: Sequence[Results], place: Place, shared: Mapping[str, Any], meta: Mapping[str, Any]
+) -> None:
+    """report.html, its figures drawn as units of a place, with the values that they share."""
     summaries = [result.summary for result in results]
     sheets = [sheet for result in results if (sheet := result.sheet())]
-    drawn = {sheet.summary.scenario: (sheet.worst, figures) for sheet, figures in each(draw, sheets, jobs)}
+    units = [Unit(f"figures of {sheet.summary.scenario}", draw, sheet) for sheet in sheets]
+    drawn = {unit.item.summary.scenario: (unit.item.worst, figures) for unit, figures in place.run(units, shared)}
     sections = [report.Section(scenario_table(s), s.scenario, *drawn.get(s.scenario, (None, None))) for s in summaries]
     scores = score_figure(summaries)
     text = report.page(score_table(summaries), png(scores) if scores else None, sections, meta)

@@ -10,7 +10,7 @@ from typing import Any
 
 from dcgrid_env.baselines.benchmark.benchmark_figures import Drawn, Replay
 from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, Table
-from dcgrid_env.core.processes import Died
+from dcgrid_env.core.work.unit import Lost
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; margin: 2rem auto; max-width: 1180px; padding: 0 1rem }
@@ -32,7 +32,7 @@ class Section:
     name: str
     worst: Replay | None
     """The episodes that are replayed; None where every controller failed."""
-    figures: Drawn | Died | None
+    figures: Drawn | Lost | None
     """None likewise."""
 
 
@@ -52,8 +52,8 @@ def page(scores: Table, score_figure: bytes | None, sections: Sequence[Section],
 
 def _section(section: Section) -> str:
     parts = [f'<h2 id="{html.escape(section.name)}">{html.escape(section.table.title)}</h2>', section.table.html()]
-    if isinstance(section.figures, Died):
-        parts.append("<p class=note>The process that drew the figures died.</p>")
+    if isinstance(section.figures, Lost):
+        parts.append(f"<p class=note>There are no figures: {html.escape(section.figures.reason)}</p>")
     elif section.figures and section.worst:
         parts.append(_image(section.figures.scenario, f"Voltage against delay and voltages on {section.name}"))
         parts += _replayed(section.name, section.worst, section.figures.worst)

@@ -1,4 +1,4 @@
-"""Hosting capacity of all candidate buses under several controllers, over processes."""
+"""Hosting capacity of all candidate buses under several controllers, as units of a place."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
@@ -18,7 +19,9 @@ from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, searc
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
 from dcgrid_env.baselines.hosting_capacity.trial import trials
 from dcgrid_env.baselines.laws.no_control import NoControl
-from dcgrid_env.core.processes import Died, each
+from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.unit import Place, Unit
+from dcgrid_env.core.work.worker import shared
 from dcgrid_env.traces import PowerTrace
 
 SNAPSHOT = "snapshot"
@@ -26,7 +29,9 @@ SNAPSHOT = "snapshot"
 _SLOW = ("mpc",)
 """Beginnings of the names of controllers whose tasks are handed out first."""
 _PARTS = 2
-"""Tasks of each controller and process: a task of few buses wastes batches, few tasks leave processes idle."""
+"""Units of each controller and worker: a unit of few buses wastes batches, few units leave workers idle."""
+_STUDY = "study"
+"""Name of the shared value that has the study."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,6 @@ class _Asked(NamedTuple):
 
 @dataclass(frozen=True)
 class _Task:
-    study: Study
     controller: str
     tuned: Path | None
     asked: tuple[_Asked, ...]
@@ -64,7 +68,7 @@ class _Task:
 def hosting_capacity(
     study: Study,
     controllers: Sequence[str],
-    jobs: int = 1,
+    place: Place = ONE_PROCESS,
     tuned: Path | None = None,
     on_buses: Callable[[str, int], None] | None = None,
 ) -> Capacities:
@@ -81,8 +85,8 @@ def hosting_capacity(
     controllers
         What names them on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class
         of one's own.
-    jobs
-        Processes, over which controllers and buses are shared out. The answers do not depend on them.
+    place
+        Over whose workers controllers and buses are shared out. The answers do not depend on them.
     tuned
         A file of ``dcgrid tune`` that the gains of tuned laws must come from.
     on_buses
@@ -98,8 +102,8 @@ def hosting_capacity(
     ------
     ValueError
         For a study that cannot be, a controller that cannot be found or cannot drive such a scenario, naming it.
-    RuntimeError
-        Where a process died.
+    LostUnits
+        Where buses have no result under a controller.
     """
     names = tuple(dict.fromkeys(controllers))
     if not names:
@@ -109,22 +113,25 @@ def hosting_capacity(
     snapshot = snapshot_capacity(study, buses)
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
     critical = critical_samples(study, buses, guesses)
-    parts = _shared_out(len(buses), _PARTS * jobs if jobs > 1 else 1)
+    parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
     tasks = [
-        _Task(study, name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
+        _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
         for part in parts
     ]
     found: dict[tuple[str, str], BusCapacity] = {}
-    for task, result in each(_work, tasks, jobs):
-        if isinstance(result, Died):
-            raise RuntimeError(
-                f"the process of {task.controller} died with exit code {result.exit_code}; try again with fewer --jobs"
-            )
+    bus_ids = study.scenario.feeder.bus_ids
+    units = [
+        Unit(f"{task.controller} at buses {bus_ids[task.asked[0].bus]} to {bus_ids[task.asked[-1].bus]}", _work, task)
+        for task in tasks
+    ]
+    values = {_STUDY: study} | carried(place, (), names, tuned)
+    for unit, result in place.results(units, values, how_to_go_on=""):
+        task = unit.item
         found |= {(task.controller, capacity.bus): capacity for capacity in result}
         if on_buses is not None:
             on_buses(task.controller, len(result))
-    ids = tuple(study.scenario.feeder.bus_ids[bus] for bus in buses)
+    ids = tuple(bus_ids[bus] for bus in buses)
     by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
     return Capacities(study, ids, names, by_controller, tuple(snapshot), notes)
 
@@ -167,10 +174,11 @@ def _shared_out(n: int, parts: int) -> list[np.ndarray]:
 
 
 def _work(task: _Task) -> list[BusCapacity]:
-    controller, _ = study_controller(task.controller, task.study.scenario, task.tuned)
+    study = shared(_STUDY)
+    controller, _ = study_controller(task.controller, study.scenario, task.tuned)
     buses, guesses, critical = zip(*task.asked, strict=True)
     return search_buses(
-        AddedSite(task.study),
+        AddedSite(study),
         controller,
         task.controller,
         np.array(buses),

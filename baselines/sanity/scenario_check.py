@@ -31,7 +31,8 @@ from dcgrid_env.baselines.sanity.verdicts import (
     Verdict,
     verdicts,
 )
-from dcgrid_env.core.processes import Died, each
+from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.unit import Lost, Place, Unit
 
 ROWS = (
     "J", "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "voltage_min_pu", "voltage_max_pu", "delay_mean_s",
@@ -93,7 +94,7 @@ def check_scenario(
     scenario: Scenario,
     episodes: int = 8,
     seconds: float = SECONDS,
-    jobs: int = 1,
+    place: Place = ONE_PROCESS,
     on_stage: Callable[[str], None] = lambda _: None,
 ) -> ScenarioCheck:
     """Look whether a scenario is worth learning on.
@@ -109,8 +110,8 @@ def check_scenario(
         How many: those of seeds 0, 1, ..
     seconds
         Time after which nothing further is begun; then hindsight is of fewer episodes, one at the least.
-    jobs
-        Number of processes that solve episodes where these take long.
+    place
+        Where episodes are solved that take long.
     on_stage
         Called with what is done next (for progress).
 
@@ -132,14 +133,14 @@ def check_scenario(
     on_stage(HINDSIGHT)
     refused = ""
     try:
-        reached[HINDSIGHT] = _hindsight(scenario, seeds, began_s + _OF_HINDSIGHT * seconds, jobs)
+        reached[HINDSIGHT] = _hindsight(scenario, seeds, began_s + _OF_HINDSIGHT * seconds, place)
     except ValueError as error:
         refused = str(error)
     has_clock, until_s = scenario.n_datacenters > 0, began_s + _OF_PINNED * seconds
     if HINDSIGHT in reached and has_clock and time.monotonic() < until_s:
         on_stage(PINNED)
         pinned = scenario.replace(f_min_mhz=scenario.f_max_mhz)
-        reached[PINNED] = _hindsight(pinned, range(min(_PINNED, reached[HINDSIGHT].n)), until_s, jobs)
+        reached[PINNED] = _hindsight(pinned, range(min(_PINNED, reached[HINDSIGHT].n)), until_s, place)
     on_stage(CONSTANT)
     reached[CONSTANT] = _fitted("constant-q", scenario, seeds, began_s + seconds)
     if scenario.n_datacenters:
@@ -173,16 +174,17 @@ def _fitted(law: str, scenario: Scenario, seeds: Sequence[int], until_s: float) 
     return Reached.of(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
 
 
-def _hindsight(scenario: Scenario, seeds: Sequence[int], until_s: float, jobs: int) -> Reached:
+def _hindsight(scenario: Scenario, seeds: Sequence[int], until_s: float, place: Place) -> Reached:
     """Hindsight of the first of the episodes, and of as many more as there is time for."""
     began_s = time.monotonic()
     found = {seeds[0]: _solved(scenario, seeds[0])}
     took_s = time.monotonic() - began_s
-    jobs = jobs if took_s > _SLOW_S else 1
+    place = place if took_s > _SLOW_S else ONE_PROCESS
     if time.monotonic() + took_s < until_s:
-        for seed, metrics in each(partial(_solved, scenario), seeds[1:], jobs):
-            if not isinstance(metrics, Died):
-                found[seed] = metrics
+        units = [Unit(f"hindsight of seed {seed}", partial(_solved, scenario), seed) for seed in seeds[1:]]
+        for unit, metrics in place.run(units):
+            if not isinstance(metrics, Lost):
+                found[unit.item] = metrics
             if time.monotonic() + took_s > until_s:
                 break
     n = next(i for i, seed in enumerate([*seeds, -1]) if seed not in found)

@@ -27,7 +27,10 @@ from dcgrid_env import (
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.search import TUNABLE
+from dcgrid_env.core.work.worker import shared
 
+CARRIED = "tuned parameters"
+"""Name of the shared value that has the contents of files of ``dcgrid tune``, by their paths, on workers elsewhere."""
 SUFFIX = "-tuned"
 OWN = Path("results/tuned.json")
 """Where ``dcgrid tune`` writes by default, in the working directory."""
@@ -68,7 +71,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
         Where there are none for this scenario, saying what differs and how to find them.
     """
     file = OWN if path is None else Path(path)
-    if path is not None and not file.is_file():
+    if path is not None and str(file) not in shared(CARRIED, {}) and not file.is_file():
         raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
     own = read_tuned(file).get(law, {}).get(scenario.name)
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
@@ -95,8 +98,9 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
 
     ValueError for a file that is none of tuned parameters.
     """
-    if not path.exists():
-        return {}
+    own = shared(CARRIED, {}).get(str(path))
+    if own is not None or not path.exists():
+        return own or {}
     try:
         laws = json.loads(path.read_text(encoding="utf-8"))["laws"]
         if all(isinstance(entry["parameters"], dict) for of_law in laws.values() for entry in of_law.values()):
@@ -104,6 +108,12 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
     except (ValueError, KeyError, TypeError, AttributeError):
         pass
     raise ValueError(f"{path} is no file that dcgrid tune wrote; name another")
+
+
+def own_parameters(path: Path | None) -> dict[str, dict[str, dict[str, dict[str, Any]]]]:
+    """What a file of ``dcgrid tune`` holds, that of the working directory by default, by its path."""
+    file = OWN if path is None else path
+    return {str(file): read_tuned(file)} if file.is_file() else {}
 
 
 def identity(scenario: Scenario) -> dict[str, str]:

@@ -49,7 +49,7 @@ class Ablate(Study):
         runs = ablation.configs(algorithms, scenario, chosen, self.seeds, self.runs)
         check_folder(self.out)
         console = plain_console()
-        failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
+        failures = do_trainings((config for every in runs.values() for config in every), self.place, console)
         with working(console, f"{self.episodes} test episodes of {scenario}"):
             results = ablation.ablation(scenario, self.episodes, runs, failures)
             ablated = ablation.ablation_table(scenario, self.episodes, results)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_specs, split_names
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes, tuned_from
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, tuned_from
 from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines.benchmark.gather import Results
     from dcgrid_env.baselines.benchmark.jobs import Case, Task, Unit
     from dcgrid_env.baselines.benchmark.store import Store
+    from dcgrid_env.core.work.unit import Lost, Place
 
 
 @dataclass(frozen=True)
-class Benchmark(Command):
+class Benchmark(OverWorkers):
     """Run controllers over scenarios on the test split and score them.
 
     This writes results.json, results.md and report.html, and prints the table of scores. Finished units are kept in
@@ -51,8 +52,6 @@ class Benchmark(Command):
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
     out: Path = Path("results/benchmark")
     """Folder for what is written; made if it is not there."""
-    jobs: int | None = None
-    """Number of processes; by default one for each core."""
     open: bool = False
     """Open the report at the end."""
 
@@ -62,12 +61,14 @@ class Benchmark(Command):
         from dcgrid_env.baselines.benchmark.gather import gather
         from dcgrid_env.baselines.benchmark.jobs import Case, plan
         from dcgrid_env.baselines.benchmark.store import Store
+        from dcgrid_env.baselines.carried import carried
         from dcgrid_env.baselines.hindsight_costs import FOLDER
         from dcgrid_env.baselines.score import SPLIT
+        from dcgrid_env.core.work.unit import require_all
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
-        jobs = processes(self.jobs)
+        place = self.place
         cases = [Case(spec, self.tuned) for spec in scenario_specs(self.scenarios, self.set, SPLIT).values()]
         controllers = _controllers(self.controllers, cases[0])
         tasks, failures = plan(cases, controllers, self.episodes)
@@ -80,15 +81,19 @@ class Benchmark(Command):
             console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
         try:
             with alone_in(self.out, "dcgrid benchmark"):
-                failures |= _run(tasks, done, store, jobs, console)
+                shared = carried(place, [case.spec.where for case in cases], controllers, self.tuned)
+                failed, lost = _run(
+                    [task for task in tasks if task.unit not in done], done, store, place, shared, console
+                )
                 with console.status("checking the episodes' hashes and summing up"):
                     results = gather(cases, controllers, self.episodes, done, failures, lambda s: published(s, FOLDER))
-                _write(self, results, jobs, console)
+                _write(self, results, place, shared, console)
         except KeyboardInterrupt:
             console.print(
                 f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there"
             )
             raise SystemExit(130) from None
+        require_all(lost, len(tasks))
 
 
 def _beforehand(
@@ -144,21 +149,32 @@ def _is_local(name: str) -> bool:
 
 
 def _run(
-    tasks: Sequence[Task], done: dict[Unit, dict[str, Any]], store: Store, jobs: int, console: Console
-) -> dict[tuple[str, str], str]:
-    """Run what is not done, keeping each unit at once; what failed, by (scenario, controller)."""
+    tasks: Sequence[Task],
+    done: dict[Unit, dict[str, Any]],
+    store: Store,
+    place: Place,
+    shared: dict[str, Any],
+    console: Console,
+) -> tuple[dict[tuple[str, str], str], dict[str, Lost]]:
+    """Run tasks, keeping each unit's record at once.
+
+    What failed, by (scenario, controller), and units that were lost with their workers, by their names.
+    """
     from dcgrid_env.baselines.benchmark.jobs import run
-    from dcgrid_env.core.processes import Died, each
+    from dcgrid_env.core.work import unit as work
 
     failed: dict[Unit, str] = {}
+    lost: dict[str, Lost] = {}
+    units = [work.Unit(task.unit.label, run, task) for task in tasks]
     with progress_bar(console) as progress:
-        bar = progress.add_task(
-            "episodes", total=sum(t.unit.episodes for t in tasks), completed=sum(u.episodes for u in done)
-        )
-        for task, record in each(run, [task for task in tasks if task.unit not in done], jobs):
-            unit = task.unit
-            if isinstance(record, Died):
-                failed[unit] = f"failed: its process ended with exit code {record.exit_code}"
+        before = sum(unit.episodes for unit in done)
+        total = before + sum(task.unit.episodes for task in tasks)
+        bar = progress.add_task("episodes", total=total, completed=before)
+        for of, record in place.run(units, shared):
+            unit = of.item.unit
+            if isinstance(record, work.Lost):
+                failed[unit] = f"failed: {record.reason}"
+                lost[of.key] = record
             elif "failure" in record:
                 failed[unit] = record["failure"]
             else:
@@ -166,10 +182,10 @@ def _run(
                 done[unit] = record
             progress.advance(bar, unit.episodes)
     first = sorted(failed, key=lambda unit: -unit.first)  # the pair's first unit is put in last, and stays
-    return {(unit.scenario, unit.controller): failed[unit] for unit in first}
+    return {(unit.scenario, unit.controller): failed[unit] for unit in first}, lost
 
 
-def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Console) -> None:
+def _write(cfg: Benchmark, results: Sequence[Results], place: Place, shared: dict[str, Any], console: Console) -> None:
     """The files, the records before the figures, and the scores on the terminal."""
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.benchmark.benchmark_tables import score_table
@@ -180,7 +196,7 @@ def _write(cfg: Benchmark, results: Sequence[Results], jobs: int, console: Conso
     about = meta() | {"split": SPLIT, "episodes": cfg.episodes, "scenarios": hashes}
     write_results(cfg.out, results, about)
     with console.status("drawing the report"):
-        write_report(cfg.out, results, jobs, about)
+        write_report(cfg.out, results, place, shared, about)
     summaries = [result.summary for result in results]
     console.print(score_table(summaries, interval=False).rich(console.width))
     for note in score_table(summaries).notes:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.hindsight import kept_episodes
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, alone_in, processes
+from dcgrid_env.cli.settings import Overrides, alone_in
 from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
@@ -24,7 +24,7 @@ EPISODES = 25
 
 
 @dataclass(frozen=True)
-class BestKnownValues(Command):
+class BestKnownValues(OverWorkers):
     """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
 
     Each episode is searched by itself, with all of it known: the times, pace and gains of a staggered return are fitted
@@ -45,32 +45,30 @@ class BestKnownValues(Command):
     """Number of episodes: seeds 0, 1, .."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation or test."""
-    jobs: int | None = None
-    """Number of processes; by default one for each core."""
     out: Path = Path("results/hindsight")
     """Folder for SCENARIO.json."""
 
     def run(self) -> None:
         """Search and write. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
+        from dcgrid_env.baselines.carried import carried
         from dcgrid_env.baselines.hindsight_costs import hindsight_file
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-        from dcgrid_env.core.processes import Died, each
+        from dcgrid_env.core.work.unit import Unit
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         spec, names = ScenarioSpec(self.scenario, self.set), split_names(self.controllers)
-        scenario, console = spec.make(self.split), plain_console()
+        place, scenario, console = self.place, spec.make(self.split), plain_console()
         kept, seeds = kept_episodes(self.out, scenario), range(self.episodes)
         parts = [seeds[i : i + EPISODES] for i in seeds[::EPISODES]]
         tasks = [Task(spec, self.split, own, tuple(names), {i: kept[i] for i in own if i in kept}) for own in parts]
         records: dict[int, dict[str, Any]] = {}
         with alone_in(self.out, "dcgrid dev best-known"), progress_bar(console) as progress:
             bar = progress.add_task("episodes", total=self.episodes)
-            for task, found in each(search, tasks, processes(self.jobs)):
-                if isinstance(found, Died):
-                    raise OSError(f"the process that searched {scenario.name} ended with code {found.exit_code}")
+            units = [Unit(f"{scenario.name}, seeds {t.seeds[0]} to {t.seeds[-1]}", search, t) for t in tasks]
+            for unit, found in place.results(units, carried(place, [spec.where], names), how_to_go_on=""):
                 records |= found
-                progress.advance(bar, len(task.seeds))
+                progress.advance(bar, len(unit.item.seeds))
             write_json(hindsight_file(self.out, scenario.name), self._content(spec, records))
         j = [record["J"] for record in records.values()]
         by = [record["by"] for record in records.values()]

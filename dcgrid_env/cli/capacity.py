@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, check_folder, processes
+from dcgrid_env.cli.settings import Overrides, check_folder
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_figure, write_json, write_text
 from dcgrid_env.core.versions import meta
 
@@ -28,7 +28,7 @@ Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
 
 @dataclass(frozen=True)
-class Capacity(Command):
+class Capacity(OverWorkers):
     """Hosting capacity: the largest data centre that each bus of a feeder carries under each controller.
 
     One data centre is added at one bus at a time, in ever other sizes, and run through windows of sampled load; a size
@@ -76,8 +76,6 @@ class Capacity(Command):
     """Which windows the seeds mean: train, validation, test, or ood."""
     tuned: Path | None = None
     """File of dcgrid tune that the gains of tuned controllers must come from."""
-    jobs: int | None = None
-    """Number of processes; by default one for each core."""
     out: Path = Path("results/capacity")
     """Folder for capacity.csv, capacity.png and results.json; made if it is not there."""
 
@@ -86,7 +84,7 @@ class Capacity(Command):
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 
-        jobs, names = processes(self.jobs), split_names(self.controllers)
+        place, names = self.place, split_names(self.controllers)
         if not names:
             raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
         study = _study(self)
@@ -95,7 +93,7 @@ class Capacity(Command):
         with progress_bar(console) as progress:
             total = len(study.candidates())
             tasks = {name: progress.add_task(name, total=total) for name in names}
-            found = hosting_capacity(study, names, jobs, self.tuned, lambda name, n: progress.advance(tasks[name], n))
+            found = hosting_capacity(study, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n))
         table = capacity_table(found)
         console.print(table.rich(console.width))
         for note in table.notes:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import tyro
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.settings import Overrides, processes
+from dcgrid_env.cli.settings import Overrides
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 
 
 @dataclass(frozen=True)
-class Check(Command):
+class Check(OverWorkers):
     """Say within a minute whether a scenario is worth learning on.
 
     What no control, the droop, the best constant and perfect foresight reach in a few episodes, as a table and in plain
@@ -31,8 +31,6 @@ class Check(Command):
     """Which episodes the seeds mean: train, validation, test or ood."""
     seconds: float = 40.0
     """Time after which nothing further is begun; hindsight is then of fewer episodes."""
-    jobs: int | None = None
-    """Number of processes that solve episodes where these take long; by default one for each core."""
 
     def run(self) -> None:
         """Look, print the table and what it says. ValueError for a setting that cannot be."""
@@ -43,7 +41,7 @@ class Check(Command):
         console = plain_console()
         with console.status("") as status:
             check = check_scenario(
-                scenario, self.episodes, self.seconds, processes(self.jobs), lambda stage: status.update(f"{stage} ..")
+                scenario, self.episodes, self.seconds, self.place, lambda stage: status.update(f"{stage} ..")
             )
         console.print(check.table.rich(console.width))
         for verdict in check.verdicts:

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, at_least, check_folder, processes, tuned_from
+from dcgrid_env.cli.settings import Overrides, at_least, check_folder, tuned_from
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta, versions
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines import Controller
     from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.core.work.unit import Place
 
 SPLITS = ("train", "validation")
 """Splits that data may come from; what is learned from episodes of the others could not be judged on them."""
@@ -29,7 +30,7 @@ RANDOM, HINDSIGHT, DROOP = "random", "hindsight", "droop-tuned"
 
 
 @dataclass(frozen=True)
-class Dataset(Command):
+class Dataset(OverWorkers):
     """Write episodes as a Minari data set for offline reinforcement learning (takes the extra minari).
 
     The data set is there whole once the command has ended, or not at all.
@@ -61,8 +62,6 @@ class Dataset(Command):
     """Name of the data set; by default made of controller, noise and split. Its id is dcgrid/SCENARIO/NAME-v0."""
     out: Path | None = None
     """Folder of all data sets, in Minari's layout; $MINARI_DATASETS_PATH where that is set, else results/datasets."""
-    jobs: int | None = None
-    """Number of processes that plan hindsight's episodes; by default one for each core."""
 
     def run(self) -> None:
         """Run and write. ValueError for a setting that cannot be, before anything is written."""
@@ -70,7 +69,7 @@ class Dataset(Command):
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
         _check(self)
-        jobs, spec = processes(self.jobs), ScenarioSpec(self.scenario, self.set)
+        place, spec = self.place, ScenarioSpec(self.scenario, self.set)
         scenario = spec.make(self.split)
         name = dataset_id(scenario, _name(self) if self.name is None else self.name)
         root = default_root() if self.out is None else self.out
@@ -79,7 +78,7 @@ class Dataset(Command):
         with new_dataset(root, name, scenario, _behaviour(self)) as writer, progress_bar(console) as progress:
             bar = progress.add_task("episodes", total=self.episodes)
             costs: list[float] = []
-            for episodes in _episodes(self, spec, scenario, jobs):
+            for episodes in _episodes(self, spec, scenario, place):
                 writer.add(episodes)
                 costs += [episode.J for episode in episodes]
                 progress.advance(bar, len(episodes))
@@ -123,33 +122,33 @@ def _behaviour(cfg: Dataset) -> str:
     return cfg.controller + (f" with noise of {cfg.noise:g}" if cfg.noise else "")
 
 
-def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, jobs: int) -> Iterator[list[JointEpisode]]:
+def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, place: Place) -> Iterator[list[JointEpisode]]:
     """Run the episodes, batch by batch."""
     from dcgrid_env.baselines.offline_data.joint_episodes import joint_episodes
     from dcgrid_env.baselines.offline_data.minari_writer import batches
 
     chosen: dict[str, Any] = {"noise": cfg.noise, "behaviour_seed": cfg.behaviour_seed, "name": cfg.controller}
     for seeds in batches(range(cfg.seed, cfg.seed + cfg.episodes), scenario.horizon):
-        yield joint_episodes(scenario, _controller(cfg, spec, scenario, seeds, jobs), seeds, **chosen)
+        yield joint_episodes(scenario, _controller(cfg, spec, scenario, seeds, place), seeds, **chosen)
 
 
-def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], jobs: int) -> Controller:
+def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], place: Place) -> Controller:
     """What acts in the episodes of these seeds."""
     import numpy as np
 
     from dcgrid_env.agents import find_controller
+    from dcgrid_env.baselines.carried import carried
     from dcgrid_env.baselines.offline_data.behaviour import Planned, RandomActions
-    from dcgrid_env.core.processes import Died, each
+    from dcgrid_env.core.work.unit import Unit
 
     if cfg.controller == RANDOM:
         return RandomActions(seeds, cfg.behaviour_seed)
     if cfg.controller != HINDSIGHT:
         return find_controller(cfg.controller, scenario, cfg.tuned)
     plans: dict[int, np.ndarray] = {}
-    for seed, plan in each(partial(_planned, spec, cfg.split), list(seeds), jobs):
-        if isinstance(plan, Died):
-            raise OSError(f"the process that planned seed {seed} ended with code {plan.exit_code}")
-        plans[seed] = plan
+    units = [Unit(f"plan of seed {seed}", partial(_planned, spec, cfg.split), seed) for seed in seeds]
+    for unit, plan in place.results(units, carried(place, [spec.where]), how_to_go_on=""):
+        plans[unit.item] = plan
     return Planned(np.stack([plans[seed] for seed in seeds]))
 
 

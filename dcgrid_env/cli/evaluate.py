@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.runs import draw_first
 from dcgrid_env.cli.sb3_export import SUFFIX as SB3
 from dcgrid_env.cli.sb3_export import require_trusted
-from dcgrid_env.cli.settings import Overrides, check_folder, processes, tuned_from
+from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.install import from_clone
 
 if TYPE_CHECKING:
@@ -30,10 +31,11 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.baselines.score import Estimate
+    from dcgrid_env.core.work.unit import Place
 
 
 @dataclass(frozen=True)
-class Evaluate(Command):
+class Evaluate(OverWorkers):
     """Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
 
     policy: tyro.conf.Positional[str]
@@ -58,8 +60,6 @@ class Evaluate(Command):
     tuned: Path | None = None
     """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
-    jobs: int | None = None
-    """Number of processes that solve episodes; by default one for each core."""
     trust: bool = False
     """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds; dcgrid
     export-sb3 converts one without."""
@@ -84,7 +84,7 @@ class Evaluate(Command):
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
                 raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
-        jobs, file = processes(self.jobs), _file(self.policy)
+        place, file = self.place, _file(self.policy)
         if file.endswith(SB3):
             require_trusted(file, self.trust, self.scenario or "SCENARIO")
         check_folder(self.out)
@@ -106,7 +106,7 @@ class Evaluate(Command):
         with console.status(f"{self.episodes} episodes"):
             for name, controller in controllers.items():
                 evaluations[name] = evaluate(controller, scenario, seeds, name)
-        scores, why = _scores(evaluations, self, spec, jobs, console)
+        scores, why = _scores(evaluations, self, spec, place, console)
         about = f"{self.episodes} episodes" + f", seeds from {self.seed}" * (self.seed > 0)
         console.print(table(evaluations, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
         said = [*([why] if why else []), *left_out, *remarks(self.policy, evaluations)]
@@ -168,7 +168,7 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
 
 
 def _scores(
-    evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, jobs: int, console: Console
+    evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, place: Place, console: Console
 ) -> tuple[dict[str, Estimate], str | None]:
     """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
     from dcgrid_env.baselines import published
@@ -183,9 +183,9 @@ def _scores(
         costs = published(scenario, FOLDER)
         missing = _missing(costs, seeds)
         if missing and not cfg.hindsight:
-            return {}, _offer(scenario, missing, len(seeds), jobs, console)
+            return {}, _offer(scenario, missing, len(seeds), place.workers, console)
         if missing:
-            solve_missing({scenario.name: spec}, cfg.split, {scenario.name: missing}, FOLDER, jobs, console)
+            solve_missing({scenario.name: spec}, cfg.split, {scenario.name: missing}, FOLDER, place, console)
             costs = published(scenario, FOLDER)
         return {name: evaluation.score(droop, costs).score for name, evaluation in evaluations.items()}, None
     except ValueError as error:
@@ -197,7 +197,7 @@ def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
     return costs.missing(seeds) if costs else list(seeds)
 
 
-def _offer(scenario: Scenario, missing: Sequence[int], n: int, jobs: int, console: Console) -> str:
+def _offer(scenario: Scenario, missing: Sequence[int], n: int, workers: int, console: Console) -> str:
     """Why there is no score, how to get it and about how long that takes, as far as one linear program tells."""
     from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
 
@@ -205,12 +205,12 @@ def _offer(scenario: Scenario, missing: Sequence[int], n: int, jobs: int, consol
         began_s = time.perf_counter()
         hindsight(scenario, missing[0], rounds=1)
         program_s = time.perf_counter() - began_s
-    turns, most = -(-len(missing) // jobs), effort_of(scenario).rounds
+    turns, most = -(-len(missing) // workers), effort_of(scenario).rounds
     span = " to ".join(_duration(rounds * program_s * turns) for rounds in (2, most))
     return (
         f"no score: hindsight is not known for {len(missing)} of the {n} episodes; the same command with --hindsight "
         f"solves them, in about {span} (one linear program took {_duration(program_s)}, an episode takes 2 to "
-        f"{most} of them, on {jobs} {'processes' if jobs > 1 else 'process'})"
+        f"{most} of them, on {workers} {'processes' if workers > 1 else 'process'})"
     )
 
 

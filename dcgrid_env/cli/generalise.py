@@ -44,7 +44,7 @@ class Generalise(Study):
         runs = generalise.configs(ALGORITHMS["analytic"].configuration(), scenarios, chosen, self.seeds, self.runs)
         check_folder(self.out)
         console = plain_console()
-        failures = do_trainings((config for every in runs.values() for config in every), self.jobs, console)
+        failures = do_trainings((config for every in runs.values() for config in every), self.place, console)
         with working(console, f"{self.episodes} test episodes of each scenario"):
             results = generalise.generalise(self.episodes, runs, failures)
             table = generalise.table(self.episodes, results)

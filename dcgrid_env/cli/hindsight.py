@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.names import scenario_specs
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in
 from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
@@ -21,10 +22,11 @@ if TYPE_CHECKING:
 
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.core.work.unit import Place
 
 
 @dataclass(frozen=True)
-class HindsightValues(Command):
+class HindsightValues(OverWorkers):
     """Solve episodes with perfect foresight and keep what they cost: one JSON file a scenario.
 
     A file is written after each episode, so that an interrupted command goes on where it stopped. The command in it is
@@ -41,8 +43,6 @@ class HindsightValues(Command):
     """Number of episodes of each: seeds 0, 1, .."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation or test."""
-    jobs: int | None = None
-    """Number of processes; by default one for each core."""
     out: Path = Path("results/hindsight")
     """Folder for SCENARIO.json; episodes that stand in it are not solved again."""
 
@@ -55,10 +55,10 @@ class HindsightValues(Command):
         """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
-        jobs = processes(self.jobs)
+        place = self.place
         specs = scenario_specs(self.scenarios, self.set, self.split)
         console = plain_console()
-        kept = solve_missing(specs, self.split, dict.fromkeys(specs, range(self.episodes)), self.out, jobs, console)
+        kept = solve_missing(specs, self.split, dict.fromkeys(specs, range(self.episodes)), self.out, place, console)
         for name, episodes in kept.items():
             console.print(f"{name:>16}  {_said(specs[name].make(self.split), episodes)}")
 
@@ -68,10 +68,10 @@ def solve_missing(
     split: str,
     seeds: Mapping[str, Iterable[int]],
     folder: Path,
-    jobs: int,
+    place: Place,
     console: Console,
 ) -> dict[str, dict[int, dict[str, Any]]]:
-    """Solve those of the episodes that a folder does not hold, over processes, and keep each at once.
+    """Solve those of the episodes that a folder does not hold, as units of a place, and keep each at once.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def solve_missing(
         By the same names.
     folder
         Where ``hindsight_file`` of each name is, made if it is not there.
-    jobs
-        Number of processes.
+    place
+        Where they are solved.
     console
         Where the progress is shown.
 
@@ -97,12 +97,13 @@ def solve_missing(
     ------
     ValueError
         For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
-        hindsight cannot solve.
+        hindsight cannot solve; LostUnits where episodes have no result.
     LockedError
         Where another command solves episodes into this folder.
     """
+    from dcgrid_env.baselines.carried import carried
     from dcgrid_env.baselines.hindsight_costs import hindsight_file
-    from dcgrid_env.core.processes import Died, each
+    from dcgrid_env.core.work.unit import Unit
 
     def kept_now() -> dict[str, dict[int, dict[str, Any]]]:
         return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
@@ -112,10 +113,10 @@ def solve_missing(
         kept = kept_now()
         due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
         bar = progress.add_task("episodes", total=len(due))
-        for (spec, seed), record in each(partial(solve, split), due, jobs):
+        units = [Unit(f"{t[0].make(split).name}, seed {t[1]}", partial(solve, split), t) for t in due]
+        for unit, record in place.results(units, carried(place, [spec.where for spec in specs.values()])):
+            spec, seed = unit.item
             name = spec.make(split).name
-            if isinstance(record, Died):
-                raise OSError(f"the process that solved {name}, seed {seed}, ended with code {record.exit_code}")
             kept[name][seed] = record
             _write(hindsight_file(folder, name), spec, split, kept[name])
             progress.advance(bar)

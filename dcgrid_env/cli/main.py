@@ -43,7 +43,7 @@ from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
 from dcgrid_env.cli.unseen_feeders import UnseenFeeders
 from dcgrid_env.cli.verify import Verify
-from dcgrid_env.core.processes import terminated_in_order
+from dcgrid_env.core.work.worker import terminated_in_order
 
 TRACEBACK = "--traceback"
 """The one option of every command; it may stand anywhere on the line."""

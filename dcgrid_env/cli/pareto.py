@@ -44,7 +44,7 @@ class Pareto(Study):
         )
         check_folder(self.out / "images")
         console = plain_console()
-        failures = do_trainings(configs, self.jobs, console)
+        failures = do_trainings(configs, self.place, console)
         if failures:
             raise ValueError(f"{len(failures)} of {len(configs)} trainings failed: {next(iter(failures.values()))}")
         with working(console, f"{self.episodes} test episodes of {scenario}"):

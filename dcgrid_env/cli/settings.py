@@ -31,17 +31,6 @@ def with_horizon(changes: tuple[str, ...], horizon: int | None) -> tuple[str, ..
     return (*changes, f"horizon={horizon}")
 
 
-def processes(jobs: int | None) -> int:
-    """How many processes to work with, one for each core by default; ValueError below 1."""
-    from dcgrid_env.core.threads import n_threads
-
-    if jobs is None:
-        return n_threads()
-    if jobs < 1:
-        raise ValueError(f"jobs is {jobs}; give at least 1")
-    return jobs
-
-
 def at_least(settings: object, **least: float) -> None:
     """ValueError, naming it, for the first field of a command that is below the least value given for it."""
     for field, value in least.items():

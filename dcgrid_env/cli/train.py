@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import importlib
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,15 +20,17 @@ import tyro
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import processes
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import place
 from dcgrid_env.core.install import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
 """Options of the command beside an algorithm's configuration, and the fields that they set."""
 SEEDS = (
-    "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own. --open opens the "
-    "curve at the end, --wandb sends it to Weights & Biases as well."
+    "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own: --workers says how "
+    "many at a time on this machine, by default one for each core, and --ray ADDRESS names the Ray cluster that trains "
+    "them instead (auto, HOST:PORT, ray://HOST:PORT). --open opens the curve at the end, --wandb sends it to Weights & "
+    "Biases as well."
 )
 """What the help of every algorithm says of the options that stand beside its configuration."""
 
@@ -78,14 +81,15 @@ class Algorithm:
 
     def parse(self, words: Sequence[str], prog: str) -> Command:
         """Read the algorithm's own options; ValueError where torch is not installed, or for seeds that cannot be."""
-        n, words = _seeds(words)
+        asked, words = _seeds(words)
         own = {field: option in words for option, field in OWN.items()}
         configuration = self.configured([word for word in words if word not in OWN], prog)
-        if n is None:
+        if asked.seeds is None:
             return Training(self.module(), configuration, **own)
         if any(own.values()):
             raise ValueError(f"seeds: {' and '.join(OWN)} are of a single training; leave them out, or --seeds")
-        return Seeds(tuple(of_seed(configuration, configuration.seed + i) for i in range(n)))
+        configurations = tuple(of_seed(configuration, configuration.seed + i) for i in range(asked.seeds))
+        return Seeds(configurations, asked.workers, asked.ray)
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,10 @@ class Seeds(Command):
 
     configurations: tuple[Any, ...]
     """One for each seed."""
+    workers: int | None = None
+    """Trainings at once on this machine."""
+    ray: str | None = None
+    """Ray cluster that trains them instead."""
 
     @property
     def resumes(self) -> str:
@@ -135,25 +143,26 @@ class Seeds(Command):
         return GOES_ON
 
     def run(self) -> None:
-        """Train what has not been trained, print each seed's cost on validation. ValueError where a seed fails."""
+        """Train what has not been trained, print each seed's cost on validation. ValueError where seeds fail."""
         from dcgrid_env.agents import Card
-        from dcgrid_env.agents.studies.training_runs import train_seed
-        from dcgrid_env.core.processes import Died, each
+        from dcgrid_env.agents.studies.training_runs import command, train_seed
+        from dcgrid_env.agents.studies.training_units import train_all
 
-        first = self.configurations[0]
+        where, first = place(self.workers, self.ray), self.configurations[0]
         if line := shipped_settings(first):
             print(line)
-        console, folders = plain_console(), {}
+        console, failures = plain_console(), {}
         with progress_bar(console) as progress:
             bar = progress.add_task("seeds", total=len(self.configurations))
-            for configuration, result in each(train_seed, self.configurations, processes(None)):
-                if isinstance(result, Died):
-                    raise ValueError(f"seed {configuration.seed}: its process ended with exit code {result.exit_code}")
-                folder, failure = result
+            words = lambda configuration: shlex.split(command(configuration))  # noqa: E731
+            for configuration, failure in train_all(self.configurations, where, train_seed, words):
                 if failure is not None:
-                    raise ValueError(f"seed {configuration.seed}: {failure}")
-                folders[configuration.seed] = folder
+                    failures[configuration.seed] = failure
                 progress.advance(bar)
+        if failures:
+            said = "; ".join(f"seed {seed}: {failures[seed]}" for seed in sorted(failures))
+            raise ValueError(f"{len(failures)} of {len(self.configurations)} not done: {said}; {GOES_ON}")
+        folders = {configuration.seed: configuration.folder for configuration in self.configurations}
         cards = {seed: Card.load(folders[seed] / "policy.json") for seed in sorted(folders)}
         for seed, card in cards.items():
             cost, spent_s = f"J {card.validation_J:.4f} on validation", f"{card.training_s:.0f} s"
@@ -169,17 +178,25 @@ def of_seed(configuration: Any, seed: int) -> Any:
     return dataclasses.replace(configuration, seed=seed, out=out)
 
 
-def _seeds(words: Sequence[str]) -> tuple[int | None, list[str]]:
-    """How many seeds are asked for, None for the one of --seed, and the other words; ValueError for what cannot be."""
+def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
+    """What is asked for of several seeds (``seeds`` None for the one of --seed), and the other words.
+
+    ValueError for what cannot be.
+    """
     option = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     option.add_argument("--seeds", type=int)
+    option.add_argument("--workers", type=int)
+    option.add_argument("--ray")
     try:
         given, others = option.parse_known_args(words)
     except argparse.ArgumentError as error:
-        raise ValueError(f"seeds: {error.message}; give the number of training seeds, such as --seeds 5") from None
+        field = (error.argument_name or "seeds").lstrip("-")
+        raise ValueError(f"{field}: {error.message}; give it a value, such as --seeds 5 --workers 2") from None
     if given.seeds is not None and given.seeds < 1:
         raise ValueError(f"seeds is {given.seeds}; give at least 1")
-    return given.seeds, others
+    if given.seeds is None and (given.workers is not None or given.ray is not None):
+        raise ValueError("seeds is missing: --workers and --ray share out several trainings; give --seeds, or neither")
+    return given, others
 
 
 ALGORITHMS = {

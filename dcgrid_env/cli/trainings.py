@@ -8,20 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import processes
 from dcgrid_env.cli.terminal import say
+from dcgrid_env.cli.workers import OverWorkers
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from dcgrid_env.core.work.unit import Place
 
 MOST_EPISODES = 100
 """Test episodes whose hindsight is published, seeds 0 to 99."""
 
 
 @dataclass(frozen=True)
-class Study(Command):
+class Study(OverWorkers):
     """A command that trains policies and tests them; trainings are kept, and what is done is not done again."""
 
     updates: int | None = None
@@ -30,8 +32,6 @@ class Study(Command):
     """Number of training seeds, 0, 1, .., of all that is trained."""
     episodes: int = 100
     """Test episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
-    jobs: int | None = None
-    """Trainings at once; by default one for each core."""
 
     @property
     def resumes(self) -> str:
@@ -60,14 +60,12 @@ def positive_numbers(field: str, text: str) -> list[float]:
     return values
 
 
-def do_trainings(configs: Iterable[Any], jobs: int | None, console: Console) -> dict[Path, str]:
-    """Do the runs that have not been done, several at once; those that failed, by folder, with why.
+def do_trainings(configs: Iterable[Any], place: Place, console: Console) -> dict[Path, str]:
+    """Do the runs that have not been done, several at once; those that failed, by folder, with why."""
+    from dcgrid_env.agents.studies.training_runs import LOG, finished
+    from dcgrid_env.agents.studies.training_units import train_all
 
-    ValueError for jobs that cannot be.
-    """
-    from dcgrid_env.agents.studies.training_runs import LOG, finished, train_all
-
-    n, asked = processes(jobs), list(configs)
+    asked = list(configs)
     due = [config for config in asked if not finished(config)]
     if len(due) < len(asked):
         say(console, f"{len(asked) - len(due)} of {len(asked)} trainings are done already with these settings")
@@ -77,7 +75,7 @@ def do_trainings(configs: Iterable[Any], jobs: int | None, console: Console) -> 
     say(console, f"the first: {due[0].out / LOG}")
     with progress_bar(console) as progress:
         bar = progress.add_task("trainings", total=len(asked), completed=len(asked) - len(due))
-        for config, failure in train_all(due, n):
+        for config, failure in train_all(due, place):
             if failure is not None:
                 failures[config.out] = failure
                 say(console, f"failed: {failure}")

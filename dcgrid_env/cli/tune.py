@@ -9,16 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.names import scenario_specs, split_names
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in, processes
+from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in
 from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.core.work.unit import Place
 
 SPLIT = "validation"
 Laws = dict[str, dict[str, dict[str, Any]]]
@@ -26,7 +28,7 @@ Laws = dict[str, dict[str, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
-class Tune(Command):
+class Tune(OverWorkers):
     """Tune laws on the validation split of scenarios, and write their parameters with the command that made each.
 
     The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
@@ -48,8 +50,6 @@ class Tune(Command):
     """Number of validation episodes of each scenario: seeds 0, 1, .."""
     together: bool = False
     """Whether the scenarios share one set of parameters, or each has its own."""
-    jobs: int | None = None
-    """Number of processes; by default one for each core."""
     out: Path = Path("results/tuned.json")
     """File to write."""
     again: bool = False
@@ -71,14 +71,14 @@ class Tune(Command):
             raise ValueError(f"laws is {self.laws!r}; choose among {', '.join(TUNABLE)}, or all")
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
-        jobs = processes(self.jobs)
+        place = self.place
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
         asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
         if self.laws.strip() == "all":  # those that fit; a law that is named and does not is refused by itself
             asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
         _kept(self.out)  # ValueError for another kind of file, before a folder is made
         with alone_in(self.out.parent, "dcgrid tune"):
-            _search(self, asked, jobs)
+            _search(self, asked, place)
 
 
 class Search(NamedTuple):
@@ -94,9 +94,10 @@ class Search(NamedTuple):
         return ",".join(self.names)
 
 
-def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
+def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
     """Search what is due, and write the file after each."""
-    from dcgrid_env.core.processes import Died, each
+    from dcgrid_env.baselines.carried import carried
+    from dcgrid_env.core.work.unit import Unit
 
     kept = _kept(cfg.out)
     due = [search for search in asked if cfg.again or not _stands(kept, search, cfg.episodes)]
@@ -106,9 +107,10 @@ def _search(cfg: Tune, asked: Sequence[Search], jobs: int) -> None:
         console.print(f"{done} of {len(asked)} stand in {cfg.out} and are kept; --again searches them again")
     with progress_bar(console) as progress:
         bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
-        for search, entry in each(partial(_tuned, cfg.episodes), due, jobs):
-            if isinstance(entry, Died):
-                raise OSError(f"the process that tuned {search.law} for {search.key} ended with code {entry.exit_code}")
+        units = [Unit(f"{search.law} of {search.key}", partial(_tuned, cfg.episodes), search) for search in due]
+        shared = carried(place, [spec.where for search in due for spec in search.specs])
+        for unit, entry in place.results(units, shared):
+            search = unit.item
             kept.setdefault(search.law, {})[search.key] = entry
             _write(cfg.out, kept)
             values = ", ".join(f"{name} = {value}" for name, value in entry["parameters"].items())

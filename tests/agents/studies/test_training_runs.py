@@ -7,8 +7,10 @@ import pytest
 from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.algorithms.ppo import Ppo
 from dcgrid_env.agents.algorithms.safe import Safe
-from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, train_all, trained
+from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, trained
+from dcgrid_env.agents.studies.training_units import train_all
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.core.work.here import ONE_PROCESS
 
 
 def tiny(out, **others):
@@ -45,7 +47,7 @@ def test_a_command_names_what_differs_only():
 def test_a_run_is_done_once_and_others_are_told_apart(tmp_path):
     config = tiny(tmp_path / "run")
     assert not finished(config)
-    assert list(train_all([config], 1)) == [(config, None)]
+    assert list(train_all([config], ONE_PROCESS)) == [(config, None)]
     assert finished(config)
     assert not finished(tiny(tmp_path / "run", seed=1))
     assert "best on validation" in (tmp_path / "run" / "training.log").read_text()
@@ -62,7 +64,7 @@ def test_a_run_is_done_once_and_others_are_told_apart(tmp_path):
 def test_a_folder_of_another_run_fails_and_says_why(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.json").write_text(json.dumps({"scenario": "ieee123"}))
-    ((_, failure),) = train_all([tiny(tmp_path / "run")], 1)
+    ((_, failure),) = train_all([tiny(tmp_path / "run")], ONE_PROCESS)
     assert failure is not None
     assert "scenario was 'ieee123' and is 'toy6' now" in failure
     assert not finished(tiny(tmp_path / "run"))

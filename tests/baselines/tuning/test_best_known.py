@@ -52,7 +52,7 @@ def test_whoever_costs_less_is_named_and_what_was_searched_is_not_searched_again
 
 def test_the_command_keeps_what_can_be_driven_again_and_calls_it_no_bound(quick, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command = BestKnownValues(set=SHORT, episodes=3, jobs=1, controllers="none")
+    command = BestKnownValues(set=SHORT, episodes=3, workers=1, controllers="none")
     command.run()
     s = scenario()
     content = read_hindsight(tmp_path / "results/hindsight", s.name)

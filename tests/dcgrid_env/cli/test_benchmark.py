@@ -75,7 +75,7 @@ def _known_reference(monkeypatch):
 
 def benchmark(out, controllers, *more, scenarios="toy6", episodes=5, processes=1):
     arguments = ["--scenarios", scenarios, "--controllers", controllers, "--episodes", str(episodes)]
-    main(["benchmark", *arguments, "--out", str(out), "--jobs", str(processes), *more])
+    main(["benchmark", *arguments, "--out", str(out), "--workers", str(processes), *more])
     return json.loads((out / "results.json").read_text())
 
 
@@ -315,7 +315,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
         ({"controllers": "nowhere.safetensors"}, "there is no such file"),
         ({"episodes": 0}, "episodes is 0; give at least 1"),
-        ({"processes": 0}, "jobs is 0; give at least 1"),
+        ({"processes": 0}, "workers is 0; give at least 1"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
@@ -354,7 +354,7 @@ def _is_one_line(stopped, capsys, message):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_loses_nothing_that_was_done(tmp_path):
-    arguments = ["benchmark", "--scenarios", "ieee123", "--controllers", "none,droop,droop-q,inverters", "--jobs", "2"]
+    arguments = ["benchmark", "--scenarios", "ieee123", "--controllers", "none,droop,droop-q,inverters", "--workers", "2"]
     command = [sys.executable, "-m", "dcgrid_env.cli.main", *arguments, "--out", str(tmp_path / "out")]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True

@@ -29,7 +29,7 @@ def a_run(folder):
     (folder / "config.json").write_text('{"view": "shared"}')
 
 
-TINY = f"--updates 2 --episodes 2 --jobs 1 --runs {NAME}/runs --out {NAME}/out"
+TINY = f"--updates 2 --episodes 2 --workers 1 --runs {NAME}/runs --out {NAME}/out"
 PLAIN = NAME.replace("/", "")
 SAID = {
     f"dev curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),

@@ -7,7 +7,7 @@ import pytest
 from dcgrid_env.baselines.hosting_capacity.capacity_output import read_capacity_csv
 from dcgrid_env.cli.main import main
 
-SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--jobs", "1")
+SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--workers", "1")
 IEEE33 = ("--feeder", "ieee33", "--set", "v0_pu=1.05")
 
 
@@ -56,7 +56,7 @@ def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):
         ((*IEEE33, "--limits", "1.05,0.95"), "v_max_pu is 0.95; give a voltage above"),
         ((*IEEE33, "--buses", "18,1"), "the substation '1'"),
         ((*IEEE33, "--buses", "180"), "180"),
-        ((*IEEE33, "--jobs", "0"), "jobs is 0"),
+        ((*IEEE33, "--workers", "0"), "workers is 0"),
         ((*IEEE33, "--trace", "nothing"), "trace"),
         (("--feeder", "nowhere"), "nowhere"),
     ],

@@ -9,7 +9,7 @@ def test_a_scenario_file_is_looked_at_and_judged(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 20\n', encoding="utf-8")
-    main(["check", "mine.toml", "--episodes", "2", "--seconds", "2", "--jobs", "1", "--set", "load_sigma=0.01"])
+    main(["check", "mine.toml", "--episodes", "2", "--seconds", "2", "--workers", "1", "--set", "load_sigma=0.01"])
     said = capsys.readouterr().out
     assert "mine, validation split, found in" in said
     for name in ("no control", "paper's droop", "best droop", "best constant", "hindsight"):
@@ -26,7 +26,7 @@ def test_a_scenario_file_is_looked_at_and_judged(tmp_path, monkeypatch, capsys):
         (["nothing.toml"], "nothing.toml is no file; give a scenario file"),
         (["toy6", "--episodes", "0"], "episodes is 0 and seconds 40; give at least 1 and more than 0"),
         (["toy6", "--seconds", "-1"], "seconds -1"),
-        (["toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
+        (["toy6", "--workers", "0"], "workers is 0; give at least 1"),
         (["toy6", "--split", "all"], "split is 'all'"),
     ],
 )

@@ -84,7 +84,7 @@ def test_hindsight_acts_as_it_planned(here, monkeypatch):
     plans = [np.full((4, 10), 0.25 * seed) for seed in range(3)]
     found = "dcgrid_env.baselines.model_based.hindsight.hindsight"
     monkeypatch.setattr(found, lambda scenario, seed: SimpleNamespace(actions=plans[seed]))
-    main(["dataset", "--controller", "hindsight", "--jobs", "1", *SHORT])
+    main(["dataset", "--controller", "hindsight", "--workers", "1", *SHORT])
     dataset = minari.MinariDataset("results/datasets/dcgrid/ieee33-weak/hindsight-v0/data")
     np.testing.assert_array_equal([episode.actions for episode in dataset], np.array(plans, np.float32))
 

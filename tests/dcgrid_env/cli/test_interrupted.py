@@ -13,7 +13,7 @@ import pytest
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.lock import locked
 
-SHORT = ("--episodes", "1", "--jobs", "1")
+SHORT = ("--episodes", "1", "--workers", "1")
 WRITING = {
     "run": (("run", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "results.json"),
     "run, its figure": (("run", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "figure.png"),
@@ -94,7 +94,7 @@ def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint
 @pytest.mark.slow
 def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done(here):
     """Ctrl-C ends them by a termination, whatever they are doing."""
-    arguments = ["dev", "pareto", "--scenario", "toy6", "--delays", "4", "--updates", "100000", "--jobs", "2"]
+    arguments = ["dev", "pareto", "--scenario", "toy6", "--delays", "4", "--updates", "100000", "--workers", "2"]
     command = [sys.executable, "-m", "dcgrid_env.cli.main", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     began = time.monotonic()
@@ -113,9 +113,9 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
     [
         (("train", "ppo", "--scenario", "toy6", "--gamma", "2"), "results"),
         (("train", "safe", "--scenario", "toy6", "--margin", "2"), "results"),
-        (("dev", "pareto", "--scenario", "toy6", "--jobs", "0"), "results"),
-        (("dev", "ablate", "--scenario", "toy6", "--jobs", "0"), "results"),
-        (("dev", "generalise", "--scenarios", "toy6,ieee33", "--jobs", "0"), "results"),
+        (("dev", "pareto", "--scenario", "toy6", "--workers", "0"), "results"),
+        (("dev", "ablate", "--scenario", "toy6", "--workers", "0"), "results"),
+        (("dev", "generalise", "--scenarios", "toy6,ieee33", "--workers", "0"), "results"),
         (("reproduce", "--trace", "no-such"), "results"),
         (("traces", "show", "training", "--duration-s", "10", "--out", "new/trace.xyz"), "new"),
         (("traces", "fetch", "no-such", "--cache", "new"), "new"),

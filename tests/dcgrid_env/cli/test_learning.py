@@ -6,7 +6,7 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.studies import ablation, pareto
 from dcgrid_env.cli.main import main
 
-TINY = ("--updates", "2", "--episodes", "2", "--jobs", "1")
+TINY = ("--updates", "2", "--episodes", "2", "--workers", "1")
 
 
 def stopped(capsys, *arguments):
@@ -85,7 +85,7 @@ def test_generalise_leaves_each_out(here, capsys):
         (("dev", "ablate", "--policies", "none-such"), "none-such: no policy of that name ships"),
         (("dev", "generalise", "--scenarios", "ieee33"), "scenarios is 'ieee33'; give at least two, one is left out"),
         (("dev", "generalise", "--vary", "-1"), "vary is -1; give at least 0"),
-        (("dev", "generalise", "--jobs", "0"), "jobs is 0; give at least 1"),
+        (("dev", "generalise", "--workers", "0"), "workers is 0; give at least 1"),
         (("dev", "curves", "nowhere"), "nowhere: there is no curve.csv; give the folder of a training run"),
         (
             (
@@ -127,8 +127,7 @@ def test_an_interruption_says_that_the_same_command_goes_on(here, monkeypatch, c
 
 def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("dcgrid_env.cli.train.processes", lambda jobs: 1)
-    words = ["train", "analytic", "--scenario", "toy6", "--set", "horizon=10", "--seeds", "2", "--seed", "3"]
+    words = ["train", "analytic", "--scenario", "toy6", "--set", "horizon=10", "--seeds", "2", "--seed", "3", "--workers", "1"]
     main([*words, "--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--hidden", "4", "--out", "runs"])
     said = capsys.readouterr().out
     assert "seed 3: J" in said

@@ -30,7 +30,7 @@ def stopped(capsys, *arguments):
 
 @pytest.mark.parametrize("name", DEV.members)
 def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
-    code, said = stopped(capsys, name, "--jobs", "1")
+    code, said = stopped(capsys, name, "--workers", "1")
     assert (code, said.err) == (2, f"dcgrid: there is no `dcgrid {name}`; it is `dcgrid dev {name}`\n")
 
 

@@ -86,11 +86,11 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
     load_feeder("das69").scaled(1.01, 1.0).to_csv("files/changed")
     run("--feeder", "files/changed", "--datacenters", "2 x 250 kW", "--save-scenario", "files/mine.toml")
     file, few = ("--scenario", "files/mine.toml"), ("--episodes", "2")
-    main(["tune", "--laws", "droop-q", *file, "--episodes", "1", "--jobs", "1"])
+    main(["tune", "--laws", "droop-q", *file, "--episodes", "1", "--workers", "1"])
     tuned = json.loads((folders / "results/tuned.json").read_text())["laws"]
     tuned["droop"] = tuned["droop-q"]  # a search of three parameters takes longer and shows no more
     (folders / "results/tuned.json").write_text(json.dumps({"laws": tuned}))
-    main(["evaluate", "droop-q-tuned", *file, *few, "--hindsight", "--jobs", "1"])
+    main(["evaluate", "droop-q-tuned", *file, *few, "--hindsight", "--workers", "1"])
     said = capsys.readouterr().out
     assert "droop-q-tuned: gains of on-das69 from results/tuned.json" in said
     assert "score" in said
@@ -100,9 +100,9 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
     main(["evaluate", "trained", *few])  # the file is in the run's configuration
     assert "no score" not in capsys.readouterr().out
     main(["run", *file, "--controllers", "none,droop-tuned", "--episodes", "1", "--out", "again"])
-    main(["benchmark", *file, "--controllers", "none", *few, "--jobs", "1", "--out", "bench"])
+    main(["benchmark", *file, "--controllers", "none", *few, "--workers", "1", "--out", "bench"])
     assert "no score" not in capsys.readouterr().out
-    main(["dev", "hindsight", *file, *few, "--jobs", "1"])
+    main(["dev", "hindsight", *file, *few, "--workers", "1"])
     assert "2 episodes, mean J" in capsys.readouterr().out
 
 

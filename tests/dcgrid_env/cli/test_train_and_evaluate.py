@@ -206,7 +206,7 @@ def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, 
     assert "toy6, test split, 2 episodes" in capsys.readouterr().out
     run = ["--scenario", "toy6", "--controllers", "toy6-ppo,ppo", "--episodes", "2", "--out", str(tmp_path / "r")]
     main(["run", *run])
-    bench = ["--scenarios", "toy6,ieee33", "--controllers", "ppo", "--episodes", "2", "--jobs", "1"]
+    bench = ["--scenarios", "toy6,ieee33", "--controllers", "ppo", "--episodes", "2", "--workers", "1"]
     main(["benchmark", *bench, "--out", str(tmp_path / "b")])
     printed = " ".join(capsys.readouterr().out.split())
     assert "ieee33, ppo: does not apply: controller 'ppo': none ships for 'ieee33', but for toy6" in printed
@@ -242,7 +242,7 @@ def here(tmp_path, monkeypatch):
 
 
 def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, capsys):
-    command = ["evaluate", "none", "--scenario", "own.py:make", "--episodes", "2", "--jobs", "1"]
+    command = ["evaluate", "none", "--scenario", "own.py:make", "--episodes", "2", "--workers", "1"]
     main(command)
     printed = capsys.readouterr().out
     assert "[/], test split, 2 episodes" in printed
@@ -270,7 +270,7 @@ def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, 
 
 def test_episodes_beyond_those_that_ship_are_solved(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    main(["evaluate", "none", "--scenario", "toy6", "--seed", "98", "--episodes", "3", "--hindsight", "--jobs", "1"])
+    main(["evaluate", "none", "--scenario", "toy6", "--seed", "98", "--episodes", "3", "--hindsight", "--workers", "1"])
     assert "\n score " in capsys.readouterr().out
     kept = json.loads((tmp_path / "results" / "hindsight" / "toy6.json").read_text())
     assert [e["seed"] for e in kept["episodes"]] == [100]

@@ -21,7 +21,7 @@ from dcgrid_env.cli.main import main
 
 
 def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys):
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path)]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path)]
     main([*arguments, "--episodes", "2"])
     path = tmp_path / "toy6.json"
     content = json.loads(path.read_text())
@@ -59,7 +59,7 @@ def test_two_processes_solve_what_one_does(tmp_path):
                 "toy6",
                 "--episodes",
                 "3",
-                "--jobs",
+                "--workers",
                 jobs,
                 "--out",
                 str(tmp_path / jobs),
@@ -74,7 +74,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     other = {"droop-q": {"mine": {"parameters": {}}}, "droop": {"toy6": {"parameters": {}}}}
     out.write_text(json.dumps({"laws": other}))
     command = "dcgrid tune --laws droop-q --scenarios toy6 --episodes 1"
-    main([*command.split()[1:], "--jobs", "1", "--out", str(out)])
+    main([*command.split()[1:], "--workers", "1", "--out", str(out)])
     laws = json.loads(out.read_text())["laws"]
     found = tune("droop-q", [make_scenario("toy6", split="validation")], episodes=1)
     record = {"parameters": found.parameters, "J": found.score, "trials": found.trials, "command": command}
@@ -85,7 +85,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
 def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, capsys, monkeypatch):
     out = tmp_path / "made" / "tuned.json"
     arguments = ["tune", "--laws", "constant-q,droop-q", "--scenarios", "ieee123,toy6", "--episodes", "1"]
-    arguments += ["--jobs", "1", "--out", str(out)]
+    arguments += ["--workers", "1", "--out", str(out)]
     searched = _searches(monkeypatch, stop_at=3)
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
@@ -115,7 +115,7 @@ def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_agai
         "droop-q",
         "--scenarios",
         "toy6",
-        "--jobs",
+        "--workers",
         "1",
         "--out",
         str(out),
@@ -176,7 +176,7 @@ def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, messag
 
 def test_an_interrupted_hindsight_keeps_its_episodes(tmp_path, capsys, monkeypatch):
     _solutions(monkeypatch, stop_at=3)
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes", "4"]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes", "4"]
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 130
@@ -206,7 +206,7 @@ class Solved(NamedTuple):
 def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, monkeypatch):
     # Seed 1 has the largest gap, below the bound; 1 and 2 stopped at six programs, of which 2 agrees.
     _solutions(monkeypatch, s1=(2.0, 2.5, 6), s2=(1.0, 1.0, 6), s3=(4.0, 3.9, 5))
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path), "--episodes"]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes"]
     main([*arguments, "8"])
     said = " ".join(capsys.readouterr().out.split())
     assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped at 6 programs with a" in said
@@ -254,7 +254,7 @@ def test_an_out_that_hindsight_cannot_write_is_refused_at_once(tmp_path, capsys,
     _solutions(monkeypatch, stop_at=1)
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stopped:
-        main(["dev", "hindsight", "--scenarios", "toy6", "--jobs", "1", "--out", str(tmp_path / "file")])
+        main(["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path / "file")])
     _is_one_line(stopped, capsys, "no folder")
 
 
@@ -270,7 +270,7 @@ def _is_one_line(stopped, capsys, *messages):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--episodes", "100", "--jobs", "2", "--out", str(tmp_path)]
+    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--episodes", "100", "--workers", "2", "--out", str(tmp_path)]
     started = subprocess.Popen(
         [sys.executable, "-m", "dcgrid_env.cli.main", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -292,8 +292,8 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
         (["tune", "--laws", ","], "laws is ','; choose among"),
         (["tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
         (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["tune", "--scenarios", "toy6", "--jobs", "0"], "jobs is 0; give at least 1"),
-        (["dev", "hindsight", "--scenarios", "toy6", "--jobs", "-1"], "jobs is -1; give at least 1"),
+        (["tune", "--scenarios", "toy6", "--workers", "0"], "workers is 0; give at least 1"),
+        (["dev", "hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers is -1; give at least 1"),
         (["dev", "hindsight", "--scenarios", " , "], "name at least one, or all"),
         (["dev", "hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
         (["dev", "hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
@@ -327,7 +327,7 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
         make_controller("droop-q-tuned", ScenarioSpec("own.py:make").make("test"))
     advised = str(raised.value).partition("`")[2].rstrip("`")
     assert advised == "dcgrid tune --laws droop-q --scenarios own.py:make"
-    command = [*advised.split()[1:], "--episodes", "1", "--jobs", "1"]
+    command = [*advised.split()[1:], "--episodes", "1", "--workers", "1"]
     main(command)
     entry = json.loads((here / "results" / "tuned.json").read_text())["laws"]["droop-q"]["mine"]
     own = ScenarioSpec("own.py:make").make("test")
@@ -347,7 +347,7 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
 
 def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
     searched = _searches(monkeypatch)
-    arguments = ["tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--jobs", "1"]
+    arguments = ["tune", "--laws", "droop", "--scenario", "toy6", "--episodes", "1", "--workers", "1"]
     for more in (["--set", "horizon=9"], ["--set", "horizon=9"], ["--set", "horizon=8"], []):
         main([*arguments, *more])
     assert len(searched) == 3
@@ -364,7 +364,7 @@ def test_two_scenarios_of_one_name_are_refused(here, capsys):
 
 def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
     _solutions(monkeypatch)
-    arguments = ["dev", "hindsight", "--scenario", "own.py:make", "--jobs", "1", "--episodes", "2", "--set"]
+    arguments = ["dev", "hindsight", "--scenario", "own.py:make", "--workers", "1", "--episodes", "2", "--set"]
     main([*arguments, "load_sigma=0.1"])
     content = json.loads((here / "results" / "hindsight" / "mine.json").read_text())
     scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("test")
@@ -388,7 +388,7 @@ def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
 @pytest.mark.slow
 def test_other_processes_rebuild_ones_own_scenario(here):
     for jobs in ("1", "2"):
-        common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--jobs", jobs]
+        common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--workers", jobs]
         main(["dev", "hindsight", *common, "--out", f"h{jobs}"])
         main(["tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
     for one, two in (("h1/mine.json", "h2/mine.json"), ("t1.json", "t2.json")):

@@ -1,0 +1,118 @@
+"""Trainings as units of work: in their own folders where the worker sees these, else in one that travels with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dcgrid_env.agents.studies.training_runs import FINISHED, LOG, train
+from dcgrid_env.baselines.carried import carried
+from dcgrid_env.core.files import new_folder, write_bytes
+from dcgrid_env.core.lock import LockedError, locked
+from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
+
+Files = dict[str, bytes]
+"""Contents of a run's folder by their names in it."""
+
+
+class _Sent(NamedTuple):
+    """What a worker needs to do a run."""
+
+    work: Callable[[Any], str | None]
+    config: Any
+    words: list[str]
+    """The command that the policy's card is to name."""
+    files: Files | None
+    """What the run's folder holds, for a worker that does not see it."""
+
+
+def train_all(
+    configs: Sequence[Any],
+    place: Place,
+    work: Callable[[Any], str | None] = train,
+    words: Callable[[Any], list[str]] = lambda _: sys.argv,
+) -> Iterator[tuple[Any, str | None]]:
+    """Do runs as units of a place; each with why it failed, if it did, as they are done.
+
+    Leaving the iterator ends them; what they have kept is gone on from.
+
+    Parameters
+    ----------
+    configs
+        Training configurations.
+    place
+        Where they run. Workers that do not see the runs' folders are sent what these hold and send back what they then
+        hold, which is written here, ``finished.json`` last: where such a worker dies, its run begins from what the
+        folder held when the command began.
+    work
+        What does a run, ``train`` or ``train_seed`` of ``training_runs``.
+    words
+        The command that a run's card is to name.
+    """
+    units = [
+        Unit(
+            str(config.folder),
+            _train,
+            _Sent(work, config, words(config), _held(config.folder) if place.is_remote else None),
+            Needs(float(config.threads), 1.0 if config.device.startswith("cuda") else 0.0),
+        )
+        for config in configs
+    ]
+    for unit, result in place.run(units, carried(place, [config.scenario for config in configs])):
+        config = unit.item.config
+        if isinstance(result, Lost):
+            yield config, result.reason
+            continue
+        failure, files = result
+        try:
+            _write(config.folder, files or {})
+        except LockedError as error:
+            failure = str(error)
+        yield config, failure
+
+
+def _train(sent: _Sent) -> tuple[str | None, Files | None]:
+    """Do a run: why it failed, if it did, and what its folder holds where that is not seen by who asked for it."""
+    before, sys.argv = sys.argv, sent.words
+    try:
+        if sent.files is None:
+            return sent.work(sent.config), None
+        with tempfile.TemporaryDirectory(prefix="dcgrid-") as place:
+            folder = Path(place) / "run"
+            for name, content in sent.files.items():
+                write_bytes(folder / name, content)
+            failure = sent.work(dataclasses.replace(sent.config, out=folder))
+            own = str(sent.config.folder)
+            return failure and failure.replace(str(folder), own), _renamed(_held(folder), str(folder), sent.config)
+    finally:
+        sys.argv = before
+
+
+def _held(folder: Path) -> Files:
+    """What a run's folder holds, without locks and what is half written."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def _renamed(files: Files, folder: str, config: Any) -> Files:
+    """The files with the run's own folder in the place of the one where it was done."""
+    if LOG in files:
+        files[LOG] = files[LOG].replace(folder.encode(), str(config.folder).encode())
+    if "config.json" in files:
+        about = json.loads(files["config.json"]) | {"out": config.out and str(config.out)}
+        files["config.json"] = (json.dumps(about, indent=2) + "\n").encode()
+    return files
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put files into a run's folder, each whole or not at all; LockedError where another trains there."""
+    if not files:
+        return
+    with new_folder(folder), locked(folder, "training"):
+        for name in sorted(files, key=lambda name: name == FINISHED):
+            write_bytes(folder / name, files[name])

@@ -1,0 +1,139 @@
+"""What a worker is to a unit: one that catches its errors, gives it the shared values, and ends in order."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import socket
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
+
+from dcgrid_env.core.versions import versions
+from dcgrid_env.core.work.unit import Lost
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
+"""Variables that say how many threads numerical libraries use; 1 in a worker."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_KEY = ""
+"""Name under which a worker of a cluster keeps whose values it has."""
+_values: dict[str, Any] = {}
+_busy = False
+
+
+def shared(name: str, default: Any = None) -> Any:
+    """A value that the units of this run share, by its name; ``default`` where there is none."""
+    return _values.get(name, default)
+
+
+@contextlib.contextmanager
+def sharing(values: Mapping[str, Any]) -> Iterator[None]:
+    """Let units that run in the block have these values."""
+    before = dict(_values)
+    _values.clear()
+    _values.update(values)
+    try:
+        yield
+    finally:
+        _values.clear()
+        _values.update(before)
+
+
+def share_once(key: str, values: Callable[[], Mapping[str, Any]]) -> None:
+    """Let all that this process does from now on have these values, unless it has those of ``key`` already."""
+    if _values.get(_KEY) != key:
+        _values.clear()
+        _values.update(values(), **{_KEY: key})
+
+
+def other_versions(expected: Mapping[str, str | None]) -> str:
+    """Which packages have other versions on this node than on the machine that asks; empty where none has."""
+    here = versions(tuple(expected))
+    differ = [f"{name} {here[name]}, there {version}" for name, version in expected.items() if here[name] != version]
+    return f"node {socket.gethostname()} has {', '.join(differ)}; install the same on all nodes" if differ else ""
+
+
+def attempt(work: Callable[[Item], Result], item: Item) -> Result | Lost:
+    """The work of a unit; in place of its result what it raised. A worker that is terminated meanwhile ends here."""
+    global _busy
+    before, _busy = _busy, True
+    try:
+        return work(item)
+    except (Exception, SystemExit) as error:  # a user's own code may raise the latter, which is a failure of that code
+        return _lost(error)
+    finally:
+        _busy = before
+
+
+def _lost(error: BaseException) -> Lost:
+    """What is told of an error; one that cannot be sent to another process is described alone."""
+    reason = " ".join(str(error).split())
+    if not isinstance(error, ValueError | OSError) or not reason:
+        reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
+    kept: Exception = error if isinstance(error, Exception) else RuntimeError(reason)
+    try:
+        pickle.loads(pickle.dumps(kept))
+    except Exception:
+        kept = RuntimeError(reason)
+    kept.add_note("".join(traceback.format_exception(error)))
+    return Lost(reason, kept)
+
+
+def begin_process(values: bytes) -> None:
+    """Make a fresh process a worker: Ctrl-C is left to the parent, with which it ends; the shared values are there."""
+    import threading
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited everywhere
+    signal.signal(signal.SIGTERM, _end_worker)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _values.update(pickle.loads(values))
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed tells nobody: its sentinel does."""
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
+
+
+def attempt_in_process(work: Callable[[Item], Result], item: Item) -> Result | Lost:
+    """``attempt`` in a process of its own, which a termination ends once what the work had half written is gone."""
+    try:
+        return attempt(work, item)
+    except Terminated as terminated:
+        os._exit(terminated.args[0])
+
+
+def _end_worker(number: int, frame: object) -> None:
+    if _busy:
+        raise Terminated(128 + number)
+    os._exit(128 + number)
+
+
+@contextlib.contextmanager
+def terminated_in_order() -> Iterator[None]:
+    """Let SIGTERM end the process by an exception, so that what is half written goes, as under Ctrl-C."""
+    before = signal.signal(signal.SIGTERM, _end)
+    try:
+        yield
+    except Terminated as terminated:
+        raise SystemExit(terminated.args[0]) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _end(number: int, frame: object) -> None:
+    raise Terminated(128 + number)
+
+
+class Terminated(BaseException):
+    """SIGTERM has come; no SystemExit, which a user's own code may raise and which is then a failure of that code."""
