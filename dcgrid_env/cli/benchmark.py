@@ -82,9 +82,9 @@ class Benchmark(OverWorkers):
         try:
             with alone_in(self.out, "dcgrid benchmark"):
                 shared = carried(place, [case.spec.where for case in cases], controllers, self.tuned)
-                failed, lost = _run(
-                    [task for task in tasks if task.unit not in done], done, store, place, shared, console
-                )
+                due = [task for task in tasks if task.unit not in done]
+                failed, lost = _run(due, done, store, place, shared, console)
+                failures |= failed
                 with console.status("checking the episodes' hashes and summing up"):
                     results = gather(cases, controllers, self.episodes, done, failures, lambda s: published(s, FOLDER))
                 _write(self, results, place, shared, console)

@@ -12,12 +12,12 @@ import os
 import re
 import socket
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from dcgrid_env.core.install import from_clone
-from dcgrid_env.core.versions import versions
 from dcgrid_env.core.work.packing import packed
 from dcgrid_env.core.work.unit import TRIES, Lost, Place, Unit
 from dcgrid_env.core.work.worker import THREADS
@@ -58,7 +58,7 @@ class Cluster(Place):
         """See ``Place.run``; a unit whose node or worker dies is tried again where Ray has room for it."""
         if not units:
             return
-        ray, expected = self.ray, versions(SAME)
+        ray, expected = self.ray, _asked()(SAME)
         values = ray.put(packed(dict(shared or {})))  # into the object store, which keeps one copy a node
         task = ray.remote(_on_a_node())
         pending: dict[Any, tuple[Unit[Item, Result], int]] = {}
@@ -111,6 +111,7 @@ def cluster(address: str) -> Cluster:
     """
     _check(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_DEDUP_LOGS_SKIP_REGEX", ".")  # what raylets say of workers that died; it is told here
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # what Ray would do else comes with a warning
     try:
         ray = importlib.import_module("ray")
@@ -118,14 +119,12 @@ def cluster(address: str) -> Cluster:
         raise ValueError(f"ray: {error}; install it {from_clone('ray')}") from None
     if not ray.is_initialized():
         try:
-            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+            with warnings.catch_warnings(action="ignore"):
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except Exception as error:  # of many kinds, whatever is not there
-            raise OSError(
-                f"ray: no cluster could be reached at {address!r} ({_first_line(error)}); start one with `ray start "
-                "--head`, or give the address of one that runs"
-            ) from None
+            raise _unreachable(address, _first_line(error)) from None
     found = Cluster(ray, address)
-    _require_same_versions(found)
+    _require_same_code(found)
     return found
 
 
@@ -139,46 +138,51 @@ def _check(address: str) -> None:
     try:
         socket.create_connection((match["host"].strip("[]"), int(match["port"])), SECONDS_TO_ANSWER).close()
     except OSError as error:
-        why = error.strerror or str(error)
-        raise OSError(
-            f"ray: no cluster could be reached at {address!r} ({why}); start one with `ray start --head`, or give the "
-            "address of one that runs"
-        ) from None
+        raise _unreachable(address, error.strerror or str(error)) from None
 
 
-def _require_same_versions(found: Cluster) -> None:
-    """ValueError, naming the nodes, unless all have the versions of ``SAME`` that stand here."""
-    ray, expected, nodes = found.ray, versions(SAME), found.nodes
+def _unreachable(address: str, why: str) -> OSError:
+    token = "; where the cluster asks for a token, set RAY_AUTH_MODE=token" if address != "auto" else ""
+    return OSError(
+        f"ray: no cluster could be reached at {address!r} ({why}); start one with `ray start --head`, or give the "
+        f"address of one that runs{token}"
+    )
+
+
+def _require_same_code(found: Cluster) -> None:
+    """ValueError, naming the nodes, unless all have this package's code and the versions of ``SAME`` that are here."""
+    ray, expected, nodes = found.ray, _asked()(SAME), found.nodes
     if not nodes:
         raise ValueError(f"ray: the cluster at {found.address!r} has no node with a core for work; add one")
     strategy = importlib.import_module("ray.util.scheduling_strategies").NodeAffinitySchedulingStrategy
-    ask = ray.remote(_versions_on_a_node())
-    asked = {
-        node["NodeManagerAddress"] + " " + node["NodeID"][:8]: ask.options(
-            num_cpus=0, max_retries=0, scheduling_strategy=strategy(node["NodeID"], soft=False)
-        ).remote(SAME)
-        for node in nodes
-    }
+    ask, asked = ray.remote(_asked()), {}
+    for node in nodes:
+        there = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": strategy(node["NodeID"], soft=False)}
+        asked[f"{node['NodeManagerAddress']} ({node['NodeID'][:8]})"] = ask.options(**there).remote(SAME)
     others = []
     for name, answer in asked.items():
         try:
             has = ray.get(answer)
         except ray.exceptions.RayError as error:
             raise OSError(f"ray: node {name} does not answer ({_first_line(error)})") from None
-        others += [
-            f"{name} has {package} {has.get(package) or 'not installed'}, here is {version}"
-            for package, version in expected.items()
-            if has.get(package) != version
-        ]
+        if differ := [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has[what] != here]:
+            others.append(f"node {name} has {', '.join(differ)}")
     if others:
         raise ValueError(f"ray: {'; '.join(others)}; install the same on all nodes")
 
 
-def _versions_on_a_node() -> Callable[..., Any]:
-    """A function that workers get whole, as they may lack this package: the versions of packages there."""
+def _asked() -> Callable[[tuple[str, ...]], dict[str, str | None]]:
+    """A function that workers get whole, as they may lack this package: what stands on a node.
+
+    Versions of packages, None for one that is not installed, and a hash of this package's code, which may differ where
+    its version does not.
+    """
 
     def installed(packages: tuple[str, ...]) -> dict[str, str | None]:
+        import hashlib
         from importlib.metadata import PackageNotFoundError, version
+        from importlib.util import find_spec
+        from pathlib import Path
 
         found: dict[str, str | None] = {}
         for package in packages:
@@ -186,27 +190,38 @@ def _versions_on_a_node() -> Callable[..., Any]:
                 found[package] = version(package)
             except PackageNotFoundError:
                 found[package] = None
-        return found
+        digest = hashlib.sha256()
+        for package in ("dcgrid_env", "dcgrid_env.traces", "dcgrid_env.baselines", "dcgrid_env.agents"):
+            try:
+                spec = find_spec(package)
+            except ModuleNotFoundError:
+                spec = None
+            for folder in (spec and spec.submodule_search_locations) or ():
+                for path in sorted(Path(folder).rglob("*.py")):
+                    digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+        return {**found, "code of dcgrid": digest.hexdigest()[:8]}
 
     return installed
 
 
 def _on_a_node() -> Callable[..., Any]:
     """A function that workers get whole, as threads are to be set before anything of this package is imported."""
-    threads = THREADS
+    threads, same, installed = THREADS, SAME, _asked()
 
     def unit(pickled: bytes, values: list[Any], expected: dict[str, str | None], argv: list[str]) -> Any:
         import os
         import pickle
         import sys
 
-        os.environ.update(dict.fromkeys(threads, "1"))
         import ray
 
+        os.environ.update(dict.fromkeys(threads, "1"))
+        if os.environ.get("DCGRID_CODE_SEEN") != str(expected):  # once in a process: a node may have joined just now
+            if (has := installed(same)) != expected:
+                raise ImportError(f"node {ray.util.get_node_ip_address()} has {has}, the others {expected}")
+            os.environ["DCGRID_CODE_SEEN"] = str(expected)
         from dcgrid_env.core.work import worker
 
-        if why := worker.other_versions(expected):  # of a node that has joined since
-            return worker.Lost(why)
         sys.argv = list(argv)
         worker.share_once(values[0].hex(), lambda: pickle.loads(ray.get(values[0])))
         work, item = pickle.loads(pickled)

@@ -6,12 +6,10 @@ import contextlib
 import os
 import pickle
 import signal
-import socket
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
-from dcgrid_env.core.versions import versions
 from dcgrid_env.core.work.unit import Lost
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
@@ -49,13 +47,6 @@ def share_once(key: str, values: Callable[[], Mapping[str, Any]]) -> None:
     if _values.get(_KEY) != key:
         _values.clear()
         _values.update(values(), **{_KEY: key})
-
-
-def other_versions(expected: Mapping[str, str | None]) -> str:
-    """Which packages have other versions on this node than on the machine that asks; empty where none has."""
-    here = versions(tuple(expected))
-    differ = [f"{name} {here[name]}, there {version}" for name, version in expected.items() if here[name] != version]
-    return f"node {socket.gethostname()} has {', '.join(differ)}; install the same on all nodes" if differ else ""
 
 
 def attempt(work: Callable[[Item], Result], item: Item) -> Result | Lost:

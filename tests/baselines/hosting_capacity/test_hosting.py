@@ -11,7 +11,7 @@ from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 from dcgrid_env.baselines.hosting_capacity.trial import run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
-from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.core.work.unit import LostUnits
 from dcgrid_env.traces import PowerTrace
 
 SHORT = {"samples": 2, "window_s": 10.0, "settle_s": 4.0}
@@ -167,7 +167,7 @@ def test_three_phase_feeders_have_candidates_of_three_phases():
 
 def test_a_policy_that_cannot_drive_the_scenario_is_refused_by_name():
     study = Study(scenario=make_scenario("ieee13-3ph", split="test"), others=False, **SHORT)
-    with pytest.raises(ControllerError, match="'ieee33-weak-analytic' cannot drive"):
+    with pytest.raises(LostUnits, match="'ieee33-weak-analytic' cannot drive"):
         hosting_capacity(study, ["ieee33-weak-analytic"])
 
 

@@ -354,7 +354,15 @@ def _is_one_line(stopped, capsys, message):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_loses_nothing_that_was_done(tmp_path):
-    arguments = ["benchmark", "--scenarios", "ieee123", "--controllers", "none,droop,droop-q,inverters", "--workers", "2"]
+    arguments = [
+        "benchmark",
+        "--scenarios",
+        "ieee123",
+        "--controllers",
+        "none,droop,droop-q,inverters",
+        "--workers",
+        "2",
+    ]
     command = [sys.executable, "-m", "dcgrid_env.cli.main", *arguments, "--out", str(tmp_path / "out")]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True

@@ -127,7 +127,20 @@ def test_an_interruption_says_that_the_same_command_goes_on(here, monkeypatch, c
 
 def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["train", "analytic", "--scenario", "toy6", "--set", "horizon=10", "--seeds", "2", "--seed", "3", "--workers", "1"]
+    words = [
+        "train",
+        "analytic",
+        "--scenario",
+        "toy6",
+        "--set",
+        "horizon=10",
+        "--seeds",
+        "2",
+        "--seed",
+        "3",
+        "--workers",
+        "1",
+    ]
     main([*words, "--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--hidden", "4", "--out", "runs"])
     said = capsys.readouterr().out
     assert "seed 3: J" in said

@@ -270,7 +270,18 @@ def _is_one_line(stopped, capsys, *messages):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--episodes", "100", "--workers", "2", "--out", str(tmp_path)]
+    arguments = [
+        "dev",
+        "hindsight",
+        "--scenarios",
+        "toy6",
+        "--episodes",
+        "100",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
     started = subprocess.Popen(
         [sys.executable, "-m", "dcgrid_env.cli.main", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
