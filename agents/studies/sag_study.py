@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env import METRICS, Metric, Recorder, Scenario, make_scenario, sag_times
 from dcgrid_env.agents import find_controller
 from dcgrid_env.agents.studies.learning_tables import Table, page, wrapped
+from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.score import SPLIT
 from dcgrid_env.baselines.tuning.best_known import replayed
+from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.unit import Place, Unit
 
 LOST_SHARE = Metric("lost_step_pct", "the same as a share of the feeder's load", "%", 0, "lower")
 COLUMNS = (
@@ -71,8 +74,23 @@ class SagStudy:
     driven: tuple[Driven, ...]
 
 
+class _Asked(NamedTuple):
+    """A controller on a preset's test episodes; the best known, from its records, without a name."""
+
+    scenario: str
+    name: str | None
+    episodes: int
+    seed: int
+    best: Sequence[Mapping[str, Any]]
+
+
 def sag_study(
-    scenario: str, names: Sequence[str], episodes: int, seed: int, best: Sequence[Mapping[str, Any]] = ()
+    scenario: str,
+    names: Sequence[str],
+    episodes: int,
+    seed: int,
+    best: Sequence[Mapping[str, Any]] = (),
+    place: Place = ONE_PROCESS,
 ) -> SagStudy:
     """Drive the test episodes of a preset with sags under each controller.
 
@@ -86,28 +104,40 @@ def sag_study(
         The episode that is drawn, one of these.
     best
         Records of the best known (``dcgrid dev best-known``), driven again behind the others; none where empty.
+    place
+        Where each controller's episodes are run as a unit.
 
     Raises
     ------
     ValueError
-        For an episode to draw that is not driven, a preset without sags or sites that leave, or a controller that
-        cannot drive it.
+        For an episode to draw that is not driven, or a preset without sags or sites that leave; a LostUnits for
+        controllers that cannot drive it.
     """
     test = make_scenario(scenario, split=SPLIT)
     if not 0 <= seed < episodes:
         raise ValueError(f"seed is {seed}; give one of the {episodes} episodes, 0 to {episodes - 1}")
     if not test.sags or getattr(test.part("datacenter"), "ride_through", None) is None:
         raise ValueError(f"scenario is {scenario!r}, which has no sags or no sites that leave; give ride-through")
-    load_kw = float(np.sum(test.feeder.p_load_kw) + test.datacenter.p_rated_kw.sum())
-    seeds = range(episodes)
-    every: list[tuple[str, list[tuple[Sequence[int], Recorder]]]] = [
-        (name, [(seeds, rollout(test, find_controller(name, test), seeds))]) for name in names
-    ]
-    if best:
-        known = [record for record in best if record["seed"] < episodes]
-        every.append((BEST_KNOWN, list(replayed(test, known, find_controller))))
-    driven = tuple(sorted((_driven(name, of_name, seed, load_kw) for name, of_name in every), key=_cost))
-    return SagStudy(test, episodes, seed, load_kw, sag_times(test, seed), driven)
+    known = tuple(record for record in best if record["seed"] < episodes)
+    asked = [_Asked(scenario, name, episodes, seed, ()) for name in names]
+    asked += [_Asked(scenario, None, episodes, seed, known)] if best else []
+    units = [Unit(one.name or BEST_KNOWN, _drive, one) for one in asked]
+    found = {unit.key: driven for unit, driven in place.results(units, carried(place, (), names), how_to_go_on="")}
+    driven = tuple(sorted((found[unit.key] for unit in units), key=_cost))
+    return SagStudy(test, episodes, seed, _load_kw(test), sag_times(test, seed), driven)
+
+
+def _drive(asked: _Asked) -> Driven:
+    """What the episodes of one controller come to."""
+    test, seeds = make_scenario(asked.scenario, split=SPLIT), range(asked.episodes)
+    if asked.name is None:
+        return _driven(BEST_KNOWN, list(replayed(test, asked.best, find_controller)), asked.seed, _load_kw(test))
+    recorder = rollout(test, find_controller(asked.name, test), seeds)
+    return _driven(asked.name, [(seeds, recorder)], asked.seed, _load_kw(test))
+
+
+def _load_kw(test: Scenario) -> float:
+    return float(np.sum(test.feeder.p_load_kw) + test.datacenter.p_rated_kw.sum())
 
 
 def _cost(one: Driven) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.agents.studies.learning_tables import NONE, SCORE, Table, estimate, page, wrapped
 from dcgrid_env.agents.studies.scored import score
 from dcgrid_env.baselines import published
+from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.user_code import OwnCodeError
+from dcgrid_env.core.work.unit import Place, Unit
 
 
 @dataclass(frozen=True)
@@ -47,21 +50,51 @@ def _not_found(name: str, on: Scenario) -> ValueError | None:
     return None
 
 
-def tried(names: Sequence[str], scenario: str, split: str, episodes: int) -> Tried:
-    """Drive a scenario's episodes 0, 1, .. of a split by controllers and by the tuned droop."""
-    on, seeds = make_scenario(scenario, split=split), range(episodes)
-    droop = evaluate(find_controller(REFERENCE, on), on, seeds, REFERENCE)
-    others: dict[str, Evaluation | None] = {}
-    refusals: dict[str, str] = {}
-    for name in names:
-        try:
-            with on_purpose():
-                others[name] = evaluate(find_controller(name, on), on, seeds, name)
-        except ValueError as error:
-            if isinstance(error, OwnCodeError) and not (isinstance(error, ControllerError) and error.refuses):
-                raise  # it fails, which is no refusal
-            others[name], refusals[name] = None, str(error)
-    return Tried(on, droop, others, refusals)
+class _Asked(NamedTuple):
+    """A controller on the episodes 0, 1, .. of a scenario."""
+
+    name: str
+    scenario: str
+    split: str
+    episodes: int
+
+
+def tried(names: Sequence[str], scenarios: Sequence[str], split: str, episodes: int, place: Place) -> Iterator[Tried]:
+    """Drive each scenario's episodes 0, 1, .. of a split by controllers and by the tuned droop, as units of a place.
+
+    LostUnits at the end where some have no result.
+    """
+    each = tuple(dict.fromkeys((REFERENCE, *names)))
+    asked = [_Asked(name, scenario, split, episodes) for scenario in scenarios for name in each]
+    units = [Unit(f"{one.name} on {one.scenario}", _driven, one) for one in asked]
+    found: dict[_Asked, Evaluation | str] = {}
+    left = list(scenarios)
+    for unit, result in place.results(units, carried(place, (), names), how_to_go_on=""):
+        found[unit.item] = result
+        while left and all(_Asked(name, left[0], split, episodes) in found for name in each):
+            scenario = left.pop(0)
+            by_name = {name: found[_Asked(name, scenario, split, episodes)] for name in each}
+            yield _tried(make_scenario(scenario, split=split), names, by_name)
+
+
+def _tried(on: Scenario, names: Sequence[str], by_name: Mapping[str, Evaluation | str]) -> Tried:
+    droop = by_name[REFERENCE]
+    if isinstance(droop, str):
+        raise ValueError(droop)
+    others = {name: None if isinstance(one := by_name[name], str) else one for name in names}
+    return Tried(on, droop, others, {name: one for name in names if isinstance(one := by_name[name], str)})
+
+
+def _driven(asked: _Asked) -> Evaluation | str:
+    """What the controller reaches, or why it refuses the scenario; errors of its own are raised."""
+    on = make_scenario(asked.scenario, split=asked.split)
+    try:
+        with on_purpose():
+            return evaluate(find_controller(asked.name, on), on, range(asked.episodes), asked.name)
+    except ValueError as error:
+        if isinstance(error, OwnCodeError) and not (isinstance(error, ControllerError) and error.refuses):
+            raise  # it fails, which is no refusal
+        return str(error)
 
 
 def scores_table(results: Sequence[Tried], episodes: int) -> Table:

@@ -41,6 +41,7 @@ from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
 from dcgrid_env.cli.tune import Tune
+from dcgrid_env.cli.unit_overhead import UnitOverhead
 from dcgrid_env.cli.unseen_feeders import UnseenFeeders
 from dcgrid_env.cli.verify import Verify
 from dcgrid_env.core.work.worker import terminated_in_order
@@ -65,6 +66,7 @@ DEV = Group(
         "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
         "leaderboard": Leaderboard,
+        "unit-overhead": UnitOverhead,
     },
     moved={"tune": "dcgrid tune"},
 )

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import one_scenario, split_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class Sags(Command):
+class Sags(OverWorkers):
     """Drive a recorded sequence of sags under one controller after another: who leaves the grid, how high the voltage
     goes, and how long until all are back.
     """
@@ -43,7 +43,7 @@ class Sags(Command):
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
-        name, console = one_scenario(self.scenario), plain_console()
+        place, name, console = self.place, one_scenario(self.scenario), plain_console()
         check_folder(self.out / "images")
         test = make_scenario(name, split=SPLIT)
         known = published(test, FOLDER)
@@ -51,7 +51,7 @@ class Sags(Command):
         with working(console, f"{self.episodes} test episodes of {name}"):
             best = records(test, FOLDER) if every else ()
             beside = split_names(self.beside)
-            study = sag_study(name, [*split_names(self.controllers), *beside], self.episodes, self.seed, best)
+            study = sag_study(name, [*split_names(self.controllers), *beside], self.episodes, self.seed, best, place)
         drawn = replace(study, driven=tuple(one for one in study.driven if one.name not in beside))
         write_figure(self.out / "images" / "sag-study.png", sag_figure(drawn), dpi=110)
         write_text(self.out / "sag-study.md", markdown(study, meta()["command"], "images/sag-study.png"))

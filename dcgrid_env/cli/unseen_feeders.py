@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names, split_names
+from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import at_least, check_folder
-from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.trainings import MOST_EPISODES
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta
 
 
 @dataclass(frozen=True)
-class UnseenFeeders(Command):
+class UnseenFeeders(OverWorkers):
     """Score controllers and policies on feeders that they never saw: named ones, and each random one of zero-shot."""
 
     controllers: str = "model-aided"
@@ -43,10 +44,12 @@ class UnseenFeeders(Command):
         if self.out is not None:
             check_folder(self.out)
         unseen_feeders.require_found(names, scenarios, self.split)
-        console, results = plain_console(), []
-        for scenario in scenarios:
-            with working(console, scenario):
-                results.append(unseen_feeders.tried(names, scenario, self.split, self.episodes))
+        place, console, results = self.place, plain_console(), []
+        with progress_bar(console) as progress:
+            bar = progress.add_task("scenarios", total=len(scenarios))
+            for one in unseen_feeders.tried(names, scenarios, self.split, self.episodes, place):
+                results.append(one)
+                progress.advance(bar)
         shown = unseen_feeders.scores_table(results, self.episodes)
         of_feeders = [table for one in results if (table := unseen_feeders.feeders_table(one, self.worst)) is not None]
         for table in (shown, *of_feeders):

@@ -67,6 +67,11 @@ SHORTER = {
 """Options that are given these values, by how a command begins."""
 
 ELSEWHERE = {
+    "dcgrid benchmark --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid tune --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid dev hindsight --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid train analytic --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid dev unit-overhead": "tests/dcgrid_env/speed/test_unit_overhead.py",
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
     "dcgrid dev generalise": "tests/agents/studies",

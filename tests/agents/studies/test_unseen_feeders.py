@@ -8,10 +8,11 @@ import pytest
 from dcgrid_env.agents.studies import unseen_feeders
 from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
+from dcgrid_env.core.work.here import ONE_PROCESS
 
 
 def test_each_random_feeder_has_a_score_of_its_own():
-    one: Any = unseen_feeders.tried(["droop-tuned", "droop-q"], "zero-shot", "test", 2)
+    one: Any = next(unseen_feeders.tried(["droop-tuned", "droop-q"], ["zero-shot"], "test", 2, ONE_PROCESS))
     values: Any = published(one.scenario)
     own: Any = [unseen_feeders.feeder_scores(one, name) for name in ("droop-tuned", "droop-q")]
     assert (own[0] == 0.0).all()

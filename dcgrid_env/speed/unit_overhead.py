@@ -1,0 +1,109 @@
+"""What it costs to have units of work done elsewhere: starting, a message, and the whole of a few long units."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dcgrid_env.core.work.unit import Needs, Place, Unit
+
+EMPTY = 400
+"""Units without work by which messages are timed."""
+
+
+@dataclass(frozen=True)
+class Overhead:
+    """What was measured of a place; times are the least of several, as other processes only ever add to them."""
+
+    name: str
+    begin_s: float
+    """From the call to the first result of a unit without work: workers are started, and import the package."""
+    message_s: float
+    """For each further unit without work, all workers together: what a unit costs who hands it out."""
+    wall_s: tuple[float, float]
+    """Of the long units, one at a time and on all workers, without what it takes to begin."""
+
+
+def spin(steps: int) -> int:
+    """Work of one core that touches no memory to speak of."""
+    x = 1
+    for _ in range(steps):
+        x = (x * 1103515245 + 12345) & 0x7FFFFFFF
+    return x
+
+
+def steps_of(seconds: float) -> int:
+    """Steps of ``spin`` that take about so many seconds of CPU time."""
+    steps, best = 2_000_000, math.inf
+    for _ in range(3):
+        began = time.process_time()
+        spin(steps)
+        best = min(best, time.process_time() - began)
+    return int(steps * seconds / best)
+
+
+def overheads(places: Sequence[tuple[str, Place]], units: int, seconds: float, repeats: int) -> list[Overhead]:
+    """Measure places in turn, again and again, so that a busy minute is not one place's alone.
+
+    Parameters
+    ----------
+    places
+        With their names, each of the same number of workers.
+    units
+        How many long units there are.
+    seconds
+        CPU time of each, about.
+    repeats
+        How often all is done; the least time counts.
+    """
+    steps = steps_of(seconds)
+    times: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name, _ in places}
+    for _ in range(repeats):
+        for name, place in places:
+            begin_s, message_s = _messages(place)
+            alone_s = _long(place, units, steps, float(place.workers))
+            times[name].append((begin_s, message_s, alone_s, _long(place, units, steps, 1.0)))
+    found = []
+    for name, measured in times.items():
+        begin_s, message_s, alone_s, side_by_side_s = (min(column) for column in zip(*measured, strict=True))
+        found.append(Overhead(name, begin_s, message_s, (alone_s, side_by_side_s)))
+    return found
+
+
+def _messages(place: Place) -> tuple[float, float]:
+    began = time.perf_counter()
+    results = place.run([Unit(str(i), spin, 0) for i in range(EMPTY)])
+    next(results)
+    first = time.perf_counter()
+    for _ in results:
+        pass
+    return first - began, (time.perf_counter() - first) / (EMPTY - 1)
+
+
+def _long(place: Place, units: int, steps: int, cores: float) -> float:
+    """Wall time of long units after one without work on each worker, s."""
+    warm = [Unit(f"warm {i}", spin, 0, Needs(cores)) for i in range(place.workers)]
+    work = [Unit(str(i), spin, steps, Needs(cores)) for i in range(units)]
+    results = place.run([*warm, *work])
+    for _ in warm:
+        next(results)
+    began = time.perf_counter()
+    for _ in results:
+        pass
+    return time.perf_counter() - began
+
+
+def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) -> float:
+    """Wall time of many units on many workers, s, simulated from what was measured.
+
+    Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first;
+    every worker begins by ``begin_s``, all at once. Nothing of a network's or a file system's is in it.
+    """
+    handed, free = 0.0, [overhead.begin_s] * workers
+    for i in range(units):
+        handed += overhead.message_s
+        # All units last as long, so that workers become free in the order in which they were given work.
+        free[i % workers] = max(handed, free[i % workers]) + seconds
+    return max(free)
