@@ -45,6 +45,9 @@ def place(workers: int | None, ray: str | None) -> Place:
         return Here(n_threads() if workers is None else workers)
     if workers is not None:
         raise ValueError(f"workers is {workers} and ray {ray!r}; the cluster's cores do the work, leave one out")
+    from dcgrid_env.cli.terminal import plain_console, say
     from dcgrid_env.core.work.cluster import cluster
 
-    return cluster(ray)
+    found = cluster(ray)
+    say(plain_console(), f"Ray cluster at {ray}: {len(found.nodes)} nodes, {found.workers} cores")
+    return found

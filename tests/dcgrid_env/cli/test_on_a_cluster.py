@@ -130,6 +130,30 @@ def test_a_training_over_seeds_survives_a_killed_node(here, cluster):
     cluster.add_node()
 
 
+def test_tuning_hindsight_capacity_and_unseen_feeders_come_to_the_same(here, cluster):
+    (here / "mine.toml").write_text(make_scenario("toy6", horizon=12).replace(name="mine").to_toml())
+    few = ("--scenarios", "mine.toml", "--episodes", "2")
+    site = ("--scenario", "mine.toml", "--samples", "2", "--window-s", "10", "--settle-s", "4", "--max-mw", "4")
+    commands = {
+        "tuned.json": ("tune", "--laws", "droop-q", *few, "--out", "{}/tuned.json"),
+        "mine.json": ("dev", "hindsight", *few, "--out", "{}"),
+        "capacity.csv": ("capacity", *site, "--controllers", "none,droop-tuned", "--out", "{}"),
+        "unseen-feeders.md": ("dev", "unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--out", "{}"),
+    }
+    for words in commands.values():
+        for out, where in (("local", ("--workers", "1")), ("ray", ("--ray", cluster.address))):
+            code, said = ended(begun(*(word.format(out) for word in words), *where))
+            assert code == 0, said
+    for name in commands:
+        local, ray = ((here / out / name).read_text() for out in ("local", "ray"))
+        if name.endswith(".json"):
+            local, ray = (json.loads(text)["laws" if name == "tuned.json" else "episodes"] for text in (local, ray))
+        if name.endswith(".md"):
+            local, ray = ([line for line in text.splitlines() if "dcgrid dev" not in line] for text in (local, ray))
+        assert local == ray
+        assert local
+
+
 UNITS = """
 import importlib.metadata, json, os, signal, sys
 from pathlib import Path

@@ -68,6 +68,7 @@ def ray_cluster(folder):
                 cluster.add_node()
             yield cluster
         finally:
+            assert process.stdin is not None
             process.stdin.close()
             try:
                 process.wait(30)

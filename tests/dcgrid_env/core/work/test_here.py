@@ -75,23 +75,24 @@ def awkward(item):
     raise Awkward("this", item) if item else SystemExit(3)
 
 
-@pytest.mark.parametrize("n", [1, 2])
-def test_an_error_that_cannot_travel_is_described(n):
-    found = done(awkward, [0, 1], n)
-    assert found[1].reason == "Awkward: this and 1"
-    assert found[0].reason == "SystemExit: 3"
+def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent():
+    asked = [Unit("exit", awkward, 0), Unit("awkward", awkward, 1), Unit("function", len, (lambda: 0,))]
+    found = {unit.key: result for unit, result in Here(2).run(asked)}
+    assert found["exit"].reason == "SystemExit: 3"
+    assert found["awkward"].reason == "Awkward: this and 1"
+    assert found["function"].reason.startswith("it cannot be sent to a process: ")
 
 
-def test_what_cannot_be_sent_is_said():
-    (_, result), *_ = Here(2).run([Unit("a", len, (lambda: 0,)), Unit("b", len, (lambda: 0,))])
-    assert isinstance(result, Lost)
-    assert result.reason.startswith("it cannot be sent to a process: ")
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_shared_values_are_there_for_every_unit_and_gone_afterwards(n):
-    assert done(shared, ["a", "b", "c"], n, {"a": 1, "b": [2]}) == {"a": 1, "b": [2], "c": None}
+def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_trace_here():
+    before = dict(os.environ), signal.getsignal(signal.SIGINT)
+    asked = [Unit(name, os.getenv, name) for name in THREADS]
+    asked += [Unit("a", shared, "a"), Unit("c", shared, "c"), Unit("signal", signal.getsignal, signal.SIGINT)]
+    found = {unit.key: result for unit, result in Here(2).run(asked, {"a": [1], "b": 2})}
+    assert [found[name] for name in THREADS] == ["1"] * len(THREADS)
+    assert (found["a"], found["c"], found["signal"]) == ([1], None, signal.SIG_IGN)
+    assert done(shared, ["a", "c"], 1, {"a": [1]}) == {"a": [1], "c": None}
     assert shared("a") is None
+    assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
 
 
 def test_a_unit_of_many_cores_runs_alone(tmp_path):
@@ -106,17 +107,6 @@ def alone(path):
     return True
 
 
-def test_processes_have_one_thread_and_leave_no_trace_here():
-    before = dict(os.environ), signal.getsignal(signal.SIGINT)
-    assert done(os.getenv, THREADS, 2) == dict.fromkeys(THREADS, "1")
-    assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
-
-
-def test_ctrl_c_is_the_parents():
-    found = done(signal.getsignal, [signal.SIGINT, signal.SIGTERM], 2)
-    assert found[signal.SIGINT] == signal.SIG_IGN
-
-
 def test_leaving_early_ends_the_processes():
     results = Here(2).run(units(math.sqrt, [float(i) for i in range(50)]))
     next(results)
@@ -125,7 +115,7 @@ def test_leaving_early_ends_the_processes():
     assert not active_children()
 
 
-@pytest.mark.parametrize("at", range(2, 6))
+@pytest.mark.parametrize("at", [2, 3, 5])
 def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
     """The process that had just done its unit is no longer busy and has no other: it is to end nevertheless."""
     begin, calls = here._Workers.begin, []
