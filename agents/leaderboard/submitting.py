@@ -24,7 +24,7 @@ from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.shipping import without_horizon
-from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, split_prefix
 from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.files import whole_folder, write_bytes, write_json
 from dcgrid_env.core.versions import PACKAGES, versions
@@ -124,8 +124,8 @@ def _entry(policy: str) -> _Entry:
         if not reference.path.is_file():
             raise SubmissionError(f"policy is {policy!r}; there is no file {reference.where}")
         return _Entry(CODE, f"{CONTROLLER}{inner[len(reference.where) :]}", {CONTROLLER: reference.path})
-    if inner.endswith(SUFFIX):
-        path = Path(inner)
+    path = controller_file(inner)
+    if path is not None and path.suffix == SUFFIX:
         card = path.with_suffix(".json")
         for needed in (path, card):
             if not needed.is_file():
@@ -139,6 +139,7 @@ def _entry(policy: str) -> _Entry:
 def _trained_on(policy: str) -> str:
     """The preset that a policy was trained on; SubmissionError where it names none."""
     _, inner = split_prefix(policy)
-    if inner in SHIPPED or inner.endswith(SUFFIX):
-        return without_horizon(Policy.load(inner).trained_on)
+    file = controller_file(inner)
+    if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
+        return without_horizon(Policy.load(file or inner).trained_on)
     raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")
