@@ -1,8 +1,8 @@
 """Make our own entries of the leaderboard, verify them and make its page: `python docs/leaderboard.py`.
 
-Policies' entries that still stand, those that ship having the weights that were verified, are left as they are; laws, by
-which no such change is seen, are run anew. `python docs/leaderboard.py ieee33-weak toy6` makes the entries of two presets,
-and the page of all that stand.
+Policies' entries that still stand, those that ship having the weights that were verified, are left as they are; laws,
+by which no such change is seen, are run anew. `python docs/leaderboard.py ieee33-weak toy6` makes the entries of two
+presets, and the page of all that stand.
 """
 
 import shutil

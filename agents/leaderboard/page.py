@@ -15,7 +15,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     Submission,
     SubmissionError,
     Verified,
-    check_files,
+    check_contents,
     read,
     sha256_of,
 )
@@ -62,7 +62,7 @@ def listed(folder: Path) -> Listed:
         raise SubmissionError(f"{path}: sha256 is not that of its contents; run dcgrid verify {folder}")
     if record.submission != sha256_of(folder / SUBMISSION):
         raise SubmissionError(f"{path}: submission is of another {SUBMISSION}; run dcgrid verify {folder}")
-    check_files(folder, submission.files)
+    check_contents(folder, submission)
     if submission.episodes != EPISODES:
         raise SubmissionError(f"{folder / SUBMISSION}: episodes is {submission.episodes}; the page takes {EPISODES}")
     scenario = scenario_of(submission.scenario)

@@ -8,14 +8,19 @@ from typing import NamedTuple
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents.leaderboard.entry_files import (
+    CARD,
     CODE,
+    CONTROLLER,
     FILE,
     FORMAT,
     NAMED,
+    POLICY,
     SUBMISSION,
     Learned,
     Submission,
     SubmissionError,
+    check_card,
+    check_words,
     plain,
     sha256_of,
 )
@@ -28,11 +33,6 @@ from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, 
 from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.files import whole_folder, write_bytes, write_json
 from dcgrid_env.core.versions import PACKAGES, versions
-
-LONGEST = 80
-"""Letters of a name or a paper at most."""
-POLICY, CONTROLLER = f"policy{SUFFIX}", "controller.py"
-"""What an entry's files are called in its folder."""
 
 
 class _Entry(NamedTuple):
@@ -79,9 +79,7 @@ def submit(
     ValueError
         For what cannot be entered or scored, before anything is written.
     """
-    for field, text in (("name", name), ("paper", paper), ("information", information)):
-        if len(text) > LONGEST or not text.isprintable() or (field == "name" and not text.strip()):
-            raise SubmissionError(f"{field} is {text!r}; give one line of 1 to {LONGEST} letters")
+    check_words(name=name, paper=paper, information=information)
     entry = _entry(policy)
     if (entry.kind == CODE) != bool(information):
         raise SubmissionError(
@@ -107,6 +105,8 @@ def submit(
         observes=shown(controller, test), information=information, learned_on=learned_on,
         versions=installed(), machine=machine(), claimed=driven.figures, score=scored(driven),
     )  # fmt: skip
+    if claimed.kind == FILE:
+        check_card(entry.files[CARD], claimed)
     with whole_folder(out) as folder:
         for file, path in entry.files.items():
             write_bytes(folder / file, path.read_bytes())
@@ -130,7 +130,7 @@ def _entry(policy: str) -> _Entry:
         for needed in (path, card):
             if not needed.is_file():
                 raise SubmissionError(f"policy is {policy!r}; there is no file {needed} (Policy.save writes both)")
-        return _Entry(FILE, f"{before}{POLICY}", {POLICY: path, "policy.json": card})
+        return _Entry(FILE, f"{before}{POLICY}", {POLICY: path, CARD: card})
     if (origin := CONTROLLER_REGISTRY.origin(inner) if inner in CONTROLLER_REGISTRY else None) is not None:
         raise SubmissionError(f"policy is {policy!r}, which comes from {origin}; give the file of its class")
     return _Entry(NAMED, policy, {})
