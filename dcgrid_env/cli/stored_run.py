@@ -61,10 +61,10 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
         raise ValueError(f"{folder} is no folder of dcgrid run, it has no {RESULTS}; run first, {OTHERWISE}")
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        words = shlex.split(stored["meta"]["command"])
+        words = shlex.split("" + stored["meta"]["command"])  # a TypeError where it is no text
         expected = stored["meta"]["scenario_hash"]
         costs = {(str(e["controller"]), int(e["seed"])): float(e["J"]) for e in stored["episodes"]}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no file of dcgrid run ({type(error).__name__}: {error}); run again") from None
     command = _command(path, words)
     if not trust:
