@@ -61,8 +61,8 @@ class Evaluate(Command):
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""
     trust: bool = False
-    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds; dcgrid
-    export-sb3 converts one without."""
+    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds (dcgrid export-sb3
+    converts one without), and to run the code that a training run's folder names as its scenario."""
     out: Path = Path("results/evaluate")
     """Folder for figure.png, the first episode under the policy and the tuned droop law; made if it is not there."""
     open: bool = False
@@ -129,9 +129,10 @@ ROWS = (
 
 def _zipped(policy: str) -> Path | None:
     """The zip of Stable-Baselines3 that is named, maybe by its folder; None for anything else."""
-    from dcgrid_env.baselines.registry import controller_file
+    from dcgrid_env.baselines.registry import controller_file, split_prefix
 
-    file = controller_file(policy)
+    before, inner = split_prefix(policy)
+    file = None if before else controller_file(inner)  # no guard stands before a zip
     return file if file is not None and file.suffix == SB3 else None
 
 
@@ -155,10 +156,8 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
         return ScenarioSpec(cfg.scenario, cfg.set)
     _, inner = split_prefix(cfg.policy)
     file = controller_file(inner)
-    about = Path(inner) / "config.json"
-    if file is not None and about.is_file():
-        trained = json.loads(about.read_text(encoding="utf-8"))
-        where, overrides = str(trained.get("scenario", "")), tuple(trained.get("set", ()))
+    if file is not None and Path(inner).is_dir():
+        where, overrides = _of_training(Path(inner) / "config.json", cfg.trust)
         if where and "," not in where:
             return ScenarioSpec(where, (*overrides, *cfg.set))
     if inner in SHIPPED:
@@ -168,6 +167,32 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     if where not in PRESETS:
         raise ValueError(f"policy {inner!r} is of no preset of its own; say on which --scenario (dcgrid list)")
     return ScenarioSpec(where, cfg.set)
+
+
+def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
+    """Scenario and overrides of a training run, empty where there is no such file; ValueError for what cannot be used.
+
+    A scenario that is code is refused unless it is trusted: a folder must not run what somebody else wrote into it.
+    """
+    from dcgrid_env.baselines.user_code import parse
+
+    if not config.is_file():
+        return "", ()
+    try:
+        trained = json.loads(config.read_text(encoding="utf-8"))
+        where, overrides = trained.get("scenario", ""), tuple(trained.get("set", ()))
+        if not all(isinstance(word, str) for word in (where, *overrides)):
+            raise TypeError("scenario and set are no texts")
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(
+            f"{config} is none of dcgrid train ({type(error).__name__}: {error}); give --scenario and the policy's file"
+        ) from None
+    if where and parse(where) is not None and not trust:
+        raise ValueError(
+            f"{config} names code, scenario {where!r}, which would run; name it yourself with --scenario, or add "
+            "--trust if you trust who made the folder"
+        )
+    return where, overrides
 
 
 def _scores(
