@@ -64,7 +64,7 @@ def episode_cost(env, seeds, weights, gathered) -> torch.Tensor:
 
 @partial(jax.jit, static_argnames="rate")
 def adam(weights, moments, slopes, update, rate):
-    """One step of Adam (Kingma and Ba, arXiv 1412.6980), the gradient cut to norm 1; weights and both moments after it."""
+    """One step of Adam (Kingma and Ba, arXiv 1412.6980), the gradient cut to norm 1; all three after it."""
     first, second = moments
     norm = jnp.sqrt(sum(jnp.sum(own * own) for own in jax.tree.leaves(slopes)))
     slopes = jax.tree.map(lambda own: own / jnp.maximum(1.0, norm), slopes)
