@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from dcgrid_env.agents.studies.training_runs import FINISHED, LOG, train
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.core.files import new_folder, write_bytes
 from dcgrid_env.core.lock import LockedError, locked
+from dcgrid_env.core.versions import command_of, command_words
 from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
 Files = dict[str, bytes]
@@ -25,8 +25,8 @@ class _Sent(NamedTuple):
 
     work: Callable[[Any], str | None]
     config: Any
-    words: list[str]
-    """The command that the policy's card is to name."""
+    words: Sequence[str]
+    """The command that the policy's card is to name, without ``dcgrid``."""
     files: Files | None
     """What the run's folder holds, for a worker that does not see it."""
 
@@ -35,7 +35,7 @@ def train_all(
     configs: Sequence[Any],
     place: Place,
     work: Callable[[Any], str | None] = train,
-    words: Callable[[Any], list[str]] = lambda _: sys.argv,
+    words: Callable[[Any], Sequence[str]] = lambda _: command_words(),
 ) -> Iterator[tuple[Any, str | None]]:
     """Do runs as units of a place; each with why it failed, if it did, as they are done.
 
@@ -52,7 +52,7 @@ def train_all(
     work
         What does a run, ``train`` or ``train_seed`` of ``training_runs``.
     words
-        The command that a run's card is to name.
+        The command that a run's card is to name, without ``dcgrid``.
     """
     units = [
         Unit(
@@ -78,8 +78,7 @@ def train_all(
 
 def _train(sent: _Sent) -> tuple[str | None, Files | None]:
     """Do a run: why it failed, if it did, and what its folder holds where that is not seen by who asked for it."""
-    before, sys.argv = sys.argv, sent.words
-    try:
+    with command_of(sent.words):
         if sent.files is None:
             return sent.work(sent.config), None
         with tempfile.TemporaryDirectory(prefix="dcgrid-") as place:
@@ -89,8 +88,6 @@ def _train(sent: _Sent) -> tuple[str | None, Files | None]:
             failure = sent.work(dataclasses.replace(sent.config, out=folder))
             own = str(sent.config.folder)
             return failure and failure.replace(str(folder), own), _renamed(_held(folder), str(folder), sent.config)
-    finally:
-        sys.argv = before
 
 
 def _held(folder: Path) -> Files:

@@ -154,7 +154,7 @@ class Seeds(Command):
         console, failures = plain_console(), {}
         with progress_bar(console) as progress:
             bar = progress.add_task("seeds", total=len(self.configurations))
-            words = lambda configuration: shlex.split(command(configuration))  # noqa: E731
+            words = lambda configuration: shlex.split(command(configuration))[1:]  # noqa: E731
             for configuration, failure in train_all(self.configurations, where, train_seed, words):
                 if failure is not None:
                     failures[configuration.seed] = failure

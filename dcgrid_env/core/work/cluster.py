@@ -11,14 +11,14 @@ import logging
 import os
 import re
 import socket
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from dcgrid_env.core.install import from_clone
-from dcgrid_env.core.work.packing import packed
+from dcgrid_env.core.versions import command_words
+from dcgrid_env.core.work.packing import all_packed, packed
 from dcgrid_env.core.work.unit import TRIES, Lost, Place, Unit
 from dcgrid_env.core.work.worker import THREADS
 
@@ -61,29 +61,33 @@ class Cluster(Place):
         ray, expected = self.ray, _asked()(SAME)
         values = ray.put(packed(dict(shared or {})))  # into the object store, which keeps one copy a node
         task = ray.remote(_on_a_node())
-        pending: dict[Any, tuple[Unit[Item, Result], int]] = {}
+        pending: dict[Any, tuple[Unit[Item, Result], bytes, int]] = {}
 
-        def submit(unit: Unit[Item, Result], tries: int) -> None:
+        def submit(unit: Unit[Item, Result], pickled: bytes, tries: int) -> None:
             options = {"num_cpus": unit.needs.cores, "max_retries": 0, "scheduling_strategy": "SPREAD"}
             options |= {"num_gpus": unit.needs.gpus} if unit.needs.gpus else {}
             options |= {"memory": int(unit.needs.memory_gb * _GB)} if unit.needs.memory_gb else {}
             # The reference stands in a list, so that Ray leaves it to the worker to ask for what it stands for.
-            sent = task.options(**options).remote(packed((unit.work, unit.item)), [values], expected, sys.argv)
-            pending[sent] = unit, tries
+            sent = task.options(**options).remote(pickled, [values], expected, command_words())
+            pending[sent] = unit, pickled, tries
 
+        ready: list[Any] = []
         try:
-            for unit in units:
-                submit(unit, 1)
+            for unit, pickled in zip(units, all_packed((unit.work, unit.item) for unit in units), strict=True):
+                submit(unit, pickled, 1)
             while pending:
-                (done,), _ = ray.wait(list(pending), num_returns=1)
-                unit, tries = pending.pop(done)
+                if not ready:
+                    ray.wait(list(pending), num_returns=1)
+                    ready, _ = ray.wait(list(pending), num_returns=len(pending), timeout=0)
+                done = ready.pop(0)
+                unit, pickled, tries = pending.pop(done)
                 try:
                     result = ray.get(done)
                 except ray.exceptions.RayTaskError as error:
                     result = Lost(_last_line(error), RuntimeError(str(error)))
                 except ray.exceptions.RayError as error:  # its worker or its node is gone, or the result with it
                     if tries < TRIES:
-                        submit(unit, tries + 1)
+                        submit(unit, pickled, tries + 1)
                         continue
                     result = Lost(f"its worker died {TRIES} times, at last: {_first_line(error)}")
                 yield unit, result
@@ -208,10 +212,9 @@ def _on_a_node() -> Callable[..., Any]:
     """A function that workers get whole, as threads are to be set before anything of this package is imported."""
     threads, same, installed = THREADS, SAME, _asked()
 
-    def unit(pickled: bytes, values: list[Any], expected: dict[str, str | None], argv: list[str]) -> Any:
+    def unit(pickled: bytes, values: list[Any], expected: dict[str, str | None], words: tuple[str, ...]) -> Any:
         import os
         import pickle
-        import sys
 
         import ray
 
@@ -220,12 +223,13 @@ def _on_a_node() -> Callable[..., Any]:
             if (has := installed(same)) != expected:
                 raise ImportError(f"node {ray.util.get_node_ip_address()} has {has}, the others {expected}")
             os.environ["DCGRID_CODE_SEEN"] = str(expected)
+        from dcgrid_env.core.versions import command_of
         from dcgrid_env.core.work import worker
 
-        sys.argv = list(argv)
         worker.share_once(values[0].hex(), lambda: pickle.loads(ray.get(values[0])))
         work, item = pickle.loads(pickled)
-        return worker.attempt(work, item)
+        with command_of(words):
+            return worker.attempt(work, item)
 
     return unit
 

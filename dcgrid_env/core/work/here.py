@@ -18,6 +18,7 @@ from multiprocessing import active_children, connection, get_context
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from dcgrid_env.core.versions import command_words
 from dcgrid_env.core.work.packing import packed
 from dcgrid_env.core.work.unit import TRIES, Lost, Place, Unit
 from dcgrid_env.core.work.worker import THREADS, attempt, attempt_in_process, begin_process, sharing
@@ -118,13 +119,13 @@ class _Workers:
         while self.idle:
             worker = self.idle.pop()
             try:
-                return worker, worker.executor.submit(attempt_in_process, unit.work, unit.item)
+                return worker, worker.executor.submit(attempt_in_process, unit.work, unit.item, command_words())
             except BrokenProcessPool:  # it died while it was idle
                 self.buried(worker)
         with _settings_of_a_worker():
             before = set(active_children())
             executor = ProcessPoolExecutor(1, get_context("spawn"), begin_process, (self.values,))
-            future = executor.submit(attempt_in_process, unit.work, unit.item)
+            future = executor.submit(attempt_in_process, unit.work, unit.item, command_words())
             (process,) = set(active_children()) - before
             worker = _Worker(executor, process)
             self.started.append(worker)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -17,8 +17,14 @@ _OURS = __name__.partition(".")[0]
 
 def packed(value: Any) -> bytes:
     """A pickle of a value that carries functions and classes of the user's own modules whole, not by their names."""
+    (only,) = all_packed([value])
+    return only
+
+
+def all_packed(values: Iterable[Any]) -> list[bytes]:
+    """Pickles as of ``packed``; the user's modules are looked for once."""
     with _by_value(_own_modules()):
-        return cloudpickle.dumps(value)
+        return [cloudpickle.dumps(value) for value in values]
 
 
 def _own_modules() -> list[ModuleType]:

@@ -7,9 +7,10 @@ import os
 import pickle
 import signal
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
+from dcgrid_env.core.versions import command_of
 from dcgrid_env.core.work.unit import Lost
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
@@ -96,10 +97,14 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def attempt_in_process(work: Callable[[Item], Result], item: Item) -> Result | Lost:
-    """``attempt`` in a process of its own, which a termination ends once what the work had half written is gone."""
+def attempt_in_process(work: Callable[[Item], Result], item: Item, words: Sequence[str]) -> Result | Lost:
+    """``attempt`` in a process of its own, which a termination ends once what the work had half written is gone.
+
+    ``words`` are those of the command that runs, see ``command_of``.
+    """
     try:
-        return attempt(work, item)
+        with command_of(words):
+            return attempt(work, item)
     except Terminated as terminated:
         os._exit(terminated.args[0])
 
