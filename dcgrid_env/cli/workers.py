@@ -49,5 +49,5 @@ def place(workers: int | None, ray: str | None) -> Place:
     from dcgrid_env.core.work.cluster import cluster
 
     found = cluster(ray)
-    say(plain_console(), f"Ray cluster at {ray}: {len(found.nodes)} nodes, {found.workers} cores")
+    say(plain_console(), f"Ray cluster at {ray}: cores {found.workers}, nodes with cores {len(found.nodes)}")
     return found

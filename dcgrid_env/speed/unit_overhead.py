@@ -23,7 +23,7 @@ class Overhead:
     message_s: float
     """For each further unit without work, all workers together: what a unit costs who hands it out."""
     wall_s: tuple[float, float]
-    """Of the long units, one at a time and on all workers, without what it takes to begin."""
+    """The long units take so long one at a time, and so long on all workers, without what it takes to begin."""
 
 
 def spin(steps: int) -> int:
