@@ -22,6 +22,7 @@ ONE_IDEA = {
     "agent_search": {"agents/studies/agent_search.py", "dcgrid_env/cli/agent_search.py"},
     "transfer": {"agents/studies/transfer.py", "dcgrid_env/cli/transfer.py"},
     "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
+    "unit_overhead": {"dcgrid_env/speed/unit_overhead.py", "dcgrid_env/cli/unit_overhead.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }
 """Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dcgrid_env.core.work.unit import Needs, Place, Unit
+from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
 EMPTY = 400
 """Units without work by which messages are timed."""
@@ -24,6 +26,9 @@ class Overhead:
     """For each further unit without work, all workers together: what a unit costs who hands it out."""
     wall_s: tuple[float, float]
     """The long units take so long one at a time, and so long on all workers, without what it takes to begin."""
+    between_s: float
+    """From the end of a long unit to the beginning of the next on that worker, in the mean: what a unit costs beside its
+    work, however fast the cores are meanwhile."""
 
 
 def spin(steps: int) -> int:
@@ -32,6 +37,13 @@ def spin(steps: int) -> int:
     for _ in range(steps):
         x = (x * 1103515245 + 12345) & 0x7FFFFFFF
     return x
+
+
+def timed_spin(steps: int) -> tuple[int, float, float]:
+    """``spin`` in which process, from when to when by the machine's clock, s."""
+    began = time.time()
+    spin(steps)
+    return os.getpid(), began, time.time()
 
 
 def steps_of(seconds: float) -> int:
@@ -59,16 +71,16 @@ def overheads(places: Sequence[tuple[str, Place]], units: int, seconds: float, r
         How often all is done; the least time counts.
     """
     steps = steps_of(seconds)
-    times: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name, _ in places}
+    times: dict[str, list[tuple[float, ...]]] = {name: [] for name, _ in places}
     for _ in range(repeats):
         for name, place in places:
             begin_s, message_s = _messages(place)
-            alone_s = _long(place, units, steps, float(place.workers))
-            times[name].append((begin_s, message_s, alone_s, _long(place, units, steps, 1.0)))
+            alone_s, between_s = _long(place, units, steps, float(place.workers))
+            times[name].append((begin_s, message_s, alone_s, _long(place, units, steps, 1.0)[0], between_s))
     found = []
     for name, measured in times.items():
-        begin_s, message_s, alone_s, side_by_side_s = (min(column) for column in zip(*measured, strict=True))
-        found.append(Overhead(name, begin_s, message_s, (alone_s, side_by_side_s)))
+        begin_s, message_s, alone_s, all_s, between_s = (min(column) for column in zip(*measured, strict=True))
+        found.append(Overhead(name, begin_s, message_s, (alone_s, all_s), between_s))
     return found
 
 
@@ -82,28 +94,29 @@ def _messages(place: Place) -> tuple[float, float]:
     return first - began, (time.perf_counter() - first) / (EMPTY - 1)
 
 
-def _long(place: Place, units: int, steps: int, cores: float) -> float:
-    """Wall time of long units after one without work on each worker, s."""
-    warm = [Unit(f"warm {i}", spin, 0, Needs(cores)) for i in range(place.workers)]
-    work = [Unit(str(i), spin, steps, Needs(cores)) for i in range(units)]
+def _long(place: Place, units: int, steps: int, cores: float) -> tuple[float, float]:
+    """Wall time of long units after one without work on each worker, and the mean time between two of a worker, s."""
+    warm = [Unit(f"warm {i}", timed_spin, 0, Needs(cores)) for i in range(place.workers)]
+    work = [Unit(str(i), timed_spin, steps, Needs(cores)) for i in range(units)]
     results = place.run([*warm, *work])
     for _ in warm:
         next(results)
     began = time.perf_counter()
-    for _ in results:
-        pass
-    return time.perf_counter() - began
+    done = sorted(result for _, result in results if not isinstance(result, Lost))
+    wall_s = time.perf_counter() - began
+    gaps = [b[1] - a[2] for a, b in itertools.pairwise(done) if a[0] == b[0]]
+    return wall_s, sum(gaps) / len(gaps) if gaps else math.nan
 
 
 def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) -> float:
     """Wall time of many units on many workers, s, simulated from what was measured.
 
-    Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first;
-    every worker begins by ``begin_s``, all at once. Nothing of a network's or a file system's is in it.
+    Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first,
+    which begins it ``between_s`` later; every worker is there after ``begin_s``, all at once. Nothing of a network's or a file system's is in it.
     """
     handed, free = 0.0, [overhead.begin_s] * workers
     for i in range(units):
         handed += overhead.message_s
         # All units last as long, so that workers become free in the order in which they were given work.
-        free[i % workers] = max(handed, free[i % workers]) + seconds
+        free[i % workers] = max(handed, free[i % workers]) + overhead.between_s + seconds
     return max(free)
