@@ -38,19 +38,26 @@ class UnitOverhead(OverWorkers):
         if n < 2 or any(other.workers != n for _, other in places):
             raise ValueError(f"workers is {n}; give at least 2, and as many as the cluster has cores")
         found = overheads(places, self.units, self.seconds, self.repeats)
-        measured = Table(
-            "measured", "first result, s", "ms a unit", "one at a time, s", f"on {n} workers, s", "speed-up"
-        )
+        head = ("first result, s", "message, ms", "between, ms", "one at a time, s", f"on {n} workers, s", "speed-up")
+        measured = Table("measured", *head)
         for one in found:
             alone, together = one.wall_s
-            figures = (one.begin_s, 1e3 * one.message_s, alone, together, alone / together)
+            figures = (one.begin_s, 1e3 * one.message_s, 1e3 * one.between_s, alone, together, alone / together)
             measured.add_row(one.name, *(f"{figure:.2f}" for figure in figures))
         console = plain_console()
         console.print(measured)
         if len(found) > 1:
             here, there = found
             more = [100.0 * (b / a - 1.0) for a, b in zip(here.wall_s, there.wall_s, strict=True)]
-            say(console, f"Ray beside this machine: {more[0]:+.1f} % one at a time, {more[1]:+.1f} % on {n} workers")
+            between = 100.0 * (there.between_s - here.between_s) / self.seconds
+            say(
+                console,
+                f"Ray beside this machine: {more[0]:+.1f} % one at a time, {more[1]:+.1f} % on {n} workers; by the",
+            )
+            say(
+                console,
+                f"time between units, which other processes disturb less, {between:+.2f} % of {self.seconds:g} s",
+            )
         simulated = Table(f"simulated: 1,000 units of {self.seconds:g} s", *(one.name for one in found))
         for workers in (1, 2, 8, 32, 128, 512):
             times = (simulated_s(one, 1000, self.seconds, workers) for one in found)

@@ -27,8 +27,8 @@ class Overhead:
     wall_s: tuple[float, float]
     """The long units take so long one at a time, and so long on all workers, without what it takes to begin."""
     between_s: float
-    """From the end of a long unit to the beginning of the next on that worker, in the mean: what a unit costs beside its
-    work, however fast the cores are meanwhile."""
+    """From the end of a long unit to the beginning of the next on that worker, in the mean: what a unit costs beside
+    its work, however fast the cores are meanwhile."""
 
 
 def spin(steps: int) -> int:
@@ -112,7 +112,8 @@ def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) ->
     """Wall time of many units on many workers, s, simulated from what was measured.
 
     Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first,
-    which begins it ``between_s`` later; every worker is there after ``begin_s``, all at once. Nothing of a network's or a file system's is in it.
+    which begins it ``between_s`` later; every worker is there after ``begin_s``, all at once. Nothing
+    of a network's or a file system's is in it.
     """
     handed, free = 0.0, [overhead.begin_s] * workers
     for i in range(units):

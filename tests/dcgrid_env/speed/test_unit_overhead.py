@@ -7,10 +7,10 @@ from dcgrid_env.speed.unit_overhead import Overhead, simulated_s, steps_of
 
 
 def test_one_worker_does_one_after_the_other_and_many_are_held_up_by_the_driver():
-    cost = Overhead("place", 2.0, 0.5, (0.0, 0.0))
-    assert simulated_s(cost, 10, 3.0, 1) == pytest.approx(2.0 + 10 * 3.0)
-    assert simulated_s(cost, 10, 3.0, 2) == pytest.approx(2.0 + 5 * 3.0)
-    assert simulated_s(cost, 1000, 3.0, 1000) == pytest.approx(1000 * 0.5 + 3.0)
+    cost = Overhead("place", 2.0, 0.5, (0.0, 0.0), 1.0)
+    assert simulated_s(cost, 10, 3.0, 1) == pytest.approx(2.0 + 10 * 4.0)
+    assert simulated_s(cost, 10, 3.0, 2) == pytest.approx(2.0 + 5 * 4.0)
+    assert simulated_s(cost, 1000, 3.0, 1000) == pytest.approx(1000 * 0.5 + 4.0)
 
 
 def test_steps_follow_the_time_asked_for():
