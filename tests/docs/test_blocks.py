@@ -67,10 +67,10 @@ SHORTER = {
 """Options that are given these values, by how a command begins."""
 
 ELSEWHERE = {
-    "dcgrid benchmark --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "dcgrid tune --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "dcgrid dev hindsight --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "dcgrid train analytic --ray": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid benchmark --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid tune --ray 10.0.0.7:6379": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid dev hindsight --ray ray://head.example:10001": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid train analytic --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid dev unit-overhead": "tests/dcgrid_env/speed/test_unit_overhead.py",
     "dcgrid dev pareto": "tests/agents/studies",
     "dcgrid dev ablate": "tests/agents/studies",
