@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -81,8 +81,14 @@ def _tried(on: Scenario, names: Sequence[str], by_name: Mapping[str, Evaluation 
     droop = by_name[REFERENCE]
     if isinstance(droop, str):
         raise ValueError(droop)
-    others = {name: None if isinstance(one := by_name[name], str) else one for name in names}
-    return Tried(on, droop, others, {name: one for name in names if isinstance(one := by_name[name], str)})
+    # Each unit has made a scenario of its own, and evaluations are held against each other on one.
+    ones = {name: replace(one, scenario=on) for name, one in by_name.items() if not isinstance(one, str)}
+    return Tried(
+        on,
+        ones[REFERENCE],
+        {name: ones.get(name) for name in names},
+        {name: one for name in names if isinstance(one := by_name[name], str)},
+    )
 
 
 def _driven(asked: _Asked) -> Evaluation | str:
