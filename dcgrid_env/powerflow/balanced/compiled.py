@@ -141,8 +141,8 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
     ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A lane that does not settle from there
-    starts again from no current, with ``max_sweeps``. Flows of branches without rows are left out. Returns the number of
-    lanes without a solution.
+    starts again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
+    Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
     few = n_lanes <= FEW or n > MOST_IN_BLOCKS

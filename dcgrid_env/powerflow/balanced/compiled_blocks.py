@@ -51,7 +51,7 @@ def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _store_flows(first, settled[:count], order, flow, p_branch_kw, q_branch_kvar):
+def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
     """Write the flows of the lanes that have settled in this sweep: the next one changes them."""
     for b in range(settled.shape[0]):
         if settled[b]:
@@ -63,7 +63,7 @@ def _store_flows(first, settled[:count], order, flow, p_branch_kw, q_branch_kvar
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw):
     """Write what has been found of the lanes from ``first`` to ``last``, as ``_load_block`` reads them."""
-    loss = np.zeros(BLOCK, v.dtype)
+    loss = np.zeros(BLOCK)  # added up in float64 whatever the precision, as one lane alone does
     for tile in range(0, BLOCK, TILE):
         for k in range(order.shape[0]):
             i = order[k]
