@@ -1,6 +1,6 @@
 """Lanes of a batch spread over the cores of this process.
 
-A thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel loops:
+The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. A thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel loops:
 those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numba
 
@@ -27,14 +27,22 @@ def n_threads() -> int:
 
 
 def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
-    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread."""
+    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread.
+
+    The last slice is the caller's; an error in any slice is raised once all of them are done.
+    """
     if lanes < 2 * LANES_PER_THREAD:
         return work(0, lanes)
     parts = min(n_threads(), lanes // LANES_PER_THREAD)
     if parts == 1:
         return work(0, lanes)
     cuts = [lanes * i // parts for i in range(parts + 1)]
-    return sum(_executor().map(work, cuts[:-1], cuts[1:]))
+    others = [_executor().submit(work, *cut) for cut in zip(cuts[:-2], cuts[1:-1], strict=True)]
+    try:
+        own = work(cuts[-2], cuts[-1])
+    finally:
+        wait(others)
+    return own + sum(other.result() for other in others)
 
 
 @numba.njit(cache=True)

@@ -1,4 +1,4 @@
-"""Compiled passes over loads, voltages and the joint observation, with the bits of the array forms."""
+"""Compiled passes over loads, phases and the joint observation, with the bits of the array forms."""
 
 from __future__ import annotations
 
@@ -37,37 +37,6 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
                 p_at[at] += p_kw[lane, agent] / parts
                 q_at[at] += -q_kvar[lane, agent] / parts
     return p_net, q_net
-
-
-@numba.njit(error_model="numpy", cache=True)
-def deviations(v_pu, first, band_pu):
-    """|V - 1| from the node ``first`` on, and what of it lies beyond the band, p.u., (2, lane, node).
-
-    ``v_pu`` is (lane, n_node).
-    """
-    lanes, n = v_pu.shape[0], v_pu.shape[1] - first
-    out = np.empty((2, lanes, n))
-    for lane in range(lanes):
-        for i in range(n):
-            deviation = abs(v_pu[lane, first + i] - 1.0)
-            excess = deviation - band_pu
-            out[0, lane, i] = deviation
-            out[1, lane, i] = 0.0 if excess < 0.0 else excess
-    return out
-
-
-@numba.njit(error_model="numpy", cache=True)
-def extremes(v_pu, first):
-    """Lowest and highest voltage from the node ``first`` on, p.u., (2, lane), of ``v_pu`` (lane, n_node)."""
-    out = np.empty((2, v_pu.shape[0]))
-    for lane in range(v_pu.shape[0]):
-        low = high = v_pu[lane, first]
-        for i in range(first + 1, v_pu.shape[1]):
-            v = v_pu[lane, i]
-            low = v if v < low else low
-            high = v if v > high else high
-        out[0, lane], out[1, lane] = low, high
-    return out
 
 
 @numba.njit(error_model="numpy", cache=True)
