@@ -1,7 +1,8 @@
 """Lanes of a batch spread over the cores of this process.
 
-The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. A thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel loops:
-those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
+The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. The others
+are a thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel
+loops: those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from itertools import pairwise
 
 import numba
 
@@ -37,7 +39,7 @@ def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
     if parts == 1:
         return work(0, lanes)
     cuts = [lanes * i // parts for i in range(parts + 1)]
-    others = [_executor().submit(work, *cut) for cut in zip(cuts[:-2], cuts[1:-1], strict=True)]
+    others = [_executor().submit(work, *cut) for cut in pairwise(cuts[:-1])]
     try:
         own = work(cuts[-2], cuts[-1])
     finally:
@@ -54,5 +56,5 @@ def _executor() -> ThreadPoolExecutor:
     global _pool
     if _pool is None or _pool[0] != os.getpid():  # threads do not survive a fork
         _nothing()  # the compiler sets itself up at its first call, and two threads that make it at once break it
-        _pool = (os.getpid(), ThreadPoolExecutor(n_threads(), thread_name_prefix="dcgrid"))
+        _pool = (os.getpid(), ThreadPoolExecutor(max(n_threads() - 1, 1), thread_name_prefix="dcgrid"))
     return _pool[1]

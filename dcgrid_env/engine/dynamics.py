@@ -84,7 +84,10 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     """
     xp = namespace(action)
     params = parameters(scenario, action)
-    setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    if is_rows(action):
+        setpoint = step_kernels().setpoints(action, params.middle, params.half_range)
+    else:
+        setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
     by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:

@@ -7,7 +7,6 @@ stands alone (``core.random.load_step``, ``powerflow.balanced.compiled``, ``volt
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numba
@@ -29,6 +28,7 @@ from dcgrid_env.powerflow.solution import raise_not_finite
 from dcgrid_env.scenario.scenario import Scenario
 
 CHUNK = 64  # lanes whose loads stand in the cache together
+TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
 
 
 class GridPass(NamedTuple):
@@ -59,91 +59,70 @@ def grid_pass(
     ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
     not finite.
     """
-    feeder: Any = scenario.feeder
     lanes, n = drawing.noise.shape
-    agents, warm = (lanes, p_kw.shape[1]), rows(restart, (lanes, n - 1))
+    agents = (lanes, p_kw.shape[1])
     given = (
-        *drawing[:4],
+        *_fixed(scenario),
+        *drawing,
         nodes,
         rows(p_kw, agents),
         rows(q_kvar, agents),
-        _all(lanes, scenario.source_voltage_pu),
-        warm,
+        rows(restart, (lanes, n - 1)),
     )
-    over_buses = np.empty((2, lanes, n))
-    per_lane = np.empty((6, lanes))
-    noise, v_pu, after = over_buses[0], over_buses[1], np.empty((lanes, n - 1))
-    converged = np.empty(lanes, np.bool_)
-    out = (noise, v_pu, after, converged, np.empty(lanes, np.int64), *per_lane)
-    fixed = (constants(feeder, np.float64), drawing[4:], feeder.load_slice.start, scenario.band_pu)
-
-    def part(first: int, last: int) -> int:
-        return _lanes(first, last, *fixed, given, out)
-
-    if (part(0, lanes) if lanes == 1 else over_lanes(part, lanes)) and not np.isfinite(p_kw + q_kvar).all():
+    over_buses, after = np.empty((2, lanes, n)), np.empty((lanes, n - 1))
+    per_lane, converged = np.empty((6, lanes)), np.empty(lanes, np.bool_)
+    out = (over_buses, after, per_lane, converged)
+    failed = (
+        _lanes(0, lanes, *given, *out) if lanes == 1 else over_lanes(lambda a, b: _lanes(a, b, *given, *out), lanes)
+    )
+    if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, lanes, n))
         load_step(*drawing, *loads)
-        raise_not_finite(feeder, *net_loads(loads[1], loads[2], nodes, *given[5:7]))
-    return GridPass(v_pu, after, per_lane[0], converged, VoltageFigures(*per_lane[2:]), noise)
+        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *given[-3:-1]))
+    figures = VoltageFigures(per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    return GridPass(over_buses[1], after, per_lane[4], converged, figures, over_buses[0])
+
+
+@cached_on_owner
+def _fixed(scenario: Scenario) -> tuple[Any, ...]:
+    """What a pass knows of the scenario, as the kernel takes it."""
+    feeder: Any = scenario.feeder
+    own = (scenario.source_voltage_pu, feeder.load_slice.start, scenario.band_pu)
+    return (*constants(feeder, np.float64), *map(float, own[:1]), own[1], float(own[2]))
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _lanes(first, last, of_feeder, load, judged, band_pu, given, out):
-    """The pass over the lanes from ``first`` up to ``last``; how many of them have no solution."""
-    order, parent, r, x, shunt_g, shunt_b, ratio = of_feeder
-    rho, sigma, p_base, q_base, q_fixed = load
-    key, step, noise, share, nodes, p_agent, q_agent, v0_pu, warm = given
-    noise_out, v_pu, restart, converged, sweeps, loss, residual, deviation, excess, lowest, highest = out
+def _lanes(
+    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, judged, band_pu,
+    key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
+    over_buses, restart, per_lane, converged,
+):  # fmt: skip
+    """The pass over the lanes from ``first`` up to ``last``; how many of them have no solution.
+
+    One argument an array: tuples of arrays take the compiler's dispatcher several times as long to look through.
+    """
     n, failed, parts = noise.shape[1], 0, nodes.shape[2]
-    none = np.empty((0, 0))
-    p, q = np.empty((min(CHUNK, last - first), n)), np.empty((min(CHUNK, last - first), n))
+    noise_out, v_pu = over_buses[0], over_buses[1]
+    most, none = min(CHUNK, last - first), np.empty((0, 0))
+    p, q = np.empty((most, n)), np.empty((most, n))
+    sweeps, residual, v0_pu = np.empty(most, np.int64), np.empty(most), np.full(most, source_pu)
     for a in range(first, last, CHUNK):
         b = min(a + CHUNK, last)
-        p_net, q_net = p[: b - a], q[: b - a]
+        m = b - a
         load_step(
-            key[a:b],
-            step[a:b],
-            noise[a:b],
-            share[a:b],
-            rho,
-            sigma,
-            p_base,
-            q_base,
-            q_fixed,
-            noise_out[a:b],
-            p_net,
-            q_net,
-        )
+            key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed,
+            noise_out[a:b], p[:m], q[:m],
+        )  # fmt: skip
         for lane in range(a, b):
             for agent in range(nodes.shape[1]):
                 for part in range(parts):
                     at = nodes[lane, agent, part] - lane * n
-                    p_net[lane - a, at] += p_agent[lane, agent] / parts
-                    q_net[lane - a, at] += -q_agent[lane, agent] / parts
-        solved = (v_pu[a:b], none, none, restart[a:b], loss[a:b], converged[a:b], sweeps[a:b], residual[a:b])
+                    p[lane - a, at] += p_agent[lane, agent] / parts
+                    q[lane - a, at] += -q_agent[lane, agent] / parts
+        solved = (v_pu[a:b], none, none, restart[a:b], per_lane[4, a:b], converged[a:b], sweeps[:m], residual[:m])
         failed += distflow_lanes(
-            order,
-            parent,
-            r,
-            x,
-            shunt_g,
-            shunt_b,
-            ratio,
-            p_net,
-            q_net,
-            v0_pu[a:b],
-            warm[a:b],
-            TOLERANCE,
-            MAX_SWEEPS,
+            order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], TOLERANCE, MAX_SWEEPS,
             solved,
-        )
-        fill_figures(v_pu, a, b, judged, band_pu, deviation, excess, lowest, highest)
+        )  # fmt: skip
+        fill_figures(v_pu, a, b, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
     return failed
-
-
-TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
-
-
-@lru_cache(maxsize=64)
-def _all(lanes: int, v0_pu: float) -> np.ndarray:
-    return np.full(lanes, v0_pu)

@@ -160,7 +160,6 @@ class Simulation:
     ) -> Transition:
         s = self.scenario
         coming = episode.given_next(s, drawn, step, p_ref_next)
-        joint = observation.observe(s, state, drawn.placed, coming, measured[1], measured[0])
         last = step >= s.horizon
         solved = all_true(solution.converged)
         figures = solution.figures if solved and isinstance(solution, GridPass) else _figures(s, state)
@@ -173,10 +172,10 @@ class Simulation:
             own = reward.local_costs(s, state, solution, last)
             paid = -reward.total(reward.charged(s, own, step, solution.converged))
         return Transition(
-            observation=observation.within_bounds(s, joint),
+            observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),
             reward=paid,
-            terminated=~solution.converged & (step > 0),
-            truncated=solution.converged & last,
+            terminated=np.zeros(len(last), np.bool_) if solved else ~solution.converged & (step > 0),
+            truncated=last if solved else solution.converged & last,
             costs=costs,
             voltages=figures,
             cost_j=cost_j,

@@ -21,6 +21,18 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
 
 
 @numba.njit(error_model="numpy", cache=True)
+def setpoints(action, middle, half_range):
+    """Setpoints (lane, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
+    out = np.empty(action.shape)
+    for lane in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            a = action[lane, i]
+            a = -1.0 if a < -1.0 else a
+            out[lane, i] = middle[i] + half_range[i] * (1.0 if a > 1.0 else a)
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     """Net load of each leg, kW and kvar, (lane, n_leg): loads, and what agents draw less what they inject.
 
@@ -70,12 +82,15 @@ def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def within_float32(figures, low, high):
-    """``figures`` (lane, n) as float32, cut to ``low`` and ``high`` (n,)."""
-    out = np.empty(figures.shape, np.float32)
-    for lane in range(figures.shape[0]):
-        for i in range(figures.shape[1]):
-            x = np.float32(figures[lane, i])
+def joint_observation(raw, scale, column, low, high):
+    """The joint observation as float32, (lane, n): of each entry the scaled raw figure in its column, cut to bounds.
+
+    ``raw`` is (lane, n_raw), ``scale`` (n_raw,), the rest (n,).
+    """
+    out = np.empty((raw.shape[0], len(column)), np.float32)
+    for lane in range(raw.shape[0]):
+        for i in range(len(column)):
+            x = np.float32(raw[lane, column[i]] * scale[column[i]])
             x = low[i] if x < low[i] else x
             out[lane, i] = high[i] if x > high[i] else x
     return out
