@@ -37,11 +37,11 @@ def test_bits_of_the_parts(scenario, lanes):
 
 
 def test_a_lane_without_a_solution_keeps_its_voltages_and_their_figures():
-    simulation = begun(3, load_sigma=0.0)
+    simulation = begun(3)
     now = simulation.now
-    heavy = now.p_ref_next_kw.copy()
-    heavy[1] *= 40.0
-    simulation.go_on(now._replace(p_ref_next_kw=heavy))
+    heavy = now.noise.copy()
+    heavy[1] = 500.0
+    simulation.go_on(now._replace(noise=heavy))
     transition = simulation.step(np.ones((3, action_layout(simulation.scenario).n)))
     assert transition.converged.tolist() == [True, False, True]
     assert transition.state.v_pu[1].tobytes() == now.state.v_pu[1].tobytes()
