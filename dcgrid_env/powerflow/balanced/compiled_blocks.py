@@ -13,8 +13,8 @@ import numpy as np
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
-BLOCK = 64  # lanes innermost; of 8, 16, 32 and 64 the fastest on ieee123: the loops are long, and all fits the cache
 TILE = 8  # lanes that are put into a block, or taken from it, side by side: a cache line of columns
+BLOCK = 8 * TILE  # lanes innermost; of 8, 16, 32 and 64 the fastest on ieee123
 BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
 PER_KVA = 1.0 / S_BASE_KVA
 
@@ -95,11 +95,11 @@ def _add_shunts(shunt_g, shunt_b, flow, v, before):
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up, lowest, highest):
+def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up):
     """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive.
 
-    ``v_up``, ``lowest`` and ``highest`` are scratch rows: what is read from one row of an array while another row of it
-    is written would have to be checked for an overlap in every loop.
+    ``v_up`` is a scratch row for the voltages above: to read one row of an array while another row of it is written
+    takes a check of overlap in every loop.
     """
     n = parent.shape[0]
     for k in range(n):
@@ -115,7 +115,7 @@ def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, 
             flow[i, b] += flow[k, b]
     for b in range(BLOCK):
         off[b] = 0.0
-        lowest[b] = highest[b] = 1.0
+        collapsed[b] = 0.0
         v_up[b] = v[0, b]
     for k in range(1, n):
         i = parent[k]
@@ -128,15 +128,12 @@ def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, 
             v_i, p, q = v_up[b], flow[k, b], flow[k, BLOCK + b]
             l_new = (p * p + q * q) / v_i
             v_j = v_i - 2.0 * (r_k * p + x_k * q) + z_sq * l_new
-            lowest[b] = lowest[b] if v_j > lowest[b] else v_j
-            highest[b] = highest[b] if v_j < highest[b] else v_j
+            collapsed[b] = collapsed[b] if (v_j > V_SQ_FLOOR) & (v_j < V_SQ_CEILING) else 1.0  # no branch: a vector
             change = abs(l_new - l[k, b]) * z_max
             off[b] = change if change > off[b] else off[b]
             l[k, b] = l_new if live[b] > 0.0 else l[k, b]
             v[k, b] = v_j if live[b] > 0.0 else v[k, b]
             v_up[b] = v_j
-    for b in range(BLOCK):  # a NaN stays the extreme or is in a lane whose loads are not finite
-        collapsed[b] = not (lowest[b] > V_SQ_FLOOR and highest[b] < V_SQ_CEILING)
     for k in range(shunt_g.shape[0]):
         size = max(abs(shunt_g[k]), abs(shunt_b[k]))
         for b in range(BLOCK):
@@ -152,10 +149,10 @@ def distflow_blocks(
     n_lanes, n = p_kw.shape
     powers, work = np.empty((2, n, 2 * BLOCK), p_kw.dtype), np.empty((2, n, BLOCK), p_kw.dtype)
     load, flow, v, l = powers[0], powers[1], work[0], work[1]
-    rows = np.empty((5, BLOCK), p_kw.dtype)
-    live, off, v_up, lowest, highest = rows[0], rows[1], rows[2], rows[3], rows[4]
+    rows = np.empty((4, BLOCK), p_kw.dtype)
+    live, off, v_up, collapsed = rows[0], rows[1], rows[2], rows[3]
     before = np.empty((shunt_g.shape[0], BLOCK), p_kw.dtype)
-    finite, collapsed, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
+    finite, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
     most = min(BLOCK_SWEEPS, max_sweeps)
     for first in range(0, n_lanes, BLOCK):
         left = count = min(BLOCK, n_lanes - first)
@@ -164,11 +161,9 @@ def distflow_blocks(
         live[:] = 1.0
         iterations[first : last + 1] = 0
         for sweep in range(1, most + 1):
-            _sweep(
-                parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up, lowest, highest
-            )
+            _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up)
             for b in range(BLOCK):  # columns without a lane of their own do as the last lane does
-                gone = collapsed[b] or not finite[b]
+                gone = collapsed[b] > 0.0 or not finite[b]
                 settled[b] = live[b] > 0.0 and not gone and off[b] <= tolerance
                 if live[b] > 0.0 and (settled[b] or gone):
                     live[b] = 0.0
