@@ -61,24 +61,20 @@ def grid_pass(
     """
     lanes, n = drawing.noise.shape
     agents = (lanes, p_kw.shape[1])
-    given = (
-        *_fixed(scenario),
-        *drawing,
-        nodes,
-        rows(p_kw, agents),
-        rows(q_kvar, agents),
-        rows(restart, (lanes, n - 1)),
-    )
+    own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (lanes, n - 1)))
+    given = (*_fixed(scenario), *drawing, nodes, *own)
     over_buses, after = np.empty((2, lanes, n)), np.empty((lanes, n - 1))
     per_lane, converged = np.empty((6, lanes)), np.empty(lanes, np.bool_)
     out = (over_buses, after, per_lane, converged)
-    failed = (
-        _lanes(0, lanes, *given, *out) if lanes == 1 else over_lanes(lambda a, b: _lanes(a, b, *given, *out), lanes)
-    )
+    kernel: Any = _lanes
+    if lanes == 1:
+        failed = kernel(0, lanes, *given, *out)
+    else:
+        failed = over_lanes(lambda first, last: kernel(first, last, *given, *out), lanes)
     if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, lanes, n))
         load_step(*drawing, *loads)
-        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *given[-3:-1]))
+        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *own[:2]))
     figures = VoltageFigures(per_lane[0], per_lane[1], per_lane[2], per_lane[3])
     return GridPass(over_buses[1], after, per_lane[4], converged, figures, over_buses[0])
 
@@ -87,8 +83,8 @@ def grid_pass(
 def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """What a pass knows of the scenario, as the kernel takes it."""
     feeder: Any = scenario.feeder
-    own = (scenario.source_voltage_pu, feeder.load_slice.start, scenario.band_pu)
-    return (*constants(feeder, np.float64), *map(float, own[:1]), own[1], float(own[2]))
+    judged, source_pu, band_pu = feeder.load_slice.start, float(scenario.source_voltage_pu), float(scenario.band_pu)
+    return (*constants(feeder, np.float64), source_pu, judged, band_pu)
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)

@@ -40,7 +40,6 @@ from dcgrid_env.engine.utility_limits import (
     voltage_step_excess,
 )
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.cost import LIMIT_OF
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -146,7 +145,7 @@ def _mean_unbalance(factor: Array) -> Array:
     return sum_last(1.0 - positive_part(1.0 - factor * factor)) / max(n, 1)
 
 
-def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
+def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) -> Costs:
     """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
     The feeder's loss, unbalance and overload are nobody's own and are charged to all alike.
