@@ -118,4 +118,4 @@ def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
     for (agent, width), part in zip(layout.widths.items(), parts, strict=True):
         if (part.shape if type(part) is np.ndarray else np.shape(part)) != (width,):
             raise ActionError(f"action of {agent} has shape {np.shape(part)}; it must be {(width,)}")
-    return joint_action(scenario, layout.join(actions))
+    return joint_action(scenario, np.concatenate(parts))
