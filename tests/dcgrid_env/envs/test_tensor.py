@@ -252,7 +252,7 @@ def test_torch_runs_on_one_thread_and_its_setting_stays(monkeypatch):
         monkeypatch.setattr(TensorEnv, "_observe", lambda e: seen["step"].append(torch.get_num_threads()) or observe(e))
         action = torch.zeros((2, action_layout(env.scenario).n), requires_grad=True)
         action.register_hook(lambda grad: seen["backward"].append(torch.get_num_threads()))
-        cost = sum(env.step(action).cost_j.sum() for _ in range(3))
+        cost = torch.stack([env.step(action).cost_j.sum() for _ in range(3)]).sum()
         assert torch.get_num_threads() == 3
         cost.backward()
         assert torch.get_num_threads() == 3
