@@ -149,8 +149,8 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     spec
         A name, see ``make_controller``; ``package.module:Class`` or ``path/to/file.py:Class``, which runs the user's
         code (modules of the working directory are found too), with literals as arguments if the class takes any,
-        ``file.py:Class(gain=0.5)``; or the path of a saved policy, ending in .safetensors (this runs no code). Before
-        what names a learned policy ``guarded:`` may stand.
+        ``file.py:Class(gain=0.5)``; or a saved policy, the path of its .safetensors or of the training run's folder
+        that holds it (this runs no code). Before what names a learned policy ``guarded:`` may stand.
     scenario
         What it is to drive; tuned controllers look up their gains by it.
     tuned
@@ -173,10 +173,10 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
                 f"controller {spec!r}: {type(controller).__name__} is no controller; give it reset and act"
             )
         return controller
-    if is_file(spec):
-        if not Path(spec).is_file():
-            raise ValueError(f"controller {spec!r}: there is no such file; {_forms()}")
-        return CONTROLLER_REGISTRY.make(Path(spec).suffix, spec)
+    if (file := controller_file(spec)) is not None:
+        if not file.is_file():
+            raise ValueError(f"controller {spec!r}: there is no file {file}; {_forms()}")
+        return CONTROLLER_REGISTRY.make(file.suffix, str(file))
     if spec not in CONTROLLER_REGISTRY:
         raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
     return make_controller(spec, scenario, tuned)
@@ -194,18 +194,31 @@ def split_prefix(spec: str) -> tuple[str, str]:
     return (f"{first}:", rest) if is_prefix else ("", spec)
 
 
-def is_file(spec: str) -> bool:
-    """Whether a text names a controller as a file, by an ending that stands in the registry."""
-    ending = Path(spec).suffix
-    return bool(ending) and parse(spec) is None and ending in CONTROLLER_REGISTRY
+def controller_file(spec: str) -> Path | None:
+    """The file that a text names a controller by, whether it is there or not; None for a name or one's own code.
+
+    It has an ending that stands in the registry; of a folder, as a training run leaves one, it is ``policy`` with such
+    an ending. ``spec`` has no prefix (``split_prefix``).
+    """
+    if spec in CONTROLLER_REGISTRY or parse(spec) is not None:
+        return None
+    path = Path(spec)
+    if spec and path.is_dir():
+        within = [path / f"policy{ending}" for ending in _endings()]
+        return next((file for file in within if file.is_file()), within[0])
+    return path if path.suffix and path.suffix in CONTROLLER_REGISTRY else None
+
+
+def _endings() -> list[str]:
+    """Endings of the files that a controller can be read from, the policies' first."""
+    return [name for name in CONTROLLER_REGISTRY if name.startswith(".")]
 
 
 def _forms() -> str:
     """How to name a controller that has no name."""
-    endings = ", ".join(name for name in CONTROLLER_REGISTRY if name.startswith("."))
     return (
         "give package.module:Class or path/to/file.py:Class for one of your own, with its arguments in parentheses if "
-        f"it takes any, or a saved policy's {endings} file"
+        f"it takes any, a saved policy's {', '.join(_endings())} file, or the folder of a training run"
     )
 
 

@@ -1,22 +1,30 @@
-"""The model-aided law without each of its parts, and on random feeders drawn widely: the tables of docs/model-aided.md.
+"""The model-aided law without its parts, on random feeders drawn widely, and its time: what docs/model-aided.md shows.
 
 python docs/model_aided.py ablations
 python docs/model_aided.py feeders
+OPENBLAS_NUM_THREADS=1 DCGRID_NUM_THREADS=1 python docs/model_aided.py times
 """
 
+import contextlib
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, make_scenario, own_sensitivity, random_feeder
+from dcgrid_env import DcgridVectorEnv, Scenario, forecast, make_scenario, own_sensitivity, random_feeder
 from dcgrid_env.baselines import Controller, Droop, ModelAided, make_controller, rollout
+from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 
 PRESETS = ("ieee33-weak", "das69", "sync", "fault", "zero-shot")
 SEEDS = range(32)
 STYLES = ("urban", "rural", "european-lv", "us-mv")
 FEEDERS = range(16)
 EPISODES = range(4)
+TIMED = ("ieee33-weak", "das69", "ieee123", "fault", "mixed", "scale-32", "zero-shot", "random feeder")
+TIMES = 20
+STEPS = 50
 
 
 class WithoutInference(ModelAided):
@@ -135,5 +143,41 @@ def feeders() -> None:
     print("least gain over the droop, as a share of its J:", ((j[:, 0] - j[:, 2]) / j[:, 0]).min())
 
 
+def times() -> None:
+    """Print CPU time by scenario: moments, the first placement, a following one, and a decision of all agents."""
+    print("| | buses | agents | moments, s | first placement, s | a placement, s | a decision of all agents, ms |")
+    print("|---|---|---|---|---|---|---|")
+    for name in TIMED:
+        s = drawn(12) if name == "random feeder" else make_scenario(name)
+        s = s.member(0) if name == "zero-shot" else s
+        buses = forecast(s, 0).buses[None]
+        moments_s, site = cpu_s(lambda s=s: site_of(s))
+        first_s, *further_s = [cpu_s(lambda site=site, buses=buses: commission(site, buses))[0] for _ in range(TIMES)]
+        figures = f"{moments_s:.3f} | {first_s:.3f} | {min(further_s):.3f} | {1e3 * decision_s(s, buses):.2f}"
+        print(f"| {name} | {s.feeder.n_bus} | {s.n_agents} | {figures} |", flush=True)
+
+
+def decision_s(scenario: Scenario, buses: np.ndarray) -> float:
+    """CPU time of a decision of all agents at one step, from their observations to their actions, the least of some."""
+    with contextlib.closing(DcgridVectorEnv(1, scenario)) as env:
+        observations, _ = env.reset(seed=[0])
+        law = ModelAided()
+        law.reset(scenario)
+        law.place(buses)
+        steps_s = []
+        for _ in range(STEPS):
+            step_s, actions = cpu_s(lambda observations=observations: law.act(observations))
+            observations = env.step(actions)[0]
+            steps_s.append(step_s)
+    return min(steps_s)
+
+
+def cpu_s(do: Callable[[], Any]) -> tuple[float, Any]:
+    """CPU time of a call, and what it gives."""
+    began_s = time.process_time()
+    done = do()
+    return time.process_time() - began_s, done
+
+
 if __name__ == "__main__":
-    {"ablations": ablations, "feeders": feeders}[sys.argv[1]]()
+    {"ablations": ablations, "feeders": feeders, "times": times}[sys.argv[1]]()

@@ -116,12 +116,14 @@ def read_actor(path: Path) -> Actor:
 
 def read_about(path: Path) -> dict[str, Any]:
     """What a zip says of its model in JSON, the pickles as text; PolicyError for what is no such zip."""
+    if not path.is_file():
+        raise PolicyError("there is no such file; give the zip that Stable-Baselines3's model.save wrote")
     try:
         with zipfile.ZipFile(path) as archive:
             return dict(json.loads(_part(archive, "data")))
     except PolicyError:
         raise
-    except (zipfile.BadZipFile, ValueError, TypeError):
+    except (zipfile.BadZipFile, ValueError, TypeError, RecursionError):
         raise PolicyError("not a zip that Stable-Baselines3 wrote; give one of model.save") from None
 
 

@@ -16,11 +16,20 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.baselines.score import SPLIT
+
 SUBMISSION, VERIFIED = "submission.json", "verified.json"
 FORMAT = 1
 """Version of both files' format."""
 Learned = Literal["train", "validation", "test", "nothing"]
 """Split that an entry was learned or tuned on."""
+POLICY, CARD, CONTROLLER = "policy.safetensors", "policy.json", "controller.py"
+"""What an entry's files are called in its folder."""
+SCORE_TOLERANCE = 5e-3
+"""Largest difference of scores, and of delays in seconds: half of the last digit that tables show."""
+LONGEST = 80
+"""Letters of a name or a paper at most."""
 NAMED, FILE, CODE = "named", "file", "code"
 T = TypeVar("T")
 
@@ -52,7 +61,7 @@ class Score(NamedTuple):
 class Submission:
     """What is claimed of a controller on the test split of a preset."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: int
     name: str
@@ -92,7 +101,7 @@ class Submission:
 class Verified:
     """What was found when an entry was run again."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: int
     submission: str
@@ -155,7 +164,45 @@ def sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def check_files(folder: Path, files: Mapping[str, str]) -> None:
+def check_words(**words: str) -> None:
+    """SubmissionError unless what a submitter says of an entry fits into a cell of a table; its name is not empty."""
+    for field, text in words.items():
+        if len(text) > LONGEST or not text.isprintable() or (field == "name" and not text.strip()):
+            raise SubmissionError(f"{field} is {text!r}; give one line of 1 to {LONGEST} letters")
+
+
+def check_card(path: Path, submission: Submission) -> None:
+    """SubmissionError unless a card is of an entry's policy, and claims no other score on the same episodes.
+
+    PolicyError for what is no card.
+    """
+    card = Card.load(path)
+    if card.sha256 != submission.sha256:
+        raise SubmissionError(
+            f"{path}: sha256 is {card.sha256[:16]}.., that of the policy is {submission.sha256[:16]}..; give the card "
+            "that was saved with it"
+        )
+    said, of = card.scored, (submission.scenario_hash, SPLIT, submission.episodes)
+    if said is None or (said.scenario_hash, said.split, said.episodes) != of or submission.policy != POLICY:
+        return  # under guard it acts otherwise than its card says
+    for name, one, other in (("J", said.J, submission.claimed.J), ("score", said.score[0], submission.score.value)):
+        if abs(one - other) > SCORE_TOLERANCE * max(1.0, abs(other)):
+            raise SubmissionError(
+                f"{path}: scored.{name} is {one:.6g}, claimed is {other:.6g}; give a card that says what the policy "
+                "reaches, or one without scored"
+            )
+
+
+def check_contents(folder: Path, submission: Submission) -> None:
+    """SubmissionError unless an entry's words fit into a table and its files are those that were submitted."""
+    try:
+        check_words(name=submission.name, paper=submission.paper, information=submission.information)
+    except SubmissionError as error:
+        raise SubmissionError(f"{folder / SUBMISSION}: {error}") from None
+    _check_files(folder, submission.files)
+
+
+def _check_files(folder: Path, files: Mapping[str, str]) -> None:
     """SubmissionError unless a folder's files are there, within it, and have these hashes."""
     for name, expected in files.items():
         path = folder / name

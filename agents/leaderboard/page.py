@@ -15,7 +15,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     Submission,
     SubmissionError,
     Verified,
-    check_files,
+    check_contents,
     read,
     sha256_of,
 )
@@ -24,6 +24,7 @@ from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_text
 
+_NBSP = "\u00a0"
 BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
 """What stands before and behind the tables in the page."""
 EPISODES = 100
@@ -62,7 +63,7 @@ def listed(folder: Path) -> Listed:
         raise SubmissionError(f"{path}: sha256 is not that of its contents; run dcgrid verify {folder}")
     if record.submission != sha256_of(folder / SUBMISSION):
         raise SubmissionError(f"{path}: submission is of another {SUBMISSION}; run dcgrid verify {folder}")
-    check_files(folder, submission.files)
+    check_contents(folder, submission)
     if submission.episodes != EPISODES:
         raise SubmissionError(f"{folder / SUBMISSION}: episodes is {submission.episodes}; the page takes {EPISODES}")
     scenario = scenario_of(submission.scenario)
@@ -141,7 +142,7 @@ def _row(entry: Listed) -> str:
         name = f"[{name}]({submission.paper})" if link else f"{name} ({_cell(submission.paper)})"
     observes = _cell(submission.information) if submission.kind == CODE else record.observes
     cells = (
-        f"`{submission.scenario}`", name, f"{score.value:.2f} ({score.low:.2f} .. {score.high:.2f})", f"{found.J:.4f}",
+        f"`{submission.scenario}`", name, f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
         _gain(found.gain), _gain(record.fresh.gain) + " below" * entry.gains_less,
         f"{found.delay_mean_s:.2f}", observes, submission.learned_on,
     )  # fmt: skip
@@ -150,7 +151,12 @@ def _row(entry: Listed) -> str:
 
 def _gain(gain: tuple[float, float, float]) -> str:
     value, low, high = (100.0 * share for share in gain)
-    return f"{value:.1f} % ({low:.1f} .. {high:.1f})"
+    return f"{value:.1f}{_NBSP}% {_interval(low, high, 1)}"
+
+
+def _interval(low: float, high: float, decimals: int) -> str:
+    """An interval in brackets, which no cell of a table breaks apart."""
+    return f"({low:.{decimals}f} .. {high:.{decimals}f})".replace(" ", _NBSP)
 
 
 def _cell(text: str) -> str:

@@ -8,14 +8,19 @@ from typing import NamedTuple
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents.leaderboard.entry_files import (
+    CARD,
     CODE,
+    CONTROLLER,
     FILE,
     FORMAT,
     NAMED,
+    POLICY,
     SUBMISSION,
     Learned,
     Submission,
     SubmissionError,
+    check_card,
+    check_words,
     plain,
     sha256_of,
 )
@@ -24,15 +29,10 @@ from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.shipping import without_horizon
-from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, split_prefix
 from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.files import whole_folder, write_bytes, write_json
 from dcgrid_env.core.versions import PACKAGES, versions
-
-LONGEST = 80
-"""Letters of a name or a paper at most."""
-POLICY, CONTROLLER = f"policy{SUFFIX}", "controller.py"
-"""What an entry's files are called in its folder."""
 
 
 class _Entry(NamedTuple):
@@ -79,9 +79,7 @@ def submit(
     ValueError
         For what cannot be entered or scored, before anything is written.
     """
-    for field, text in (("name", name), ("paper", paper), ("information", information)):
-        if len(text) > LONGEST or not text.isprintable() or (field == "name" and not text.strip()):
-            raise SubmissionError(f"{field} is {text!r}; give one line of 1 to {LONGEST} letters")
+    check_words(name=name, paper=paper, information=information)
     entry = _entry(policy)
     if (entry.kind == CODE) != bool(information):
         raise SubmissionError(
@@ -107,6 +105,8 @@ def submit(
         observes=shown(controller, test), information=information, learned_on=learned_on,
         versions=installed(), machine=machine(), claimed=driven.figures, score=scored(driven),
     )  # fmt: skip
+    if claimed.kind == FILE:
+        check_card(entry.files[CARD], claimed)
     with whole_folder(out) as folder:
         for file, path in entry.files.items():
             write_bytes(folder / file, path.read_bytes())
@@ -124,13 +124,13 @@ def _entry(policy: str) -> _Entry:
         if not reference.path.is_file():
             raise SubmissionError(f"policy is {policy!r}; there is no file {reference.where}")
         return _Entry(CODE, f"{CONTROLLER}{inner[len(reference.where) :]}", {CONTROLLER: reference.path})
-    if inner.endswith(SUFFIX):
-        path = Path(inner)
+    path = controller_file(inner)
+    if path is not None and path.suffix == SUFFIX:
         card = path.with_suffix(".json")
         for needed in (path, card):
             if not needed.is_file():
                 raise SubmissionError(f"policy is {policy!r}; there is no file {needed} (Policy.save writes both)")
-        return _Entry(FILE, f"{before}{POLICY}", {POLICY: path, "policy.json": card})
+        return _Entry(FILE, f"{before}{POLICY}", {POLICY: path, CARD: card})
     if (origin := CONTROLLER_REGISTRY.origin(inner) if inner in CONTROLLER_REGISTRY else None) is not None:
         raise SubmissionError(f"policy is {policy!r}, which comes from {origin}; give the file of its class")
     return _Entry(NAMED, policy, {})
@@ -139,6 +139,7 @@ def _entry(policy: str) -> _Entry:
 def _trained_on(policy: str) -> str:
     """The preset that a policy was trained on; SubmissionError where it names none."""
     _, inner = split_prefix(policy)
-    if inner in SHIPPED or inner.endswith(SUFFIX):
-        return without_horizon(Policy.load(inner).trained_on)
+    file = controller_file(inner)
+    if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
+        return without_horizon(Policy.load(file or inner).trained_on)
     raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")

@@ -7,10 +7,14 @@ from pathlib import Path
 
 from dcgrid_env import Scenario, scenario_hash
 from dcgrid_env.agents.leaderboard.entry_files import (
+    CARD,
     CODE,
+    CONTROLLER,
     FILE,
     FORMAT,
     NAMED,
+    POLICY,
+    SCORE_TOLERANCE,
     SUBMISSION,
     VERIFIED,
     Figures,
@@ -18,13 +22,14 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     Submission,
     SubmissionError,
     Verified,
-    check_files,
+    check_card,
+    check_contents,
     plain,
     read,
     sha256_of,
 )
 from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, run, scenario_of, scored, shown
-from dcgrid_env.agents.leaderboard.submitting import CONTROLLER, POLICY, installed, machine
+from dcgrid_env.agents.leaderboard.submitting import installed, machine
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.baselines import Controller
@@ -35,8 +40,6 @@ from dcgrid_env.core.plugins import is_name
 TOLERANCE = 1e-4
 """Largest difference between a claimed and a found cost, as a share of it: sums of products are rounded otherwise on
 another processor."""
-SCORE_TOLERANCE = 5e-3
-"""Largest difference of scores, and of delays in seconds: half of the last digit that tables show."""
 FIRST_FRESH, SPREAD = 1_000, 1_000_000
 """Least seed of fresh episodes, and how many seeds they may begin at."""
 
@@ -64,15 +67,14 @@ def verify(
         Where a file, the scenario or the episodes are not those that were submitted, or a figure is not found again.
         A verified.json that was there stays.
     """
-    submission = read(folder / SUBMISSION, Submission)
+    submission, claimed = read(folder / SUBMISSION, Submission), folder / SUBMISSION
     controller, scenario = checked(folder, submission, trust)
-    claimed = folder / SUBMISSION
-    driven = run(controller, scenario, range(submission.episodes), submission.name)
-    reached = scored(driven)
-    require_found(claimed, submission, driven.figures, reached)
     first = _fresh_seed(claimed) if fresh_seed is None else fresh_seed
     if fresh < 2 or first < submission.episodes:
         raise SubmissionError(f"fresh is {fresh} from seed {first}; give at least 2 beyond the {submission.episodes}")
+    driven = run(controller, scenario, range(submission.episodes), submission.name)
+    reached = scored(driven)
+    require_found(claimed, submission, driven.figures, reached)
     again = run(controller, scenario, range(first, first + fresh), submission.name)
     record = Verified(
         format=FORMAT, submission=sha256_of(claimed), policy=submission.sha256,
@@ -92,7 +94,7 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
     Code of the submitter's own is imported, and refused without ``trust``.
     """
     claimed = folder / SUBMISSION
-    check_files(folder, submission.files)
+    check_contents(folder, submission)
     if submission.kind == CODE and not trust:
         raise SubmissionError(
             f"{claimed}: policy is {submission.policy!r}, code of the submitter's own; verifying runs it: read it, and "
@@ -116,6 +118,8 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
             f"{claimed}: sha256 is {submission.sha256[:16]}.., that of the policy {submission.policy} is "
             f"{inner.sha256[:16]}..; submit again"
         )
+    if submission.kind == FILE:
+        check_card(folder / CARD, submission)
     if (own := shown(controller, scenario)) != submission.observes:
         raise SubmissionError(
             f"{claimed}: observes is {submission.observes!r}, the controller's is {own!r}; submit again"

@@ -128,7 +128,7 @@ class Card:
                 }
                 fields["inputs"] = {name: InputRange(**own) for name, own in ranges.items()}
             return cls(**{"format": 1} | fields)
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
 
     def save(self, path: str | Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from dcgrid_env import Scenario, field_names
+from dcgrid_env.baselines.model_aided.average import Average
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
@@ -36,10 +37,10 @@ class Own(NamedTuple):
 
 
 class Past:
-    """What agents remember: how many steps they have acted, and own powers of the last of them."""
+    """What agents remember: how many steps they have acted, own powers of the last of them, and their average E."""
 
     def __init__(self) -> None:
-        self.steps, self._powers = 0, []
+        self.steps, self._powers, self.average = 0, [], Average()
 
     def when_measured(self, now: Own, delay: int) -> tuple[Any, Any]:
         """Own draw and injection, kW and kvar, at the time that the voltage was measured; ``now`` is remembered."""
@@ -111,6 +112,9 @@ class LawStep:
         if past.steps == 0:
             now = now._replace(q_kvar=like(rest_kvar))
         past.steps += 1
+        if self.scenario.voltage_noise_pu:
+            e_own = own_error(known, now.v_pu, then_kw, then_kvar)
+            now = now._replace(v_pu=now.v_pu + past.average(known, e_own) - e_own)
         then = _host(then_kw), _host(then_kvar)
         v_host, kvar, p_host = _host(now.v_pu), _host(now.q_kvar), _host(p_kw)
         slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz

@@ -12,7 +12,6 @@ import importlib
 import io
 import json
 import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -20,6 +19,7 @@ from typing import Any, TextIO
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.core.files import new_folder, write_json
 from dcgrid_env.core.processes import Died, each
+from dcgrid_env.core.versions import command_of
 
 FINISHED, LOG = "finished.json", "training.log"
 PLACES = ("out", "resume")
@@ -88,16 +88,13 @@ def train_seed(config: Any) -> tuple[Path, str | None]:
     """
     from dcgrid_env.agents.training.run_folder import TrainingError
 
-    words = shlex.split(command(config))
-    before, sys.argv = sys.argv, words
+    _, *words = shlex.split(command(config))
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with command_of(words), contextlib.redirect_stdout(io.StringIO()):
             main = importlib.import_module(type(config).__module__).main
             return main(dataclasses.replace(config, resume=True)), None
     except TrainingError as error:
         return Path(), str(error)
-    finally:
-        sys.argv = before
 
 
 def train_all(configs: Sequence[Any], jobs: int) -> Iterator[tuple[Any, str | None]]:

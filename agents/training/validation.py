@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from dcgrid_env import Scenario, make_scenario
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.core.versions import command_words
 
 _KEPT = ("J", "delay_mean_s", "excess_mean_pu", "cost_violation", "cost_backlog", "cost_leftover")
 
@@ -55,7 +55,7 @@ class Validation:
 
 def made_with() -> str:
     """The command that runs, without where it writes and whether it was interrupted."""
-    given, words = iter(sys.argv[1:]), ["dcgrid"]
+    given, words = iter(command_words()), ["dcgrid"]
     for word in given:
         if word == "--out":
             next(given, None)

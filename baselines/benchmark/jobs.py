@@ -17,7 +17,7 @@ import numpy as np
 from dcgrid_env import Recorder, Scenario, __version__, scenario_hash
 from dcgrid_env.baselines import Controller, Placed, find_controller, rollout
 from dcgrid_env.baselines.controller import with_figures
-from dcgrid_env.baselines.registry import is_file, split_prefix
+from dcgrid_env.baselines.registry import controller_file, split_prefix
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import SPLIT
@@ -162,7 +162,7 @@ def controller_hash(controller: Controller, spec: str = "") -> str:
         digest.update(Path(inspect.getfile(type(controller))).read_bytes())
     _, spec = split_prefix(spec)
     reference = parse(spec)
-    file = Path(spec) if is_file(spec) else reference.path if reference else None
+    file = reference.path if reference else controller_file(spec)
     if file is not None:
         digest.update(file.read_bytes())
     if reference and (reference.positional or reference.keywords):

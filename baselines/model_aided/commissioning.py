@@ -14,6 +14,7 @@ import numpy as np
 from dcgrid_env import Scenario, sensitivity_to_agents
 from dcgrid_env.baselines.controller import require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.model_aided.answers import answered, slopes
+from dcgrid_env.baselines.model_aided.average import weight_of_newest
 from dcgrid_env.baselines.model_aided.damping import settled
 from dcgrid_env.baselines.model_aided.decision import Seen, decide
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun
@@ -96,24 +97,31 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     rest_all = by_sun(site, rest_kvar[None], rest_at[None], draw)
     v = flow.at(rest_all)
     by_q, by_p = by_q / v.mean(axis=0), by_p / v.mean(axis=0)
-    v = v - (rest_all - origin) @ by_q  # at the origin, by the model
+    v_rest, v = v, v - (rest_all - origin) @ by_q  # the latter at the origin, by the model
     by_draw = by_p.copy()
     by_draw[:n_dc] += _correlated(draw[:, :n_dc]) @ by_p[:n_dc]
     own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
+    newest = np.ones((1, len(buses)))
+    if points.later is not None:
+        v_later = MomentFlow(site._replace(points=points.later), buses).at(rest_all)
+        change = (v_later - v_rest) @ flow.seen.T + (points.later.p_agent_kw - draw) * own_by_draw
+        newest = weight_of_newest(s.voltage_noise_pu, change)[None]
     start = rest_kvar @ (by_q @ flow.seen.T)
     still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
-    # A model that is said to be wrong tells too little of the optimum, the others' answers and their pace.
+    # A model that is said to be wrong tells too little of the optimum and of the others' answers.
     trusted = float(s.r_model_share == s.x_model_share == 1.0)
     hold = trusted * law.hold * s.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
     alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
-    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, alike, waiting]
+    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, newest, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
-    known = regressed(site, known, v, moved, flow.seen)
+    held = v + moved @ by_q
+    known = regressed(site, known, held, own_v := held @ flow.seen.T, moved)
     there = _there(rng, *draw.shape)
-    span_kw, relief = np.zeros((2, len(draw), n_dc))
-    for k in range(int(law.rounds)):  # a float where it comes from a policy's card
-        kvar, own_v = origin + moved, (v + moved @ by_q) @ flow.seen.T
+    relief, rounds = np.zeros((len(draw), n_dc)), int(law.rounds)  # a float where it comes from a policy's card
+    for k in range(rounds):
+        span_kw = np.zeros((len(draw), n_dc if k == rounds - 1 else 0))  # relief is asked for at the end alone
+        kvar = origin + moved
         best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
         relief = best.relief
         kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
@@ -122,19 +130,21 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
         slope = trusted * slopes(own_v - moved * own_by_q, kvar)
         known = known._replace(by_own=answered(by_q, by_q @ flow.seen.T, slope)[None])
         moved = there * kvar - origin
-        known = regressed(site, known, v, moved, flow.seen)
+        held = v + moved @ by_q
+        known = regressed(site, known, held, own_v := held @ flow.seen.T, moved)
     later = _TIMES * np.quantile(relief, _BEST_MOMENTS, axis=0)
 
     some = slice(None, None, _MOMENTS_OF_DAMPING)
+    no_clock = np.zeros((len(draw[some]), 0))
 
     def respond(damping: np.ndarray, share: np.ndarray) -> np.ndarray:
         kvar = share * scale
         own_v = (v[some] + (kvar - origin) @ by_q) @ flow.seen.T
-        seen = Seen(own_v, draw[some], kvar, kvar, draw[some], span_kw[some], rest_all[some])
+        seen = Seen(own_v, draw[some], kvar, kvar, draw[some], no_clock, rest_all[some])
         most = limit[some] / scale
         return np.clip(decide(site, known._replace(alike=damping[None]), seen).share, -most, most)
 
-    if law.rounds and trusted:
+    if law.rounds:
         known = known._replace(alike=settled(known.alike[0], rest_all[some] / scale, respond)[None])
     return known._replace(waiting=np.clip(later, site.waiting, max(site.waiting, site.never))[None])
 

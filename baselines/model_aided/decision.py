@@ -41,7 +41,7 @@ class Seen(NamedTuple):
     p_kw: np.ndarray
     """Draw of the coming second if all work is served that is there, (m, n)."""
     span_kw: np.ndarray
-    """By how much less the lowest clock would draw, (m, n_dc)."""
+    """By how much less the lowest clock would draw, (m, n_dc); (m, 0) where no clock is to be decided."""
     rest_kvar: np.ndarray
     """u*, (m, n)."""
 

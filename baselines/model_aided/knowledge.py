@@ -147,6 +147,8 @@ class Commissioned(NamedTuple):
     """Rise of each voltage when all agents inject their whole limit more, p.u., (m, n, L, k)."""
     hold: np.ndarray
     """Price of being a whole limit away from u*, in units of the cost, (m, n)."""
+    newest: np.ndarray
+    """K: share of its way that a measurement moves the average of E, 1 without noise, (m, n)."""
     alike: np.ndarray
     """Share of all limits that an agent takes to move as it moves, (m, n)."""
     waiting: np.ndarray

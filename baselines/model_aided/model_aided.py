@@ -4,7 +4,8 @@ At commissioning an agent is given the model of the feeder, the places and ratin
 load, work and sun (``commissioning``). From then on it sees what every agent sees: its own voltage, powers, backlog and
 coming work. Each second it
 
-1. takes its own part out of its voltage, E_i = V_i - X_ii (q_i - u*_i) + D_ii (p_i - mean p_i),
+1. takes its own part out of its voltage, E_i = V_i - X_ii (q_i - u*_i) + D_ii (p_i - mean p_i), and where measurements
+   have noise, averages that (``average``),
 2. estimates every voltage of the coming second from that, with its error,
        V^_k = E[E_k | E_i] + X_ik (q_i - u*_i) - D_ik (p_next - mean p_i),
 3. data centres: serves work as long as the relief of the expected cost by a kW less, sum_k -c'(V^_k + D_ik y) R_ik
@@ -27,8 +28,9 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
+from dcgrid_env.baselines.model_aided.average import Average
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
-from dcgrid_env.baselines.model_aided.decision import Seen, decide
+from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
 
 
@@ -58,6 +60,7 @@ class ModelAided(Law, LocalController):
         self._steps = 0
         self._known: Commissioned | None = None
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
+        self._average = Average()
         fixed = [device.buses for device in s.devices if device.count]
         self._drawn = any(buses is None for buses in fixed)
         if not self._drawn:
@@ -104,6 +107,9 @@ class ModelAided(Law, LocalController):
         if self._steps == 0:
             kvar = rest_kvar
         self._steps += 1
+        if s.voltage_noise_pu:
+            e_own = own_error(known, v_pu, then_kw, then_kvar)
+            v_pu = v_pu + self._average(known, e_own) - e_own
         seen = Seen(v_pu, then_kw, then_kvar, kvar, p_kw, work.all_kw - work.least_kw, rest_kvar)
         best = decide(site, known, seen)
         # Where all work is to be served the clock may as well be at its top.

@@ -25,6 +25,8 @@ class OperatingPoints(NamedTuple):
     p_agent_kw: np.ndarray
     """What each agent would draw, kW, an inverter's injection negative, (m, n_agent); data centres at the top clock
     with nothing queued."""
+    later: OperatingPoints | None = None
+    """What they are a step later, where measurements have noise."""
 
     @property
     def sun(self) -> np.ndarray:
@@ -49,7 +51,8 @@ class OperatingPoints(NamedTuple):
         share = self.p_load_kw[:, at] / here.p_load_kw[at]
         fixed_kvar = there.capacitor_kvar if scenario.capacitors else 0.0
         p_kw, q_kvar = share * there.p_load_kw, share * there.q_load_kvar - fixed_kvar
-        return OperatingPoints(scenario, p_kw, q_kvar, self.p_agent_kw)
+        later = None if self.later is None else self.later.on(scenario)
+        return OperatingPoints(scenario, p_kw, q_kvar, self.p_agent_kw, later)
 
 
 def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
@@ -65,10 +68,14 @@ def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
     training = scenario.replace(split="train")
     rng = np.random.default_rng(0)
     each = -(-count // EPISODES)
-    parts = []
+    parts: list[list[tuple[np.ndarray, ...]]] = [[], []]
     for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
         episode = forecast(training, seed)
         steps = rng.choice(scenario.horizon, min(each, scenario.horizon), replace=False)
         drawn = np.concatenate((episode.p_ref_kw, -episode.p_inverter_kw), axis=1)
-        parts.append((episode.p_load_kw[steps], episode.q_load_kvar[steps], drawn[steps]))
-    return OperatingPoints(scenario, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+        series = (episode.p_load_kw, episode.q_load_kvar, drawn)
+        for part, at in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
+            part.append(tuple(values[at] for values in series))
+    (p_kw, q_kvar, drawn_kw), later = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in parts)
+    after = OperatingPoints(scenario, later[0], later[1], later[2]) if scenario.voltage_noise_pu else None
+    return OperatingPoints(scenario, p_kw, q_kvar, drawn_kw, after)

@@ -3,6 +3,8 @@
 # pyright: basic
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 
@@ -13,8 +15,11 @@ _PHI = (
     0.3989380888, -0.06647037283, 0.009945140159, -0.001168552637, 0.000108470961, -7.84150478e-06, 4.224180292e-07,
     -1.57259613e-08, 3.56118286e-10, -3.65883123e-12,
 )  # fmt: skip
+_END = _TOP * sum(c * _TOP ** (2 * i) for i, c in enumerate(_PHI))  # what half_normal is there
 _CLOSE = 1e-4  # share of a range at which a search ends
 _MOST = 12  # steps of a search
+_ROUNDING = 1e-12  # share of a limit
+_VECTOR = 8  # numbers that a processor takes at once; what is left of a row beyond a multiple takes as long again
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -26,43 +31,59 @@ def decide(
     """Decide for the lanes from ``first`` to before ``last``, writing to ``new .. surprise``.
 
     Arrays are those of ``Commissioned`` (one placement, or one a lane) and ``Seen``, contiguous; ``level`` and
-    ``weight`` say between which levels an agent is and how far.
+    ``weight`` say between which levels an agent is and how far. Without columns in ``span_kw`` no clock is decided.
     """
-    n, n_node = by_q.shape[1], by_q.shape[2]
-    e, inverse, together, own = np.empty(n_node), np.empty(n_node), np.empty(n_node), np.empty(n_node)
-    for m in range(first, last):
-        of = m if by_q.shape[0] > 1 else 0
-        for i in range(n):
+    n, n_node, top = by_q.shape[1], by_q.shape[2], base.shape[2] - 1
+    each_lane = by_q.shape[0] > 1 or top > 0
+    price = (by_voltage, by_violation)
+    rows = np.zeros((7, -(-n_node // _VECTOR) * _VECTOR))
+    # In standard deviations of each voltage: how far it is from 1 p.u., the band, what all agents and the draw move.
+    x, edge, together, drawn = rows[0], rows[1], rows[2], rows[3]
+    inverse, own, own_p = rows[4], rows[5], rows[6]
+    apart = rises = False
+    for i in range(n):
+        for m in range(first, last):
+            of = m if by_q.shape[0] > 1 else 0
             at = level[m, i]
-            to, part = min(at + 1, base.shape[2] - 1), weight[m, i]
+            to, part = min(at + 1, top), weight[m, i]
+            q, d = by_q[of, i], by_draw[of, i]
+            if each_lane or m == first:
+                spread, spread_to = inverse_spread[of, i, at], inverse_spread[of, i, to]
+                limits, limits_to = by_all[of, i, at], by_all[of, i, to]
+                least, steepest_fall = np.inf, 0.0
+                for k in range(n_node):
+                    inverse[k] = (1.0 - part) * spread[k] + part * spread_to[k]
+                    edge[k] = band_pu * inverse[k]
+                    together[k] = alike[of, i] * ((1.0 - part) * limits[k] + part * limits_to[k]) * inverse[k]
+                    drawn[k] = d[k] * inverse[k]
+                    own[k] = q_scale[i] * by_own[of, i, k]
+                    own_p[k] = by_p[of, i, k]
+                    least = min(least, edge[k])
+                    steepest_fall = min(steepest_fall, together[k] * own[k])
+                apart, rises = least >= 2.0 * _TOP, steepest_fall == 0.0
             off, off_to = e_own[m, i] - own_base[of, i, at], e_own[m, i] - own_base[of, i, to]
             surprise[m, i] = (1.0 - part) * off + part * off_to
             up, down = moved_kvar[m, i], more_kw[m, i]
+            mean, gains = base[of, i, at], gain[of, i, at]
+            mean_to, gains_to = base[of, i, to], gain[of, i, to]
             for k in range(n_node):
-                low_v = base[of, i, at, k] + gain[of, i, at, k] * off
-                high_v = base[of, i, to, k] + gain[of, i, to, k] * off_to
-                v = (1.0 - part) * low_v + part * high_v
-                e[k] = v + up * by_q[of, i, k] - down * by_draw[of, i, k] - 1.0
-                inverse[k] = (1.0 - part) * inverse_spread[of, i, at, k] + part * inverse_spread[of, i, to, k]
-                together[k] = alike[of, i] * ((1.0 - part) * by_all[of, i, at, k] + part * by_all[of, i, to, k])
-                own[k] = q_scale[i] * by_own[of, i, k]
+                v = mean[k] + gains[k] * off
+                if part > 0.0:
+                    v = (1.0 - part) * v + part * (mean_to[k] + gains_to[k] * off_to)
+                x[k] = (v + up * q[k] - down * d[k] - 1.0) * inverse[k]
             p_next = p_kw[m, i]
             if i < span_kw.shape[1]:
-                cut, relief[m, i] = _cut(
-                    e, inverse, by_draw[of, i], by_p[of, i], by_voltage, by_violation, band_pu, span_kw[m, i],
-                    waiting[of, i],
-                )  # fmt: skip
+                cut, relief[m, i] = _cut(x, edge, apart, drawn, own_p, price, span_kw[m, i], waiting[of, i])
                 cut_kw[m, i] = cut
                 p_next -= cut
                 for k in range(n_node):
-                    e[k] += cut * by_draw[of, i, k]
+                    x[k] += cut * drawn[k]
             limit = 0.0
             if q_scale[i] > 0.0:
                 limit = min(np.sqrt(max(s_rated[i] ** 2 - p_next**2, 0.0)) / q_scale[i], 1.0)
             new[m, i], slope[m, i] = respond(
-                e, inverse, together, own, by_voltage, by_violation, band_pu, share[m, i], limit, effort[i],
-                hold[of, i], rest[m, i],
-            )  # fmt: skip
+                x, edge, apart, rises, together, own, price, share[m, i], limit, effort[i], hold[of, i], rest[m, i]
+            )
     return 0
 
 
@@ -75,26 +96,38 @@ def half_normal(x):
     return x * (_PHI[0] + y * (_PHI[1] + y * (_PHI[2] + y * (_PHI[3] + y * (_PHI[4] + y * high)))))
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _slope(e, inverse, direction, moved, by, by_voltage, by_violation, band_pu):
-    """Derivative of the expected cost by what moves the voltages by ``by``, after a move along ``direction``."""
+@numba.njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+def _slope(x, edge, apart, direction, moved, by, price):
+    """Derivative of the expected cost by what moves the voltages by ``by``, after a move along ``direction``.
+
+    Where the band's edges are ``apart`` by so much that at each bus only one of the three kinks is in reach, one
+    normal distribution a bus does.
+    """
+    by_voltage, by_violation = price
     total = 0.0
-    for k in range(len(e)):
-        x, b = (e[k] + moved * direction[k]) * inverse[k], band_pu * inverse[k]
-        beyond = half_normal(x - b) + half_normal(x + b)
-        total += by[k] * (2.0 * by_voltage * half_normal(x) + by_violation * beyond)
+    if apart:
+        for k in range(len(x)):
+            at = x[k] + moved * direction[k]
+            size = abs(at)
+            near = size < _TOP
+            h = half_normal(size - (0.0 if near else edge[k]))
+            beyond = (2.0 * by_voltage + by_violation) * _END + by_violation * h
+            total += by[k] * math.copysign(2.0 * by_voltage * h if near else beyond, at)
+    else:
+        for k in range(len(x)):
+            at = x[k] + moved * direction[k]
+            beyond = half_normal(at - edge[k]) + half_normal(at + edge[k])
+            total += by[k] * (2.0 * by_voltage * half_normal(at) + by_violation * beyond)
     return total
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _zero(
-    e, inverse, direction, by, by_voltage, by_violation, band_pu, constant, rise, low, low_f, high, high_f, close
-):
+def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high, high_f, close):
     """Where ``constant + rise t + _slope(t)`` is 0 in (low, high), of other signs at its ends; the Illinois method."""
     side = 0
     for _ in range(_MOST):
         t = (low * high_f - high * low_f) / (high_f - low_f)
-        f = constant + rise * t + _slope(e, inverse, direction, t, by, by_voltage, by_violation, band_pu)
+        f = constant + rise * t + _slope(x, edge, apart, direction, t, by, price)
         if f > 0.0:
             moved = high - t
             high, high_f = t, f
@@ -113,53 +146,63 @@ def _zero(
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _cut(e, inverse, by_draw, by_p, by_voltage, by_violation, band_pu, span_kw, waiting):
+def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
     """How much less than all work to serve, kW, until a kW less relieves no more than it costs to let it wait.
 
     The second figure is what the first kW relieves.
     """
-    low_f = waiting + _slope(e, inverse, by_draw, 0.0, by_p, by_voltage, by_violation, band_pu)
+    low_f = waiting + _slope(x, edge, apart, drawn, 0.0, by_p, price)
     relief = waiting - low_f
     if low_f >= 0.0 or span_kw <= 0.0:
         return 0.0, relief
-    high_f = waiting + _slope(e, inverse, by_draw, span_kw, by_p, by_voltage, by_violation, band_pu)
+    high_f = waiting + _slope(x, edge, apart, drawn, span_kw, by_p, price)
     if high_f <= 0.0:
         return span_kw, relief
-    cut = _zero(
-        e, inverse, by_draw, by_p, by_voltage, by_violation, band_pu, waiting, 0.0, 0.0, low_f, span_kw, high_f,
-        _CLOSE * span_kw,
-    )  # fmt: skip
+    close = _CLOSE * span_kw
+    cut = _zero(x, edge, apart, drawn, by_p, price, waiting, 0.0, 0.0, low_f, span_kw, high_f, close)
     return cut, relief
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
-def respond(e, inverse, together, own, by_voltage, by_violation, band_pu, share, limit, effort, hold, rest):
-    """The best setpoint as a share of the limit, and the slope at the one now without the price of effort."""
+def respond(x, edge, apart, rises, together, own, price, share, limit, effort, hold, rest):
+    """The best setpoint as a share of the limit, and the slope at the one now without the price of effort.
+
+    Where the slope ``rises`` along the setpoint, as wherever no agent raises the voltage that another lowers, its sign
+    at the setpoint now says on which side the best one is, and the other is not looked at.
+    """
     constant = hold * (share - rest)
-    now = constant + _slope(e, inverse, together, 0.0, own, by_voltage, by_violation, band_pu)
+    now = constant + _slope(x, edge, apart, together, 0.0, own, price)
     if limit <= 0.0:
         return 0.0, now
-    # The price of effort has its kink at 0, which the setpoint leaves only where the slope there is beyond it.
-    idle = constant - hold * share + _slope(e, inverse, together, -share, own, by_voltage, by_violation, band_pu)
-    if abs(idle) <= effort:
-        return 0.0, now
-    sign = 1.0 if idle < 0.0 else -1.0
+    sign = 1.0 if share > 0.0 else -1.0
+    begin, begin_f = 0.0, now + sign * effort
+    further = rises and share != 0.0 and sign * begin_f < 0.0
+    if not further:
+        # The price of effort has its kink at 0, which the setpoint leaves only where the slope there is beyond it.
+        idle = now
+        if share != 0.0:
+            idle = constant - hold * share + _slope(x, edge, apart, together, -share, own, price)
+        if abs(idle) <= effort:
+            return 0.0, now
+        sign = 1.0 if idle < 0.0 else -1.0
+        begin, begin_f = -share, idle + sign * effort
     constant += sign * effort
-    end = sign * limit - share
-    end_f = constant + hold * end + _slope(e, inverse, together, end, own, by_voltage, by_violation, band_pu)
-    if sign * end_f <= 0.0:
+    end, here = sign * limit - share, now + sign * effort
+    if further and sign * end <= _ROUNDING * limit:
         return sign * limit, now
-    low, low_f, high, high_f = -share, idle + sign * effort, end, end_f
+    between = sign * begin < 0.0 < sign * end
+    if between and rises and sign * here > 0.0:
+        end, end_f = 0.0, here
+    else:
+        end_f = constant + hold * end + _slope(x, edge, apart, together, end, own, price)
+        if sign * end_f <= 0.0:
+            return sign * limit, now
+        if between and sign * here > 0.0:
+            end, end_f = 0.0, here
+        elif between:
+            begin, begin_f = 0.0, here
+    low, low_f, high, high_f = begin, begin_f, end, end_f
     if sign < 0.0:
-        low, low_f, high, high_f = high, high_f, low, low_f
-    if low < 0.0 < high:
-        here = now + sign * effort
-        if here > 0.0:
-            high, high_f = 0.0, here
-        else:
-            low, low_f = 0.0, here
-    t = _zero(
-        e, inverse, together, own, by_voltage, by_violation, band_pu, constant, hold, low, low_f, high, high_f,
-        _CLOSE * limit,
-    )  # fmt: skip
+        low, low_f, high, high_f = end, end_f, begin, begin_f
+    t = _zero(x, edge, apart, together, own, price, constant, hold, low, low_f, high, high_f, _CLOSE * limit)
     return share + t, now

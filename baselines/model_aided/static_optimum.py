@@ -37,6 +37,8 @@ def static_optimum(
     effort
         Price of a whole limit of each agent, (n_agent,).
     """
+    from dcgrid_env.baselines.model_aided.smoothed_cost import smoothed_cost  # which brings the compiler with it
+
     w, band = scenario.weights, scenario.band_pu
     scale = np.where(q_scale_kvar > 0.0, q_scale_kvar, 1.0)
     bounds = [(-limit, limit) for limit in limit_kvar / scale]
@@ -44,17 +46,15 @@ def static_optimum(
     for _ in range(_ROUNDS):
         v = voltages(q_kvar)
         by_share = by_q / v.mean(axis=0) * scale[:, None]
-        around, offset = q_kvar / scale, v - 1.0
+        around = q_kvar / scale
+        at_zero = v - 1.0 - around @ by_share
 
         def cost(share: np.ndarray) -> tuple[float, np.ndarray]:
-            e = offset + (share - around) @ by_share  # noqa: B023 (called within the round alone)
-            size = np.hypot(e, _SMOOTH_PU)
-            over, past = (np.clip(x / _SMOOTH_PU, -500.0, 500.0) for x in (e - band, -e - band))
-            beyond = _SMOOTH_PU * (np.logaddexp(0.0, over) + np.logaddexp(0.0, past))
-            moved = w.voltage * e / size + w.violation * (1.0 / (1.0 + np.exp(-over)) - 1.0 / (1.0 + np.exp(-past)))
-            used = np.hypot(share, _SMOOTH_SHARE)
-            slope = moved.sum(axis=0) @ by_share.T / e.size + effort * share / used  # noqa: B023
-            return float(w.voltage * size.mean() + w.violation * beyond.mean() + effort @ used), slope
+            e = at_zero + share @ by_share  # noqa: B023 (called within the round alone)
+            total, by_bus = smoothed_cost(e, w.voltage, w.violation, band, _SMOOTH_PU)
+            used = np.sqrt(share * share + _SMOOTH_SHARE**2)
+            slope = by_share @ by_bus / e.size + effort * share / used  # noqa: B023
+            return total / e.size + float(effort @ used), slope
 
         q_kvar = scale * minimize(cost, around, jac=True, bounds=bounds, method="L-BFGS-B").x
     return q_kvar

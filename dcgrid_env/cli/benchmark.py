@@ -40,9 +40,9 @@ class Benchmark(Command):
     """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controllers: str = "local"
     """Controllers separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, in quotes with
-    arguments, as 'file.py:Class(gain=0.5)', saved policies (.safetensors); local (made by hand, without a model of the
-    feeder), all (made by hand) or policies (those that ship). A path must not hold a comma. The tuned droop is run
-    besides."""
+    arguments, as 'file.py:Class(gain=0.5)', training runs' folders or policies' files (.safetensors); local (made by
+    hand, without a model of the feeder), all (made by hand) or policies (those that ship). A path must not hold a
+    comma. The tuned droop is run besides."""
     episodes: int = 100
     """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
     dcgrid dev hindsight has solved besides is found in results/hindsight."""

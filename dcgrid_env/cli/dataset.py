@@ -41,8 +41,9 @@ class Dataset(Command):
     set: Overrides = ()
     """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
     controller: str = DROOP
-    """What acts: a controller or policy (dcgrid list), a class of your own (file.py:Class), a saved policy
-    (.safetensors), random for actions drawn evenly, or hindsight for the plan of perfect foresight of each episode."""
+    """What acts: a controller or policy (dcgrid list), a class of your own (file.py:Class), a training run's folder or
+    a policy's file (.safetensors), random for actions drawn evenly, or hindsight for the plan of perfect foresight of
+    each episode."""
     noise: float = 0.0
     """Standard deviation of normal noise on each entry of an action, which reaches from -1 to 1; 0.2 shows a learner
     what other actions than the controller's come to."""

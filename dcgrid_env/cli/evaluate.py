@@ -61,8 +61,8 @@ class Evaluate(Command):
     jobs: int | None = None
     """Number of processes that solve episodes; by default one for each core."""
     trust: bool = False
-    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds; dcgrid
-    export-sb3 converts one without."""
+    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds (dcgrid export-sb3
+    converts one without), and to run the code that a training run's folder names as its scenario."""
     out: Path = Path("results/evaluate")
     """Folder for figure.png, the first episode under the policy and the tuned droop law; made if it is not there."""
     open: bool = False
@@ -84,16 +84,16 @@ class Evaluate(Command):
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
                 raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
-        jobs, file = processes(self.jobs), _file(self.policy)
-        if file.endswith(SB3):
-            require_trusted(file, self.trust, self.scenario or "SCENARIO")
+        jobs, zipped = processes(self.jobs), _zipped(self.policy)
+        if zipped is not None:
+            require_trusted(zipped, self.trust, self.scenario or "SCENARIO")
         check_folder(self.out)
         spec = _scenario_of(self)
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
         if self.hindsight:
             kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
-        own = _sb3(file) if file.endswith(SB3) else find_controller(file, scenario, self.tuned)
+        own = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
         controllers = {self.policy: own}
         left_out = []
         for name in (REFERENCE, *STATIC):
@@ -127,44 +127,72 @@ ROWS = (
 """Metrics of the table, row by row."""
 
 
-def _file(policy: str) -> str:
-    """The policy's file where a training run's folder is named, maybe behind ``guarded:``."""
-    from dcgrid_env.baselines.registry import split_prefix
+def _zipped(policy: str) -> Path | None:
+    """The zip of Stable-Baselines3 that is named, maybe by its folder; None for anything else."""
+    from dcgrid_env.baselines.registry import controller_file, split_prefix
 
     before, inner = split_prefix(policy)
-    return before + (str(Path(inner) / "policy.safetensors") if inner and Path(inner).is_dir() else inner)
+    file = None if before else controller_file(inner)  # no guard stands before a zip
+    return file if file is not None and file.suffix == SB3 else None
 
 
-def _sb3(file: str) -> Controller:
+def _sb3(file: Path) -> Controller:
     """The model of a trusted zip; ValueError where it cannot be loaded or needs what stands beside it."""
     try:
         from dcgrid_env.agents.from_sb3.sb3_controller import trusted
     except ImportError as error:
-        raise ValueError(f"policy {file!r} needs {error.name}; {from_clone('agents')}") from None
-    return trusted(Path(file))
+        raise ValueError(f"policy {str(file)!r} needs {error.name}; {from_clone('agents')}") from None
+    return trusted(file)
 
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
     from dcgrid_env import PRESETS
     from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
-    from dcgrid_env.baselines.registry import split_prefix
+    from dcgrid_env.baselines.registry import controller_file, split_prefix
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     if cfg.scenario is not None:
         return ScenarioSpec(cfg.scenario, cfg.set)
     _, inner = split_prefix(cfg.policy)
-    about = Path(inner) / "config.json"
-    if about.is_file():
-        trained = json.loads(about.read_text(encoding="utf-8"))
-        where, overrides = str(trained.get("scenario", "")), tuple(trained.get("set", ()))
+    file = controller_file(inner)
+    if file is not None and Path(inner).is_dir():
+        where, overrides = _of_training(Path(inner) / "config.json", cfg.trust)
         if where and "," not in where:
             return ScenarioSpec(where, (*overrides, *cfg.set))
-    file = _file(inner)
-    where = Policy.load(file).trained_on if file in SHIPPED or file.endswith(SUFFIX) else ""
+    if inner in SHIPPED:
+        where = Policy.load(inner).trained_on
+    else:
+        where = Policy.load(file).trained_on if file is not None and file.suffix == SUFFIX else ""
     if where not in PRESETS:
-        raise ValueError(f"policy {file!r} is of no preset of its own; say on which --scenario (dcgrid list)")
+        raise ValueError(f"policy {inner!r} is of no preset of its own; say on which --scenario (dcgrid list)")
     return ScenarioSpec(where, cfg.set)
+
+
+def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
+    """Scenario and overrides of a training run, empty where there is no such file; ValueError for what cannot be used.
+
+    A scenario that is code is refused unless it is trusted: a folder must not run what somebody else wrote into it.
+    """
+    from dcgrid_env.baselines.user_code import parse
+
+    if not config.is_file():
+        return "", ()
+    try:
+        trained = json.loads(config.read_text(encoding="utf-8"))
+        where, overrides = trained.get("scenario", ""), tuple(trained.get("set", ()))
+        if not all(isinstance(word, str) for word in (where, *overrides)):
+            raise TypeError("scenario and set are no texts")
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(
+            f"{config} is none of dcgrid train ({type(error).__name__}: {error}); give --scenario and the policy's file"
+        ) from None
+    if where and parse(where) is not None and not trust:
+        raise ValueError(
+            f"{config} names code, scenario {where!r}, which would run; name it yourself with --scenario, or add "
+            "--trust if you trust who made the folder"
+        )
+    return where, overrides
 
 
 def _scores(

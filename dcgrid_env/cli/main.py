@@ -44,6 +44,7 @@ from dcgrid_env.cli.tune import Tune
 from dcgrid_env.cli.unseen_feeders import UnseenFeeders
 from dcgrid_env.cli.verify import Verify
 from dcgrid_env.core.processes import terminated_in_order
+from dcgrid_env.core.versions import command_of
 
 TRACEBACK = "--traceback"
 """The one option of every command; it may stand anywhere on the line."""
@@ -119,7 +120,7 @@ def main(args: list[str] | None = None) -> None:
         return
     command: Command | None = None
     try:
-        with ends_unread(), terminated_in_order():
+        with ends_unread(), terminated_in_order(), command_of(words):
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")

@@ -13,7 +13,7 @@ from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, at_least
+from dcgrid_env.cli.settings import Overrides, at_least, check_file
 from dcgrid_env.cli.stored_run import StoredRun, stored_run
 from dcgrid_env.cli.terminal import plain_console, say
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 COMPARED = "none,droop"
 """Controllers of a replay that names neither a run nor controllers."""
+MOST_FPS = 100
+"""Frames of a film a second at most: a gif counts in hundredths of a second."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,9 @@ class Replay(Command):
         targets = [path for path in (self.gif, self.mp4) if path is not None]
         page = self.out or (self.run_folder or Path("results/replay")) / "replay.html"
         _check(self, asked, targets)
+        for field, path in (("gif", self.gif), ("mp4", self.mp4), ("out", None if targets else page)):
+            if path is not None:
+                check_file(field, path)
         controllers = {name: find_controller(name, asked.scenario, asked.tuned) for name in asked.names}
         console, runs, notes = plain_console(), {}, []
         with progress_bar(console) as progress:
@@ -131,6 +136,8 @@ def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
     check_size(asked.scenario.member(asked.seed), len(asked.names))
     if films and cfg.out is not None:
         raise ValueError("out is the page's file; give it without --gif and --mp4")
+    if cfg.fps > MOST_FPS:
+        raise ValueError(f"fps is {cfg.fps:g}; give at most {MOST_FPS}")
     for option, path in (("gif", cfg.gif), ("mp4", cfg.mp4)):
         if path is not None and path.suffix != f".{option}":
             raise ValueError(f"{option} is {str(path)!r}; give a file that ends in .{option}")

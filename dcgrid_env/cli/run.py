@@ -48,8 +48,8 @@ class Run(Command):
     """Steps of an episode instead of the scenario's own, as --set horizon=N has it; 86400 are a day of steps of 1 s."""
     controllers: str = "none,inverters,droop"
     """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
-    'file.py:Class(gain=0.5)', or saved policies (.safetensors); guarded: before a policy keeps it near the tuned droop.
-    A path must not hold a comma."""
+    'file.py:Class(gain=0.5)', training runs' folders or policies' files (.safetensors); guarded: before a policy keeps
+    it near the tuned droop. A path must not hold a comma."""
     episodes: int = 8
     """Number of episodes for each controller: those of seeds seed, seed + 1, ..."""
     seed: int = 0

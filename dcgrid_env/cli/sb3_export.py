@@ -89,11 +89,11 @@ class ExportSb3(Command):
         say(console, f"wrote {path} and .json; next: dcgrid evaluate {path}")
 
 
-def require_trusted(model: str, trust: bool, scenario: str) -> None:
+def require_trusted(model: Path, trust: bool, scenario: str) -> None:
     """ValueError, saying why and what does without, unless a Stable-Baselines3 zip is trusted."""
     if not trust:
         raise ValueError(
-            f"policy {model!r} is a zip of Stable-Baselines3, which is pickle, and unpickling runs whatever code it "
-            f"holds; `dcgrid export-sb3 {model} --scenario {scenario}` converts its weights once without unpickling, "
-            "and if you made it yourself or trust who did, --trust loads it as it is"
+            f"policy {str(model)!r} is a zip of Stable-Baselines3, which is pickle, and unpickling runs whatever code "
+            f"it holds; `dcgrid export-sb3 {model} --scenario {scenario}` converts its weights once without "
+            "unpickling, and if you made it yourself or trust who did, --trust loads it as it is"
         )

@@ -43,9 +43,9 @@ def processes(jobs: int | None) -> int:
 
 
 def at_least(settings: object, **least: float) -> None:
-    """ValueError, naming it, for the first field of a command that is below the least value given for it."""
+    """ValueError, naming it, for the first field of a command that is below the least value given for it, or NaN."""
     for field, value in least.items():
-        if getattr(settings, field) < value:
+        if not getattr(settings, field) >= value:
             raise ValueError(f"{field} is {getattr(settings, field)}; give at least {value}")
 
 
@@ -58,6 +58,16 @@ def check_folder(folder: Path) -> None:
         require_folder(folder)
     except OSError as error:
         raise ValueError(f"out: no folder {folder} can be made ({error.strerror}); choose another --out") from None
+
+
+def check_file(field: str, path: Path) -> None:
+    """ValueError, naming the field, unless a file can be written there, before the work for it is done."""
+    if path.is_dir():
+        raise ValueError(f"{field} is {str(path)!r}, which is a folder; give a file")
+    try:
+        require_folder(path.parent)
+    except OSError as error:
+        raise ValueError(f"{field}: no folder {path.parent} can be made ({error.strerror}); give another") from None
 
 
 @contextmanager

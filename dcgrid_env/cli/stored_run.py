@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from dcgrid_env import Scenario
 
 RESULTS = "results.json"
+OTHERWISE = "give --scenario, or hand what Python has recorded to dcgrid_env.rendering.replay(recorder.lane(0))"
+"""What else can be replayed than a folder of ``dcgrid run``."""
 
 
 class StoredRun(NamedTuple):
@@ -56,13 +58,13 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
 
     path = folder / RESULTS
     if not path.is_file():
-        raise ValueError(f"{folder} is no folder of dcgrid run, it has no {RESULTS}; run first, or give --scenario")
+        raise ValueError(f"{folder} is no folder of dcgrid run, it has no {RESULTS}; run first, {OTHERWISE}")
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        words = shlex.split(stored["meta"]["command"])
+        words = shlex.split("" + stored["meta"]["command"])  # a TypeError where it is no text
         expected = stored["meta"]["scenario_hash"]
         costs = {(str(e["controller"]), int(e["seed"])): float(e["J"]) for e in stored["episodes"]}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no file of dcgrid run ({type(error).__name__}: {error}); run again") from None
     command = _command(path, words)
     if not trust:
@@ -79,7 +81,7 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
 def _command(path: Path, words: list[str]) -> Run:
     if words[:2] != ["dcgrid", "run"]:
         raise ValueError(
-            f"{path} was not written by dcgrid run but by {' '.join(words[:3])!r}; replay a run, or give --scenario"
+            f"{path} was not written by dcgrid run but by {' '.join(words[:3])!r}; replay a run, {OTHERWISE}"
         )
     said = io.StringIO()
     try:

@@ -43,12 +43,11 @@ class Submit(Command):
         from dcgrid_env.agents.leaderboard.submitting import submit
         from dcgrid_env.baselines.file_names import file_name
 
-        policy = str(Path(self.policy) / "policy.safetensors") if Path(self.policy).is_dir() else self.policy
         out = self.out or Path("results/submissions") / file_name("-".join(filter(None, (self.scenario, self.name))))
         console = plain_console()
         with working(console, f"{self.episodes} episodes"):
             entry = submit(
-                policy, self.name, out, paper=self.paper, scenario=self.scenario, episodes=self.episodes,
+                self.policy, self.name, out, paper=self.paper, scenario=self.scenario, episodes=self.episodes,
                 learned_on=self.learned_on, information=self.information,
             )  # fmt: skip
         value, low, high = entry.score

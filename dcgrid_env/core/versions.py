@@ -6,10 +6,33 @@ import os
 import platform
 import shlex
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
+
+
+_words: ContextVar[tuple[str, ...] | None] = ContextVar("words", default=None)
+"""What follows ``dcgrid`` in the command that runs; None where none was begun by :func:`command_of`."""
+
+
+@contextmanager
+def command_of(words: Sequence[str]) -> Iterator[None]:
+    """Have the results of the block say that the command of these words, without ``dcgrid``, made them."""
+    before = _words.set(tuple(words))
+    try:
+        yield
+    finally:
+        _words.reset(before)
+
+
+def command_words() -> tuple[str, ...]:
+    """What follows ``dcgrid`` in the command that runs, those of the shell unless a command was begun from Python."""
+    words = _words.get()
+    return tuple(sys.argv[1:]) if words is None else words
 
 
 def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
@@ -26,7 +49,7 @@ def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
 def meta() -> dict[str, Any]:
     """Command, versions and machine behind a result."""
     return {
-        "command": shlex.join(["dcgrid", *sys.argv[1:]]),
+        "command": shlex.join(["dcgrid", *command_words()]),
         "versions": {"python": platform.python_version(), **versions(PACKAGES)},
         "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
     }

@@ -115,6 +115,8 @@ def _named(history: Any) -> dict[str, Series]:
         return {"episode": history}
     if isinstance(history, Mapping):
         return {str(name): run for name, run in history.items()}
+    if isinstance(history, str) or not isinstance(history, Sequence):
+        raise ValueError(f"history is a {type(history).__name__}; give what Recorder.lane returns, one or several")
     return {f"episode {i + 1}": run for i, run in enumerate(history)}
 
 

@@ -6,6 +6,10 @@ actors, which see their own bus alone, copy the actions of the data, those most 
 
     loss = w |pi(s) - a|^2        w = exp(advantage / temperature), cut at 20        no temperature is behaviour cloning
 
+What an action is worth is small beside what the load does meanwhile, and a critic hardly tells the two apart. Where
+several behaviours ran through the same episodes, ``--paired`` needs none: the load is the same for all, and what a
+behaviour's return from a step on is above their mean is due to what they did.
+
 Nothing is asked of actions that the data do not hold, which is why it cannot go astray far, nor far beyond the data.
 
     dcgrid dataset --controller droop-tuned --noise 0.3 --episodes 1000
@@ -50,6 +54,7 @@ class Data:
             torch.as_tensor(np.stack([getattr(episode, name) for episode in episodes]), dtype=torch.float32)
             for name in ("observations", "actions", "rewards")
         )
+        self.seed = np.array([about["seed"] for s in sets for about in s.storage.get_episode_metadata(range(len(s)))])
         self.agents: dict[str, list[dict[str, Any]]] = {}
         for agent in about["agents"].values():
             self.agents.setdefault(agent["kind"], []).append(agent)
@@ -98,6 +103,22 @@ def returns(reward: torch.Tensor, value: torch.Tensor, gamma: float, trace: floa
     return found
 
 
+def compared(data: Data, reward: torch.Tensor, gamma: float) -> torch.Tensor:
+    """How much better each step and what came after turned out than the mean of the same seed's episodes in the data.
+
+    (step of all episodes,); ValueError for an episode that only one behaviour ran through.
+    """
+    to_go = returns(reward, torch.zeros(len(reward), reward.shape[1] + 1), gamma, 1.0)
+    _, which, count = np.unique(data.seed, return_inverse=True, return_counts=True)
+    if count.min() < 2:
+        raise ValueError(
+            f"seed {data.seed[count[which].argmin()]} stands in the data once; pair data sets of one --seed"
+        )
+    place = torch.as_tensor(which)
+    mean = torch.zeros(len(count), to_go.shape[1]).index_add_(0, place, to_go) / torch.as_tensor(count)[:, None]
+    return (to_go - mean[place]).flatten()
+
+
 def judged(data: Data, reward: torch.Tensor, cfg: dict[str, Any]) -> torch.Tensor:
     """How much better each step's joint action turned out than what the behaviour does, (step of all episodes,)."""
     critic = Perceptron(data.observation.flatten(0, 1), 1, cfg["width"])
@@ -125,6 +146,7 @@ def main(
     epochs: int = 9,
     batch: int = 2048,
     learning_rate: float = 1e-3,
+    paired: bool = False,
     gamma: float = 0.9,
     trace: float = 0.9,
     advantage_trace: float = 0.0,
@@ -136,7 +158,8 @@ def main(
 ) -> tuple[float, float]:
     """Learn from data sets, and give the mean J of the validation episodes under the policy and the tuned droop.
 
-    ``temperature`` is a share of the advantages' standard deviation; ``None`` clones.
+    ``temperature`` is a share of the advantages' standard deviation; ``None`` clones. ``paired`` takes no critic but
+    data sets of several behaviours in the same episodes, and holds each against the others.
     """
     torch.manual_seed(seed)
     begun, data = time.monotonic(), Data(datasets)
@@ -144,7 +167,8 @@ def main(
     cfg |= {"gamma": gamma, "trace": trace, "advantage_trace": advantage_trace}
     weight = torch.ones(data.reward.numel())
     if temperature is not None:
-        advantage = judged(data, data.reward / data.reward.std().clamp_min(1e-6), cfg)
+        reward = data.reward / data.reward.std().clamp_min(1e-6)
+        advantage = compared(data, reward, gamma) if paired else judged(data, reward, cfg)
         weight = (advantage / (temperature * advantage.std())).exp().clamp(max=20.0)
         weight /= weight.mean()
 

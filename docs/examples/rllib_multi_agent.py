@@ -54,13 +54,14 @@ def main(
     episodes: int = 20,
     seed: int = 0,
     reward: str = "local",
-    address: str = "",
+    address: str = "local",
     save: Path | None = None,
     checkpoint: Path | None = None,
 ) -> tuple[float, float]:
     """Train, and give the mean J of validation episodes before and after."""
     # The head of a cluster knows its CPUs; here each worker is given one, however many there are.
-    ray.init(**({"address": address} if address else {"num_cpus": max(workers, 1), "include_dashboard": False}))
+    here = {"num_cpus": max(workers, 1), "include_dashboard": False} if address == "local" else {}
+    ray.init(address, **here)
     register_env("dcgrid", lambda _: ParallelPettingZooEnv(dcgrid_env.parallel_env(SCENARIO, reward=reward)))
     config = (
         PPOConfig()

@@ -9,6 +9,7 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Network, Policy
+from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.baselines import Droop, find_controller, rollout
 
 MODULE = """
@@ -80,6 +81,17 @@ def test_names_modules_files_and_policies(here, toy6):
         np.testing.assert_array_equal(other, with_q[0])
 
 
+def test_the_folder_of_a_training_run_names_its_policy(here, toy6):
+    path = Policy({"joint": Network([(np.zeros((23, 4)), np.full(4, 0.25))])}).save("run/policy")
+    for spec in ("run", "run/", str(path.absolute().parent), "guarded:run"):
+        found = find_controller(spec, toy6)
+        inner = found.policy if isinstance(found, GuardedPolicy) else found
+        assert isinstance(inner, Policy)
+        assert inner.sha256 == Policy.load(path).sha256
+    (here / "droop").mkdir()
+    assert isinstance(find_controller("droop", toy6), Droop)  # a name is a name, whatever stands in the folder
+
+
 def test_a_file_is_read_anew(here, toy6):
     assert find_controller("mine.py:Still", toy6).q == 0.25  # pyright: ignore[reportAttributeAccessIssue]
     (here / "mine.py").write_text(MODULE.replace("0.25", "0.5"))
@@ -104,7 +116,8 @@ def test_a_file_is_read_anew(here, toy6):
         ("mine.py:number", "'number' of mine.py is no class"),
         ("mine.py:Needy", "constructing it without arguments fails: TypeError: .*gain"),
         ("mine.py:Idle", "Idle is no controller; give it reset and act"),
-        ("nowhere.safetensors", "'nowhere.safetensors': there is no such file"),
+        ("nowhere.safetensors", "'nowhere.safetensors': there is no file nowhere.safetensors; give"),
+        ("own", "'own': there is no file own/policy.safetensors; give .*, or the folder of a training run"),
     ],
 )
 def test_what_names_no_controller(here, toy6, spec, message):

@@ -135,6 +135,22 @@ def test_offline_learning_and_its_policy_without_torch(temperature, tmp_path, mo
     assert card.algorithm == ("behaviour-cloning" if temperature is None else "awr")
 
 
+def test_offline_episodes_of_the_same_seed_are_held_against_each_other(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    for name in ("none", "droop"):
+        dcgrid(["dataset", "--controller", name, "--episodes", "3", "--set", "horizon=8"])
+    awr, both = example("offline_awr"), [f"dcgrid/ieee33-weak/{name}-v0" for name in ("none", "droop")]
+    data = awr.Data(both)
+    better = awr.compared(data, data.reward, 1.0).reshape(6, 8)
+    torch.testing.assert_close(better[:3], -better[3:])  # of two, one is as much above the mean as the other below
+    apart = (data.reward[3:] - data.reward[:3]).sum(dim=1)  # undiscounted, from the first step on
+    torch.testing.assert_close(2.0 * better[3:, 0], apart)
+    with pytest.raises(ValueError, match="seed 0 stands in the data once"):
+        awr.main(both[:1], paired=True, epochs=1)
+    awr.main(both, paired=True, epochs=1, batch=8, episodes=2, save=tmp_path / "made")
+    assert Policy.load(tmp_path / "made.safetensors").trained_on == "ieee33-weak"
+
+
 def test_offline_returns_count_the_last_value():
     # gamma 0.5: with lambda 1 the discounted sum and a quarter of the last value; with lambda 0 a step and its value.
     reward, value = torch.tensor([[1.0, 2.0]]), torch.tensor([[0.0, 6.0, 8.0]])

@@ -16,9 +16,9 @@ EXAMPLES = ROOT / "docs" / "examples"
 LIMIT_S = 420
 
 
-def needs(*modules):
+def needs(*modules, extra="frameworks"):
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
-    why = f"{', '.join(missing)} not installed; {from_clone('frameworks')}"
+    why = f"{', '.join(missing)} not installed; {from_clone(extra)}"
     return pytest.mark.skipif(bool(missing), reason=why)
 
 
@@ -264,3 +264,95 @@ def test_rllib_example_with_two_workers(tmp_path):
     printed = run(EXAMPLES / "rllib_multi_agent.py", *options, "--checkpoint", "results/rllib", home=tmp_path)
     check_trained(printed, tmp_path / "made.safetensors")
     assert abs(j_of_the_class("FromRllib", tmp_path) - figures(printed)[1]) < 2e-3
+
+
+@pytest.mark.slow
+@needs("torchrl", "tensordict")
+def test_torchrl_environment_on_tensors_is_the_pettingzoo_one(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import dcgrid_env, numpy as np, torch
+from torchrl.collectors import Collector
+from torchrl.envs.utils import check_env_specs
+from torchrl_tensor_env import DcgridTensorEnv
+
+for name in ("toy6", "ieee33-weak", "mixed", "fault"):
+    check_env_specs(DcgridTensorEnv(name, lanes=3, horizon=4))
+    batch = DcgridTensorEnv(name, lanes=3, seed=5, horizon=4)
+    data = batch.rollout(8, break_when_any_done=False)
+    assert data["next", "done"].squeeze(-1).tolist() == [[False, False, False, True] * 2] * 3
+    for lane, seed in ((0, 5), (2, 7)):  # the first episode of a lane, and 3 seeds later its second
+        for first, of in ((0, seed), (4, seed + 3)):
+            single = dcgrid_env.parallel_env(name, horizon=4)
+            seen, _ = single.reset(seed=of)
+            for t in range(first, first + 4):
+                acted = {}
+                for kind, agents in batch.group_map.items():
+                    now = data[kind, "observation"][lane, t].numpy()
+                    np.testing.assert_allclose(now, np.array([seen[a] for a in agents]), atol=2e-4)
+                    acted |= dict(zip(agents, data[kind, "action"][lane, t].numpy()))
+                seen, paid, *_ = single.step(acted)
+                for kind, agents in batch.group_map.items():
+                    given = data["next", kind, "reward"][lane, t, :, 0].numpy()
+                    np.testing.assert_allclose(given, [paid[a] for a in agents], rtol=2e-3)
+frames = 0
+for data in Collector(lambda: DcgridTensorEnv(lanes=4, horizon=4), None, frames_per_batch=16, total_frames=48):
+    frames += data.numel()
+    assert data["next", "done"].sum() == 4
+assert frames == 48
+print("checked")
+"""
+    assert run("-c", code, EXAMPLES, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("benchmarl", extra="benchmarl")
+def test_benchmarl_example(tmp_path):
+    options = ["--algorithm", "ippo", "--frames", "3840", "--episodes", "2", "--save", "made"]
+    printed = run(EXAMPLES / "benchmarl_mappo.py", *options, home=tmp_path)
+    check_trained(printed, tmp_path / "made.safetensors")
+
+
+@pytest.mark.slow
+@needs("ray")
+def test_rllib_example_on_the_native_batch_and_its_checkpoint(tmp_path):
+    options = ["--runners", "1", "--lanes", "4", "--episodes", "2"]
+    more = ["--iterations", "1", "--save", "made", "--checkpoint", "results/rllib"]
+    before, after, _ = figures(run(EXAMPLES / "rllib_native_batch.py", *options, *more, home=tmp_path))
+    assert before != after
+    assert set(Policy.load(tmp_path / "made.safetensors").networks) == {"joint"}
+    again = ["--iterations", "0", "--restore", "results/rllib"]
+    assert figures(run(EXAMPLES / "rllib_native_batch.py", *options, *again, home=tmp_path))[0] == after
+
+
+@pytest.mark.slow
+@needs("jax")
+def test_jax_example_shares_memory_and_has_the_derivative_of_the_cost(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import dcgrid_env, jax, jax.numpy as jnp, numpy as np, torch
+jax.config.update("jax_enable_x64", True)
+from jax_dlpack import ByJax, episode_cost, to_jax
+
+shared = torch.arange(6.0, dtype=torch.float64).reshape(2, 3)
+assert to_jax(shared).unsafe_buffer_pointer() == shared.data_ptr()
+env = dcgrid_env.TensorEnv("ieee33-weak", like=torch.empty(0, dtype=torch.float64), horizon=5)
+n = env.reset([0]).shape[1]
+spaces = dcgrid_env.DcgridEnv("ieee33-weak")
+rng = np.random.default_rng(0)
+m = spaces.action_space.shape[0]
+weights = [(jnp.asarray(rng.normal(0.0, 0.1, (n, m))), jnp.zeros(m))]
+gathered = []
+episode_cost(env, [0, 1], weights, gathered).backward()
+slope = np.asarray(sum(own[0][0] for own in gathered))
+i, j = np.unravel_index(np.abs(slope).argmax(), slope.shape)
+with torch.no_grad():
+    changed = [[(weights[0][0].at[i, j].add(h), weights[0][1])] for h in (1e-5, -1e-5)]
+    ends = [float(episode_cost(env, [0, 1], own, [])) for own in changed]
+found = (ends[0] - ends[1]) / 2e-5
+assert abs(found - slope[i, j]) < 1e-4 * abs(found), (found, slope[i, j])
+print("checked")
+"""
+    assert run("-c", code, EXAMPLES, home=tmp_path).endswith("checked\n")

@@ -26,7 +26,8 @@ def listed(path):
     blocks = TOCTREE.findall(path.read_text(encoding="utf-8"))
     lines = [line for block in blocks for line in block.splitlines() if line and not line.startswith(":")]
     names = [re.sub(r".*<(.*)>", r"\1", line) for line in lines]
-    return [f"{name}.md" for name in names if "*" not in name and not name.startswith(MADE)]
+    named = [name for name in names if "*" not in name and not name.startswith(MADE)]
+    return [f"{name}.ipynb" if (path.parent / f"{name}.ipynb").exists() else f"{name}.md" for name in named]
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())

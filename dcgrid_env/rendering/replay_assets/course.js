@@ -52,9 +52,9 @@ function voltageWords(data, run, bus, step) {
   const parts = data.nodesOf[bus].map((node) => {
     const v = run.v[node][stepOf(run, step)];
     const phase = data.threePhase ? "abc"[data.map.nodes.phase[node]] + " " : "";
-    return phase + figure(v, 4) + { 1: " \u25b2", 0: "", "-1": " \u25bc" }[beyond(data, v)];
+    return phase + { 1: "\u25b2\u00a0", 0: "", "-1": "\u25bc\u00a0" }[beyond(data, v)] + figure(v, 4);
   });
-  return `voltage ${parts.join(", ")} p.u.`;
+  return `voltage ${parts.join(", ")}\u00a0p.u.`; // no line breaks between a figure and its unit
 }
 
 // One line a device at a bus, with its figures in units.
@@ -64,7 +64,7 @@ function busWords(data, run, bus, step) {
   for (const i of data.agentsAt(bus)) {
     const parts = Object.entries(run.agents[i]).map(([name, values]) => {
       const [label, unit, decimals] = data.shown[name];
-      return `${label} ${figure(values[k], decimals)} ${unit}`;
+      return `${label} ${figure(values[k], decimals)}\u00a0${unit.replace(" ", "\u00a0")}`;
     });
     lines.push(`${data.map.agents[i].id}: ${parts.join(", ")}`);
   }

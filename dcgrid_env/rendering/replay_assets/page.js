@@ -42,8 +42,8 @@ function summary(data, run, step) {
   }
   const phase = data.threePhase ? "." + "abc"[data.map.nodes.phase[where]] : "";
   const parts = [
-    `${outside} of ${data.map.judged.length} ${data.threePhase ? "nodes" : "buses"} outside the band`,
-    `lowest ${figure(lowest, 4)} p.u. at ${data.map.buses.id[data.map.nodes.bus[where]]}${phase}`,
+    `${outside} of ${data.map.judged.length} ${data.threePhase ? "nodes" : "buses"} outside`,
+    `lowest ${figure(lowest, 4)}\u00a0p.u. at\u00a0bus\u00a0${data.map.buses.id[data.map.nodes.bus[where]]}${phase}`,
   ];
   const off = away(run, k).map((i) => `${data.map.agents[i].id} ${figure(run.agents[i].on_grid_pct[k], 0)} %`);
   if (off.length) parts.push(`on the grid: ${off.join(", ")}`);

@@ -215,6 +215,9 @@ def test_files_and_scenarios_that_do_not_fit(tmp_path, capsys):
     assert "not a zip that Stable-Baselines3 wrote" in stopped(
         capsys, "export-sb3", str(tmp_path / "none.zip"), "--scenario", SCENARIO
     )
+    assert "there is no such file; give the zip" in stopped(capsys, "export-sb3", "no.zip", "--scenario", SCENARIO)
+    guarded = f"guarded:{tmp_path / 'none.zip'}"
+    assert "which is pickle" in stopped(capsys, "evaluate", guarded, "--scenario", SCENARIO, "--trust")
     made(PPO).save(tmp_path / "model")
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", "ieee33-weak")
     assert "observation and action have 23 and 4 figures; on ieee33-weak they have 55 and 10 (joint), 10 and 2" in said

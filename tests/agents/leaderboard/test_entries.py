@@ -115,6 +115,9 @@ def test_fresh_episodes_are_the_same_again_unless_others_are_asked_for(copied):
     [
         ({"claimed__J": 0.2}, "claimed.J is 0.2, found 0."),
         ({"score__value": 0.99}, "score.value is 0.99, found "),
+        ({"claimed__J": float("nan")}, "claimed.J: input should be a finite number"),
+        ({"score__value": float("nan")}, "score.value: input should be a finite number"),
+        ({"name": "a\n| b"}, "name is 'a\\n| b'; give one line"),
         ({"claimed__delay_mean_s": 1.0}, "claimed.delay_mean_s is 1, found 0"),
         ({"claimed__gain": [0.5, 0.4, 0.6]}, "claimed.gain is 0.5, found "),
         ({"scenario_hash": "0" * 16}, "scenario_hash is 0000000000000000, that of toy6 is "),
@@ -163,6 +166,22 @@ def test_other_weights_under_hashes_made_anew_are_noticed(copied, capsys):
     assert "that of the policy policy.safetensors is " in stopped(capsys, "verify", copied)
     changed(copied / "submission.json", sha256=other.sha256)
     assert "claimed.J is 0." in stopped(capsys, "verify", copied)
+
+
+def test_a_card_that_says_something_else_is_noticed(copied, capsys, tmp_path):
+    card, weights = copied / "policy.json", copied / "policy.safetensors"
+    about = json.loads(card.read_text())["scored"] | {"episodes": 4, "score": [0.99, 0.98, 1.0]}
+    changed(card, scored=about)
+    changed(copied / "submission.json", files={file.name: sha256_of(file) for file in (card, weights)})
+    assert "policy.json: scored.score is 0.99, claimed is 0." in stopped(capsys, "verify", copied)
+    line = stopped(capsys, "submit", copied, "--name", "x", "--episodes", 4, "--out", tmp_path / "out")
+    assert "give a card that says what the policy reaches" in line
+    changed(card, scored=None, sha256="0" * 64)
+    line = stopped(capsys, "submit", weights, "--name", "x", "--episodes", 4, "--out", tmp_path / "out")
+    assert "policy.json: sha256 is 0000000000000000.., that of the policy is " in line
+    card.write_text("[" * 100_000)
+    assert "not a policy's card" in stopped(capsys, "submit", weights, "--name", "x", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch):
@@ -304,7 +323,7 @@ def test_groups_and_texts_of_the_tables(whole):
     assert [title.split()[1] for title in titles] == ["Local", "More", "Code", "Learned"]
     assert "[a\\|b](https://example.org/x)" in text
     assert "| all of it | train |" in text
-    assert "1.0 % (0.0 .. 1.1) below |" in text
+    assert "1.0 % (0.0 .. 1.1) below |" in text.replace("\u00a0", " ")
 
 
 def test_our_page_is_made_of_our_folders(tmp_path):

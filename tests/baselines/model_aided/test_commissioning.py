@@ -23,8 +23,8 @@ def test_the_regression_is_that_of_its_definition(preset):
     draw = site.points.p_agent_kw
     moved = np.random.default_rng(0).normal(0.0, 20.0, draw.shape)
     v = flow.at(np.broadcast_to(known.origin_kvar, draw.shape))
-    again = regressed(site, known, v, moved, flow.seen)
     there = v + moved @ known.by_q[0]
+    again = regressed(site, known, there, there @ flow.seen.T, moved)
     noise = site.scenario.voltage_noise_pu**2 + (0.1 * site.law.floor_pu) ** 2
     for i in (0, site.scenario.n_agents - 1):
         more = draw[:, i : i + 1] - known.mean_kw[0, i]

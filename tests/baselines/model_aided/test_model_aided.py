@@ -8,11 +8,11 @@ from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 
 
-@pytest.mark.parametrize("preset", ["ieee33-weak", "ieee33", "robust"])
-def test_it_is_better_than_the_tuned_droop_on_validation(preset):
+@pytest.mark.parametrize(("preset", "share"), [("ieee33-weak", 0.97), ("ieee33", 0.97), ("robust", 0.87)])
+def test_it_is_better_than_the_tuned_droop_on_validation(preset, share):
     scenario = make_scenario(preset, split="validation")
     droop = rollout(scenario, make_controller("droop-tuned", scenario), range(4)).costs().mean()
-    assert rollout(scenario, ModelAided(), range(4)).costs().mean() < 0.97 * droop
+    assert rollout(scenario, ModelAided(), range(4)).costs().mean() < share * droop
 
 
 def test_an_agent_acts_on_its_own_observation_alone():

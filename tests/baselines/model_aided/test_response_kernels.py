@@ -1,6 +1,8 @@
 """The response by hand: one agent meets the deviation, several share it, effort and limits hold it back; the normal
 distribution and the slope of the kernels are those of ``expected_cost``."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
@@ -11,11 +13,15 @@ from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 PRICE = VoltagePrice(voltage=100.0, violation=1000.0, band_pu=0.05)
 
 
-def response(v, by_all, effort=0.0, share=0.0, limit=1.0, hold=0.0, rest=0.0, s=0.001):
-    """Setpoint and slope of one agent at one bus whose whole limit moves the voltage by 0.04 p.u."""
+def response(v, by_all, effort=0.0, share=0.0, limit=1.0, hold=0.0, rest=0.0, s=0.001, short=True):
+    """Setpoint and slope of one agent at one bus whose whole limit moves the voltage by 0.04 p.u.
+
+    ``short`` is whether the kernels may take their shorter ways.
+    """
     bus = np.ones(1)
-    row = ((v - 1.0) * bus, bus / s, by_all * bus, 0.04 * bus)
-    return response_kernels.respond(*row, *PRICE, share, limit, effort, hold, rest)
+    apart = short and PRICE.band_pu / s >= 8.0
+    belief = ((v - 1.0) / s * bus, PRICE.band_pu / s * bus, apart, short, by_all / s * bus, 0.04 * bus)
+    return response_kernels.respond(*belief, PRICE[:2], share, limit, effort, hold, rest)
 
 
 def test_one_agent_alone_brings_its_bus_to_the_nominal_voltage():
@@ -54,3 +60,11 @@ def test_the_polynomial_is_the_normal_distribution():
 def test_the_slope_is_that_of_the_expected_cost(v, s):
     _, slope = response(v, by_all=0.04, s=s)
     assert slope == pytest.approx(0.04 * PRICE.slope(np.array(v), np.array(s)), abs=0.01)
+
+
+@pytest.mark.parametrize("limit", [0.5, 1.0])
+def test_the_shorter_ways_lead_to_the_same(limit):
+    given = {"effort": 0.3, "hold": 0.1, "rest": 0.2, "s": 0.004, "limit": limit}
+    for v, by_all, share in product((0.93, 0.97, 0.996, 1.0, 1.02, 1.06), (0.0, 0.05), (-1.0, -0.3, 0.0, 0.4, 1.0)):
+        short, whole = (response(v, by_all, share=share, short=short, **given) for short in (True, False))
+        assert short == pytest.approx(whole, abs=1e-12)

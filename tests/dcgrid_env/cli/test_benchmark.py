@@ -221,6 +221,9 @@ def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monk
     _report_is_whole(page, images=3)
 
 
+_of_another_training = (("datacenter", 9, [0.5, 0.2]), ("inverter", 7, [0.2]))
+
+
 def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
     (tmp_path / "joining").mkdir()
     (tmp_path / "joining" / "laws.py").write_text(OWN)
@@ -228,13 +231,16 @@ def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path[:])
     half = {"datacenter": Network([(np.zeros((9, 2)), [0.5] * 2)]), "inverter": Network([(np.zeros((7, 1)), [0.5])])}
     Policy(half).save("half")
-    results = benchmark(tmp_path / "out", "half.safetensors,joining.laws:Still", episodes=2)
-    j = {
-        name: [r["J"] for r in results["episodes"] if r["controller"] == name]
-        for name in ("half.safetensors", "joining.laws:Still")
-    }
-    assert len(j["half.safetensors"]) == 2
-    assert j["half.safetensors"] == j["joining.laws:Still"]
+    Policy(half).save("trained/policy")
+    names = ("half.safetensors", "trained", "joining.laws:Still")
+    results = benchmark(tmp_path / "out", ",".join(names), episodes=2)
+    j = [[r["J"] for r in results["episodes"] if r["controller"] == name] for name in names]
+    assert len(j[0]) == 2
+    assert j[0] == j[1] == j[2]
+    networks = {kind: Network([(np.zeros((n, len(q))), q)]) for kind, n, q in _of_another_training}
+    Policy(networks).save("trained/policy")
+    again = benchmark(tmp_path / "out", ",".join(names), episodes=2)
+    assert [r["J"] for r in again["episodes"] if r["controller"] == "trained"] != j[1]  # not what was kept of the first
 
 
 def test_two_processes_give_what_one_gives(tmp_path, own):
@@ -313,7 +319,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
         ({"controllers": "none,pid"}, "unknown controller 'pid'; there are none"),
         ({"controllers": ","}, "name at least one, local, all or policies"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
-        ({"controllers": "nowhere.safetensors"}, "there is no such file"),
+        ({"controllers": "nowhere.safetensors"}, "there is no file nowhere.safetensors"),
         ({"episodes": 0}, "episodes is 0; give at least 1"),
         ({"processes": 0}, "jobs is 0; give at least 1"),
     ],

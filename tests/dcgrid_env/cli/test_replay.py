@@ -78,6 +78,17 @@ def test_a_stored_run_is_replayed_exactly(tmp_path, monkeypatch, capsys, opened)
     assert "its scenario is another one now" in refused(capsys, "results/run")
 
 
+@drawn
+def test_a_run_begun_from_python_is_replayed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["mine.py", "--fast"])  # whatever script it is begun by
+    few = ["--scenario", "toy6", "--set", "horizon=4", "--episodes", "1", "--controllers", "none", "--out", "here"]
+    main(["run", *few])
+    assert json.loads((tmp_path / "here/results.json").read_text())["meta"]["command"] == f"dcgrid run {' '.join(few)}"
+    main(["replay", "here"])
+    assert (tmp_path / "here/replay.html").is_file()
+
+
 def test_a_run_of_code_asks_for_trust(tmp_path, monkeypatch, capsys):
     ran = tmp_path / "ran"
     (tmp_path / "law.py").write_text(f"open({str(ran)!r}, 'w')\n")
@@ -94,8 +105,11 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
         return refused(capsys, str(tmp_path))
 
     assert "one of them" in refused(capsys)
-    assert "is no folder of dcgrid run, it has no results.json" in refused(capsys, str(tmp_path))
+    said = refused(capsys, str(tmp_path))
+    assert "is no folder of dcgrid run, it has no results.json" in said
+    assert said.endswith("hand what Python has recorded to dcgrid_env.rendering.replay(recorder.lane(0))")
     assert "is no file of dcgrid run (KeyError: 'command')" in stored({})
+    assert "is no file of dcgrid run (TypeError: " in stored({"command": None, "scenario_hash": ""})
     assert "not written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})
     assert "cannot read its command" in stored({"command": "dcgrid run --colour red", "scenario_hash": ""})
     for words, message in (
@@ -103,6 +117,10 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
         (["--compare", ","], "name at least one controller"),
         (["--compare", "none,none,droop,inverters,droop-q,volt-var"], "replay 4 at most"),
         (["--set", "horizon=9000000", "--compare", "none"], "are too much for one page"),
+        (["--gif", "a.gif", "--fps", "nan"], "fps is nan; give at least 0.1"),
+        (["--gif", "a.gif", "--fps", "1e9"], "fps is 1e+09; give at most 100"),
+        (["--out", str(tmp_path)], "which is a folder; give a file"),
+        (["--out", f"{tmp_path}/results.json/a.html"], "out: no folder "),
         (["--gif", "a.mp4"], "give a file that ends in .gif"),
         (["--gif", "a.gif", "--out", "a.html"], "give it without --gif and --mp4"),
         (["--seed", "-1"], "seed is -1"),

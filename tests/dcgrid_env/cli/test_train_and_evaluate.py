@@ -149,6 +149,22 @@ def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
         assert f"score {own.score(droop).score.value:.3f} 0.000" in printed
 
 
+def test_a_training_s_folder_runs_no_code_and_says_what_is_wrong_with_it(tmp_path, capsys):
+    folder = policy().save(tmp_path / "run" / "policy").parent
+    (tmp_path / "mine.py").write_text("open('ran', 'w')\n")
+    for config, message in (
+        ({"scenario": "mine.py:make"}, "names code, scenario 'mine.py:make', which would run; name it yourself with"),
+        ({"scenario": ["toy6"]}, "TypeError: scenario and set are no texts); give --scenario and the policy's file"),
+        ({"scenario": "toy6", "set": 3}, "config.json is none of dcgrid train (TypeError: "),
+        ([], "config.json is none of dcgrid train (AttributeError: "),
+    ):
+        (folder / "config.json").write_text(json.dumps(config))
+        code, said = stopped(capsys, "evaluate", str(folder), "--episodes", "2")
+        assert (code, len(said.splitlines())) == (2, 1)
+        assert message in said
+    assert not (tmp_path / "ran").exists()
+
+
 @pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
     path = policy().save(tmp_path / "mine")
@@ -308,7 +324,8 @@ def test_training_on_ones_own_scenario(options, here, capsys):
     assert about["scenario_hashes"] == [scenario_hash(scenario)]
     assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set load_sigma=0.1"
     capsys.readouterr()
-    main(["evaluate", str(folder), "--episodes", "2"])
+    assert "names code, scenario 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
+    main(["evaluate", str(folder), "--episodes", "2", "--trust"])
     assert "[/], test split, 2 episodes" in capsys.readouterr().out
     # Another content of the file is another scenario.
     (here / "own.py").write_text(OWN.replace("horizon=10", "horizon=11"))

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import re
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,8 @@ def test_what_cannot_be_replayed_is_refused(monkeypatch):
     run = episode(horizon=3)
     refused: Any = (
         ([], "history is empty"),
+        (None, "history is a NoneType; give what Recorder.lane returns, one or several"),
+        (Path("results/run"), "history is a .*Path; give what Recorder.lane returns"),
         ({"a": "b"}, "history 'a' is a str"),
         ([run] * 5, "5 episodes do not fit side by side; replay 4 at most"),
         ([run, episode(horizon=4)], "history 'episode 2' is of another episode"),

@@ -81,7 +81,7 @@ def test_slider_click_and_keys(page):
     assert chosen != begun
     assert chosen.startswith("Bus 33 (dc_1)")  # the last in the feeder's file
     assert "bus 33: voltage" in page.locator(".reading").first.inner_text()
-    assert re.search("bus 33\nvoltage .* p.u.\ndc_1: power drawn .* kW", page.locator("#tip").text_content())
+    assert re.search(r"bus 33\nvoltage .*\sp.u.\ndc_1: power drawn .*\skW", page.locator("#tip").text_content())
     assert "dc_1: GPU clock (MHz)" in page.locator("#curves").text_content()
 
     page.keyboard.press("Home")
