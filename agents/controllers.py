@@ -8,7 +8,9 @@ from pathlib import Path
 
 from dcgrid_env import PRESETS, Scenario, make_scenario
 from dcgrid_env.agents.policy.guard import GuardedPolicy, guarded, law_for
+from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.baselines import Controller, ForScenario
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.tuned import grid_difference
@@ -54,13 +56,13 @@ def _trained_for(name: str, scenario: Scenario) -> str:
     return policy
 
 
-def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | None) -> GuardedPolicy:
+def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | None) -> GuardedPolicy | TriedPolicy:
     """A policy under guard; ValueError for a controller that is none."""
     if not isinstance(controller, Policy):
         raise ValueError(
             f"guarded: it guards learned policies, and this is {type(controller).__name__}; name a policy (dcgrid list)"
         )
-    return guarded(controller, law_for(scenario, tuned))
+    return guarded(controller, None if isinstance(controller, ModelAidedPolicy) else law_for(scenario, tuned))
 
 
 def _pickled(path: str) -> Policy:
@@ -74,7 +76,7 @@ def _pickled(path: str) -> Policy:
 ENTRIES: dict[str, Entry] = {
     SUFFIX: ("a saved policy", Policy.load),
     ".zip": ("a model of Stable-Baselines3, to be converted first", _pickled),
-    "guarded:": ("before a policy's name: kept near the tuned droop where it was not trained", _guarded),
+    "guarded:": ("before a policy's name: kept near its law where it was not trained, or does worse", _guarded),
     **{name: (f"the policy {name}, which ships", partial(Policy.load, name)) for name in SHIPPED},
     **{name: ForScenario(f"{name}, trained on the preset that it drives", partial(_load, name)) for name in TRAINED},
 }

@@ -15,7 +15,7 @@ from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.agents.training.config import stored_config
-from dcgrid_env.baselines import make_controller
+from dcgrid_env.baselines import Placed, make_controller
 from dcgrid_env.baselines.evaluation import evaluate, score_over_seeds
 from dcgrid_env.baselines.score import REFERENCE, SPLIT
 from dcgrid_env.core.files import write_bytes
@@ -91,7 +91,12 @@ def ship(
 
 
 def with_inputs(card: Card, policy: Policy) -> Card:
-    """A card with the range of the policy's inputs, as it drives what the card says that it was trained on."""
+    """A card with the range of the policy's inputs, as it drives what the card says that it was trained on.
+
+    The card as it is for a policy that is given a model of the feeder: its inputs are figures of a law.
+    """
+    if isinstance(policy, Placed):
+        return card
     scenarios = trained_scenarios(card.scenario)
     return dataclasses.replace(card, inputs=recorded(policy, scenarios), format=FORMAT)
 

@@ -48,7 +48,7 @@ class CarryOver(Training):
 
     scenario: str = FAMILY
     """The family of scenarios on random feeders; there is no other."""
-    updates: int = 150
+    updates: int = 300
     """Steps of the optimiser."""
     feeders: int = 6
     """Scenarios of a batch, each on a feeder of its own."""

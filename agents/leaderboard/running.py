@@ -15,6 +15,7 @@ from dcgrid_env import PRESETS, Scenario
 from dcgrid_env.agents.leaderboard.entry_files import Figures, Score, SubmissionError
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import Controller, find_controller, published
 from dcgrid_env.baselines.benchmark.jobs import observed
@@ -48,7 +49,7 @@ def controller_of(spec: str, scenario: Scenario) -> Controller:
 
 def shown(controller: Controller, scenario: Scenario) -> str:
     """What a controller's interface is shown: ``local``, where each agent has its own measurements and no more."""
-    inner: Any = controller.policy if isinstance(controller, GuardedPolicy) else controller
+    inner: Any = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
     words = observed(inner, scenario)
     return f"{words}, of all agents together" if isinstance(inner, Policy) and inner.kind == "joint" else words
 

@@ -28,6 +28,7 @@ from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, 
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.shipping import without_horizon
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, split_prefix
 from dcgrid_env.baselines.user_code import parse
@@ -96,7 +97,7 @@ def submit(
     of_episodes = episodes_hash(test, episodes)
     controller = controller_of(policy, test)
     driven = run(controller, test, range(episodes), name)
-    inner = controller.policy if isinstance(controller, GuardedPolicy) else controller
+    inner = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
     claimed = Submission(
         format=FORMAT, name=name, paper=paper, kind=entry.kind, policy=entry.policy,  # pyright: ignore[reportArgumentType]
         sha256=inner.sha256 if isinstance(inner, Policy) else "".join(map(sha256_of, entry.files.values())),

@@ -32,6 +32,7 @@ from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, 
 from dcgrid_env.agents.leaderboard.submitting import installed, machine
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.baselines import Controller
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_json
@@ -112,7 +113,7 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
             f"{submission.episodes - 1} is {own[:16]}..; submit again"
         )
     controller = controller_of(_spec(folder, submission), scenario)
-    inner = controller.policy if isinstance(controller, GuardedPolicy) else controller
+    inner = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
     if isinstance(inner, Policy) and inner.sha256 != submission.sha256:
         raise SubmissionError(
             f"{claimed}: sha256 is {submission.sha256[:16]}.., that of the policy {submission.policy} is "

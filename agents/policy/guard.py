@@ -31,12 +31,14 @@ import numpy as np
 from dcgrid_env import RandomFeeders, Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import InputRange, by_moments, with_plates
+from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.slope_bounds import slope_bounds
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Controller, Droop, Placed, make_controller
+from dcgrid_env.baselines import Controller, Droop, make_controller
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.baselines.laws.stability import PLACEMENTS, largest_stable
 from dcgrid_env.baselines.score import REFERENCE
@@ -178,8 +180,10 @@ class GuardedPolicy:
         return [dict(zip(FIGURES, map(float, lane), strict=True)) for lane in means.T]
 
 
-def guarded(policy: Policy | str | Path, law: Controller | None = None) -> GuardedPolicy:
+def guarded(policy: Policy | str | Path, law: Controller | None = None) -> GuardedPolicy | TriedPolicy:
     """A policy under guard.
+
+    One that corrects the model-aided law is held to that law (``trial_guard``).
 
     Parameters
     ----------
@@ -197,13 +201,13 @@ def guarded(policy: Policy | str | Path, law: Controller | None = None) -> Guard
     Raises
     ------
     PolicyError
-        For a policy that corrects a law with a model of the feeder, which has bounds of its own.
+        For another law given to a policy that corrects the model-aided one.
     """
     chosen = policy if isinstance(policy, Policy) else Policy.load(policy)
-    if isinstance(chosen, Placed):
-        raise PolicyError(
-            f"{chosen.source}: it corrects a law within bounds, on the feeder's model, and takes no guard; leave it out"
-        )
+    if isinstance(chosen, ModelAidedPolicy):
+        if law is not None:
+            raise PolicyError(f"{chosen.source}: it corrects the model-aided law, and is held to that; give no law")
+        return TriedPolicy(chosen)
     card = card_of(chosen)
     return GuardedPolicy(chosen, None if card is None else card.inputs, law)
 

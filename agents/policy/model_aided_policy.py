@@ -65,6 +65,8 @@ class ModelAidedPolicy(Policy, features="law"):
         except (TypeError, ValueError) as error:
             raise PolicyError(f"law is {law!r}: {error}") from None
         self.law: dict[str, Any] = dataclasses.asdict(made)
+        self.corrects: np.ndarray | None = None
+        """Lanes in which the networks correct the law, bool, (lane,); None for all."""
 
     def _begin(self, env_info: Scenario) -> None:
         self._law, self._past = ModelAided(**self.law), Past()
@@ -80,7 +82,7 @@ class ModelAidedPolicy(Policy, features="law"):
     @property
     def interface(self) -> PolicyInterface:
         """PolicyError: its networks see figures of a law and not observations, and are bounded by themselves."""
-        raise PolicyError(f"{self.source}: corrects the model-aided law within bounds, and has no guard beside that")
+        raise PolicyError(f"{self.source}: corrects the model-aided law, and sees its figures alone")
 
     def place(self, buses: np.ndarray) -> None:
         """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), given after ``reset`` and before ``act``."""
@@ -100,6 +102,8 @@ class ModelAidedPolicy(Policy, features="law"):
         rows = np.asarray(joint, dtype=np.float64).reshape(-1, joint.shape[-1])
         step, seen = self._corrected.figures(rows, self._past)
         outputs = {name: self.networks[name](own).astype(np.float64) for name, own in seen.items()}
+        if self.corrects is not None:
+            outputs = {name: own * self.corrects[:, None, None] for name, own in outputs.items()}
         action = self._corrected.action(step, outputs).astype(np.float32)
         return action.reshape(*joint.shape[:-1], action.shape[-1])
 

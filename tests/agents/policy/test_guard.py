@@ -227,14 +227,6 @@ def test_under_guard_a_policy_remembers_each_step_once(toy6):
     assert [float(own.act(joint)[0, 1]) for _ in range(3)] == pytest.approx([0.0, 0.1, 0.2])
 
 
-def test_a_policy_on_a_model_of_the_feeder_takes_no_guard(monkeypatch):
-    policy = constant(0.3)
-    monkeypatch.setattr(Policy, "place", lambda self, buses: None, raising=False)
-    with pytest.raises(PolicyError, match="it corrects a law within bounds, on the feeder's model, and takes no guard"):
-        guarded(policy)
-    assert recorded(policy, []) is None
-
-
 def test_a_guarded_policy_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

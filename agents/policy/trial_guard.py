@@ -1,0 +1,113 @@
+"""Corrections of the model-aided law under guard: they act where a trial on the feeder's model says that they pay.
+
+At ``place`` the policy and the law alone are driven through episodes of the training split, on the feeder's model with
+all agents at their places. Where the policy costs less in the mean it acts, else the law does. The trial uses what the
+law is commissioned with, a model and the statistics of load, work and sun, and nothing that is measured later. A model
+that is said to be wrong (``r_model_share``, ``x_model_share``) is no judge: there the law acts.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
+from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.agents.policy.unseen import on_purpose
+from dcgrid_env.baselines.equipment_agents import EquipmentAgents
+from dcgrid_env.baselines.rollout import as_driven, transitions
+
+EPISODES = 4
+"""Episodes of a trial, the same for policy and law."""
+STEPS = 60
+"""Their length at most."""
+LAW_PCT = "guard_law_pct"
+"""What the guard tells of itself: share of agents' steps that the law has had, %, all or nothing in an episode."""
+
+
+class TriedPolicy:
+    """A policy that corrects the model-aided law, left out where the law alone did better in a trial.
+
+    Made by ``guard.guarded``.
+
+    Parameters
+    ----------
+    policy
+        What is guarded.
+    """
+
+    scope: ClassVar[str] = ModelAidedPolicy.scope
+
+    def __init__(self, policy: ModelAidedPolicy):
+        self.policy, self.observe = policy, policy.observe
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin episodes; PolicyError or ValueError where policy or law do not fit the scenario."""
+        self._equipment = EquipmentAgents(env_info)
+        self.scenario = self._equipment.others
+        self.policy.corrects = None
+        with on_purpose():
+            self.policy.reset(self.scenario)
+        self._pays: np.ndarray | None = None
+        fixed = [device.buses for device in self.scenario.devices if device.count]
+        if all(buses is not None for buses in fixed):
+            self._try(np.array([[self.scenario.feeder.index(bus) for buses in fixed for bus in buses or ()]]))
+
+    def place(self, buses: np.ndarray) -> None:
+        """Try the policy at these places, positions in ``bus_ids`` of the agents' buses, (lane, n_agent)."""
+        self._try(np.asarray(buses)[:, self._equipment.is_other])
+
+    def _try(self, own: np.ndarray) -> None:
+        places, lane = np.unique(own, axis=0, return_inverse=True)
+        if self._pays is None or not np.array_equal(places, self._tried):
+            self._tried, self._verdicts = places, pays(self.policy, self.scenario, places)
+        self._pays = self._verdicts[lane.ravel()]
+        self.policy.place(own)
+        self.policy.corrects = self._pays
+
+    def act(self, observations: Any) -> Any:
+        """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
+        if self._pays is None:
+            raise PolicyError("guard: the policy is tried at the agents' places; call place(buses) after reset")
+        return self._equipment.act(observations, self.policy.act)
+
+    @property
+    def info(self) -> dict[str, np.ndarray]:
+        """``LAW_PCT`` of each lane, (lane,), after ``place``."""
+        return {LAW_PCT: 100.0 * ~np.asarray(self._pays)}
+
+    def episode_figures(self) -> list[dict[str, float]]:
+        """``LAW_PCT`` as one mapping a lane."""
+        return [{LAW_PCT: float(share)} for share in self.info[LAW_PCT]]
+
+
+def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np.ndarray:
+    """Whether a policy costs less than the law alone at each placement, bool, (m,).
+
+    Parameters
+    ----------
+    policy
+        What is tried; a copy is driven.
+    scenario
+        Its agents have converters, and none of them is equipment of the feeder.
+    places
+        Positions in ``bus_ids`` of the agents' buses, (m, n_agent).
+    """
+    if not scenario.r_model_share == scenario.x_model_share == 1.0:
+        return np.zeros(len(places), bool)
+    trial = as_driven(scenario.replace(split="train", horizon=min(scenario.horizon, STEPS)), policy)
+    lanes = 2 * EPISODES * len(places)
+    driver = ModelAidedPolicy(policy.networks, law=policy.law, scenario=policy.trained_on)
+    driver.corrects = np.arange(lanes) < lanes // 2
+    seeds = np.tile(np.arange(EPISODES), 2 * len(places)).tolist()
+    buses = np.tile(np.repeat(places, EPISODES, axis=0), (2, 1))
+    with on_purpose():
+        course = transitions(trial, driver, seeds, "guard", {"buses": buses})
+        next(course)
+        cost_j = sum(step.cost_j for step in islice(course, trial.horizon))
+        course.close()
+    own, of_law = np.asarray(cost_j).reshape(2, len(places), EPISODES).mean(-1)
+    return own < of_law
