@@ -1,14 +1,16 @@
 """Lanes of a batch spread over the cores of this process.
 
-A thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel loops:
-those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
+The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. The others
+are a thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel
+loops: those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from itertools import pairwise
 
 import numba
 
@@ -27,14 +29,22 @@ def n_threads() -> int:
 
 
 def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
-    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread."""
+    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread.
+
+    The last slice is the caller's; an error in any slice is raised once all of them are done.
+    """
     if lanes < 2 * LANES_PER_THREAD:
         return work(0, lanes)
     parts = min(n_threads(), lanes // LANES_PER_THREAD)
     if parts == 1:
         return work(0, lanes)
     cuts = [lanes * i // parts for i in range(parts + 1)]
-    return sum(_executor().map(work, cuts[:-1], cuts[1:]))
+    others = [_executor().submit(work, *cut) for cut in pairwise(cuts[:-1])]
+    try:
+        own = work(cuts[-2], cuts[-1])
+    finally:
+        wait(others)
+    return own + sum(other.result() for other in others)
 
 
 @numba.njit(cache=True)
@@ -46,5 +56,5 @@ def _executor() -> ThreadPoolExecutor:
     global _pool
     if _pool is None or _pool[0] != os.getpid():  # threads do not survive a fork
         _nothing()  # the compiler sets itself up at its first call, and two threads that make it at once break it
-        _pool = (os.getpid(), ThreadPoolExecutor(n_threads(), thread_name_prefix="dcgrid"))
+        _pool = (os.getpid(), ThreadPoolExecutor(max(n_threads() - 1, 1), thread_name_prefix="dcgrid"))
     return _pool[1]

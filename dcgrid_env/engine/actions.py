@@ -116,6 +116,6 @@ def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
         extra = sorted(set(actions) - set(layout.agents))
         raise ActionError(f"actions for unknown agents {extra}; the agents are {list(layout.agents)}")
     for (agent, width), part in zip(layout.widths.items(), parts, strict=True):
-        if np.shape(part) != (width,):
+        if (part.shape if type(part) is np.ndarray else np.shape(part)) != (width,):
             raise ActionError(f"action of {agent} has shape {np.shape(part)}; it must be {(width,)}")
-    return joint_action(scenario, layout.join(actions))
+    return joint_action(scenario, np.concatenate(parts))

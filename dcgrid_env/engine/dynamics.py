@@ -84,7 +84,10 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     """
     xp = namespace(action)
     params = parameters(scenario, action)
-    setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    if is_rows(action):
+        setpoint = step_kernels().setpoints(action, params.middle, params.half_range)
+    else:
+        setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
     by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:
@@ -101,7 +104,6 @@ def _step(
     exogenous: Exogenous,
 ) -> tuple[State, AnySolution]:
     xp = namespace(q_setpoint_kvar)
-    solve, changing = _grid(scenario)
     may_leave = leaving(scenario)
     devices, draws = [], []
     work = Work(exogenous.p_ref_kw, exogenous.compute_share)
@@ -120,13 +122,7 @@ def _step(
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
-    p_net, q_net = _net_loads(exogenous, p_agent, q_agent)
-    control = _control(scenario, params.devices, devices, exogenous) if changing else None
-    equipment = None
-    if state.three_phase is not None:
-        equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
-        control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
-    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
+    solution, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
     v, restart, phases = solution.v_pu, solution.restart, None
     if equipment is not None:
         phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
@@ -155,6 +151,28 @@ def _step(
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
         loading=loading,
     ), solution
+
+
+def _solved(
+    scenario: Scenario,
+    params: Parameters,
+    state: State,
+    devices: Sequence[Any],
+    exogenous: Exogenous,
+    p_kw: Array,
+    q_kvar: Array,
+) -> tuple[Any, Equipment | None]:
+    """The power flow under the agents' powers (lane, n_agent), and the equipment of a three-phase feeder behind it."""
+    if exogenous.to_draw is not None:
+        return grid_pass().grid_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
+    solve, changing = _grid(scenario)
+    p_net, q_net = _net_loads(exogenous, p_kw, q_kvar)
+    control = _control(scenario, params.devices, devices, exogenous) if changing else None
+    equipment = None
+    if state.three_phase is not None:
+        equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
+        control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
+    return solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart), equipment
 
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
@@ -232,6 +250,14 @@ def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array,
 def _legs(exogenous: Exogenous) -> Array:
     """Where the agents draw, (lane, n_agent, k)."""
     return exogenous.nodes if exogenous.legs is None else exogenous.legs
+
+
+@cache
+def grid_pass() -> Any:
+    """The compiled pass over the grid, imported on first use as ``step_kernels`` are."""
+    from dcgrid_env.engine import grid_pass as compiled
+
+    return compiled
 
 
 @cache

@@ -10,16 +10,15 @@ import numpy as np
 
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.devices import Work
 from dcgrid_env.engine import observation
 from dcgrid_env.engine.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.given import Given
-from dcgrid_env.engine.state import Exogenous
+from dcgrid_env.engine.load_noise import base_legs, drawn_loads, load_noise
+from dcgrid_env.engine.state import Exogenous, LoadsToDraw
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 
@@ -45,42 +44,6 @@ class Episode(NamedTuple):
     int64, (lane, n_fault, 3)."""
     sag: np.ndarray
     """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (lane, n_sag, 3)."""
-
-
-class _Load(NamedTuple):
-    """What the load noise needs to know of a scenario, as the kernel takes it."""
-
-    rho: float  # over one step
-    sigma: float
-    p_base_kw: np.ndarray
-    q_base_kvar: np.ndarray
-    q_fixed_kvar: np.ndarray
-
-
-class _Legs(NamedTuple):
-    """The loads of a three-phase feeder, which the noise of their buses scales."""
-
-    bus: np.ndarray
-    p_kw: np.ndarray
-    q_kvar: np.ndarray
-
-
-@cached_on_owner
-def _legs(feeder: ThreePhaseFeeder) -> _Legs:
-    return _Legs(feeder.leg_bus.copy(), feeder.p_load_kw.copy(), feeder.q_load_kvar.copy())
-
-
-@cached_on_owner
-def _load(scenario: Scenario) -> _Load:
-    return _load_of(scenario.feeder, scenario)
-
-
-def _load_of(feeder: Any, scenario: Scenario) -> _Load:
-    rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
-    if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
-        return _Load(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
-    fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
-    return _Load(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
 
 
 def prepare(scenario: Scenario, episode: Episode) -> None:
@@ -224,7 +187,12 @@ def _driven_by_workload(scenario: Scenario) -> tuple[bool, ...]:
 
 
 def exogenous(
-    scenario: Scenario, episode: Episode, step: np.ndarray, noise: np.ndarray, p_ref: np.ndarray
+    scenario: Scenario,
+    episode: Episode,
+    step: np.ndarray,
+    noise: np.ndarray,
+    p_ref: np.ndarray,
+    draw_loads: bool = True,
 ) -> tuple[Exogenous, np.ndarray]:
     """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
 
@@ -238,27 +206,17 @@ def exogenous(
         The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
     p_ref
         The data centres' p_ref at ``step``, kW, (lane, n_site): see :func:`p_ref_kw`.
+    draw_loads
+        False for a step that ``grid_pass`` takes, which draws the loads itself: they are ``Exogenous.to_draw`` then,
+        and the noise is the one given.
     """
     hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
     share = episode.still if hour is None else load_share(hour)
-    process_and_loads = np.empty((3, *noise.shape))
-    z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
-    if isinstance(scenario.feeder, FeederBatch):
-        for member, at in scenario.feeder.members:
-            own = np.empty((3, len(at), noise.shape[1]))
-            load = _load_of(member, scenario)
-            random.load_step(episode.key[at], step[at], noise[at], share[at], *load, own[0], own[1], own[2])
-            process_and_loads[:, at] = own
+    if not draw_loads:
+        to_draw = LoadsToDraw(episode.key, step, noise, share, *load_noise(scenario))
+        z, p, q = noise, None, None
     else:
-        load = _load(scenario)
-
-        def part(a: int, b: int) -> int:
-            return random.load_step(episode.key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
-
-        if len(step) == 1:
-            random.load_step(episode.key, step, noise, share, *load, z, p, q)
-        else:
-            over_lanes(part, len(step))
+        to_draw, (z, p, q) = None, drawn_loads(scenario, episode.key, step, noise, share)
     schedule = scenario.schedule
     rated_kva = scenario.scheduled_kva
     if schedule is None:
@@ -270,7 +228,7 @@ def exogenous(
     feeder = scenario.feeder
     three_phase = isinstance(feeder, ThreePhaseFeeder)
     if three_phase:
-        p, q = step_kernels().leg_loads(p, *_legs(feeder))
+        p, q = step_kernels().leg_loads(p, *base_legs(feeder))
     available = capacitor_on = None
     if three_phase and not scenario.capacitors:
         capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
@@ -284,7 +242,8 @@ def exogenous(
     placed, compute = episode.placed, compute_share(scenario, episode, step)
     legs = placed.legs if three_phase else None
     sags = sags_in_interval(scenario, episode.sag, step)
-    return Exogenous(p, q, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags), z
+    nodes = placed.nodes
+    return Exogenous(p, q, p_ref, injection, nodes, compute, available, legs, capacitor_on, sags, None, to_draw), z
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:

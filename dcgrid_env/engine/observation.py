@@ -239,6 +239,25 @@ def observe(
         Voltage as measured now and one step before, p.u. (``measurement.measure``); the state's own unless the
         scenario has noise or delay.
     """
+    raw, layout = _raw(scenario, state, placed, given_next, v_measured_pu, v_before_pu)
+    return take_last(raw * layout.scale, layout.column)
+
+
+def observe_within_bounds(scenario: Scenario, *observed: Any) -> np.ndarray:
+    """What ``observe`` gives of NumPy arrays, as float32 and cut to its bounds."""
+    raw, layout = _raw(scenario, *observed)
+    return step_kernels().joint_observation(raw, *layout, *joint_bounds(scenario))
+
+
+def _raw(
+    scenario: Scenario,
+    state: State,
+    placed: Placement,
+    given_next: Sequence[Any],
+    v_measured_pu: Array,
+    v_before_pu: Array,
+) -> tuple[Array, _Layout]:
+    """The raw figures, (lane, n_raw), and how they become the joint observation."""
     xp = namespace(state.v_pu)
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, by_phase = of_agents(scenario, v_measured_pu, placed.nodes)
@@ -259,9 +278,4 @@ def observe(
         raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
     elif scenario.observe == "feeder":
         raw.append(v_measured_pu[:, scenario.feeder.load_slice] - 1.0)
-    return take_last(xp.concat(raw, axis=-1) * layout.scale, layout.column)
-
-
-def within_bounds(scenario: Scenario, joint: Any) -> np.ndarray:
-    """The joint observation as float32 and cut to its bounds."""
-    return step_kernels().within_float32(joint, *joint_bounds(scenario))
+    return xp.concat(raw, axis=-1), layout

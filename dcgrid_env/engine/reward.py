@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, as_like, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
-from dcgrid_env.engine.dynamics import device_slices, step_kernels
+from dcgrid_env.engine.dynamics import device_slices
 from dcgrid_env.engine.equipment import largest_mean_switching, mean_controlled_switching, mean_switching
 from dcgrid_env.engine.overload import MOST_EXCESS, mean_overload
 from dcgrid_env.engine.parameters import parameters
@@ -40,7 +40,6 @@ from dcgrid_env.engine.utility_limits import (
     voltage_step_excess,
 )
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.powerflow import AnySolution
 from dcgrid_env.scenario.cost import LIMIT_OF
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -94,10 +93,13 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     return xp.where(inside, xp.exp(-1.0 / xp.where(inside, near, 1.0 + 0.0 * near)), 0.0 * near)
 
 
-def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
-    """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True."""
+def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, figures: Any = None) -> Costs:
+    """The terms of c_t after a step, (lane,) each; what is charged at the end is where ``last`` (bool) is True.
+
+    ``figures`` of its voltages (``VoltageFigures``) are used if they are given.
+    """
     xp, w, params, t = namespace(state.v_pu), scenario.weights, parameters(scenario, state.v_pu), terms(scenario)
-    deviation, excess = _voltage_sums(scenario, state.v_pu, t.judged)
+    deviation, excess = _voltage_sums(scenario, state.v_pu, t.judged, figures)
     costs = [none := 0.0 * solution.loss_kw] * len(t.kind._fields)
     costs[VOLTAGE] = deviation * (w.voltage / t.n_judged)
     costs[VIOLATION] = excess * (w.violation / t.n_judged)
@@ -128,13 +130,11 @@ def team_costs(scenario: Scenario, state: State, solution: AnySolution, last: Ar
     return t.kind._make(costs)
 
 
-def _voltage_sums(scenario: Scenario, v_pu: Array, judged: slice) -> tuple[Array, Array]:
+def _voltage_sums(scenario: Scenario, v_pu: Array, judged: slice, figures: Any) -> tuple[Array, Array]:
     """Sum over the judged nodes of the voltage cost and of what lies beyond the band, (lane,) each."""
     kind, band_pu = scenario.voltage_cost, scenario.band_pu
-    if is_rows(v_pu):
-        both = step_kernels().deviations(v_pu, judged.start, band_pu)
-        of_l1, excess = np.add.reduce(both, -1)
-        return of_l1 if kind == "l1" else sum_last(voltage_cost(kind, both[0], band_pu)), excess
+    if kind == "l1" and figures is not None:
+        return figures.deviation_pu, figures.excess_pu
     deviation = namespace(v_pu).abs(v_pu[..., judged] - 1.0)
     return sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
 
@@ -145,7 +145,7 @@ def _mean_unbalance(factor: Array) -> Array:
     return sum_last(1.0 - positive_part(1.0 - factor * factor)) / max(n, 1)
 
 
-def local_costs(scenario: Scenario, state: State, solution: AnySolution, last: Array) -> Costs:
+def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) -> Costs:
     """Each agent's terms alone, (lane, n_agent): its own voltage, effort, and what its device is charged for.
 
     The feeder's loss, unbalance and overload are nobody's own and are charged to all alike.

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import all_true
 from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
 from dcgrid_env.engine.given import Given
+from dcgrid_env.engine.grid_pass import GridPass, fits
 from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.engine.state import State
-from dcgrid_env.powerflow import AnySolution
+from dcgrid_env.engine.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.scenario.scenario import Scenario
 
 __all__ = ["Simulation", "Snapshot", "Transition"]
@@ -96,8 +99,11 @@ class Simulation:
         """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
         now = self.now
         step = now.step + 1
-        outside, noise = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
-        state, solution = dynamics.step(self.scenario, now.state, action, outside)
+        s, in_one_pass = self.scenario, fits(self.scenario)
+        outside, noise = episode.exogenous(s, now.episode, step, now.noise, now.p_ref_next_kw, not in_one_pass)
+        state, solution = dynamics.step(s, now.state, action, outside)
+        if isinstance(solution, GridPass):
+            noise = solution.noise
         measured = (*now.measured[1:], self._measure(now.episode, step, state))
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
         j_before = now.transition.j_so_far
@@ -147,16 +153,18 @@ class Simulation:
         drawn: episode.Episode,
         step: np.ndarray,
         state: State,
-        solution: AnySolution,
+        solution: Any,
         measured: tuple[np.ndarray, ...],
         p_ref_next: np.ndarray,
         j_before: np.ndarray,
     ) -> Transition:
         s = self.scenario
         coming = episode.given_next(s, drawn, step, p_ref_next)
-        joint = observation.observe(s, state, drawn.placed, coming, measured[1], measured[0])
         last = step >= s.horizon
-        costs = reward.charged(s, reward.team_costs(s, state, solution, last), step, solution.converged)
+        solved = all_true(solution.converged)
+        figures = solution.figures if solved and isinstance(solution, GridPass) else _figures(s, state)
+        costs = reward.team_costs(s, state, solution, last, figures)
+        costs = costs if solved else reward.charged(s, costs, step, solution.converged)
         cost_j = reward.total(costs)
         if s.reward == "shared":
             paid = -cost_j
@@ -164,11 +172,12 @@ class Simulation:
             own = reward.local_costs(s, state, solution, last)
             paid = -reward.total(reward.charged(s, own, step, solution.converged))
         return Transition(
-            observation=observation.within_bounds(s, joint),
+            observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),
             reward=paid,
-            terminated=~solution.converged & (step > 0),
-            truncated=solution.converged & last,
+            terminated=np.zeros(len(last), np.bool_) if solved else ~solution.converged & (step > 0),
+            truncated=last if solved else solution.converged & last,
             costs=costs,
+            voltages=figures,
             cost_j=cost_j,
             j_so_far=j_before + cost_j / s.horizon,
             state=state,
@@ -178,3 +187,8 @@ class Simulation:
             buses=drawn.buses,
             fault=drawn.fault,
         )
+
+
+def _figures(scenario: Scenario, state: State) -> VoltageFigures:
+    v_pu = np.ascontiguousarray(state.v_pu, np.float64)
+    return voltage_figures(v_pu, scenario.feeder.load_slice.start, scenario.band_pu)

@@ -10,6 +10,7 @@ import numpy as np
 from dcgrid_env.engine import episode, reward
 from dcgrid_env.engine.observation import Placement
 from dcgrid_env.engine.state import State
+from dcgrid_env.engine.voltage_figures import VoltageFigures
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -26,6 +27,8 @@ class Transition(NamedTuple):
     """The horizon is reached, bool, (lane,)."""
     costs: reward.Costs
     """Weighted terms of the team's cost, (lane,) each."""
+    voltages: VoltageFigures
+    """What cost and info ask of the voltages."""
     cost_j: np.ndarray
     """The step's share of J times T, (lane,): minus the team's reward."""
     j_so_far: np.ndarray

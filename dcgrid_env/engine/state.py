@@ -11,6 +11,25 @@ from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
 
+class LoadsToDraw(NamedTuple):
+    """Other loads of a balanced feeder before they are drawn: what ``core.random.load_step`` draws them from."""
+
+    key: Any
+    """(lane,) uint64."""
+    step: Any
+    """(lane,) int64."""
+    noise: Any
+    """The AR(1) process one step earlier, (lane, n_bus)."""
+    share: Any
+    """Share of the peak at the lane's time of day, (lane,)."""
+    rho: float
+    sigma: float
+    p_base_kw: Any
+    """Base loads, and reactive power that no noise is on, (n_bus,)."""
+    q_base_kvar: Any
+    q_fixed_kvar: Any
+
+
 class Exogenous(NamedTuple):
     """What comes from outside over one interval; nothing here depends on an action."""
 
@@ -38,6 +57,8 @@ class Exogenous(NamedTuple):
     """Sags that begin in the interval, (lane, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
     trip_widths: TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
+    to_draw: LoadsToDraw | None = None
+    """What the loads are drawn from where that is left to ``grid_pass``: they themselves are None then."""
 
 
 class Equipment(NamedTuple):

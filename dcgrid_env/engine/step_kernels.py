@@ -1,4 +1,4 @@
-"""Compiled passes over loads, voltages and the joint observation, with the bits of the array forms."""
+"""Compiled passes over loads, phases and the joint observation, with the bits of the array forms."""
 
 from __future__ import annotations
 
@@ -21,6 +21,18 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
 
 
 @numba.njit(error_model="numpy", cache=True)
+def setpoints(action, middle, half_range):
+    """Setpoints (lane, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
+    out = np.empty(action.shape)
+    for lane in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            a = action[lane, i]
+            a = -1.0 if a < -1.0 else a
+            out[lane, i] = middle[i] + half_range[i] * (1.0 if a > 1.0 else a)
+    return out
+
+
+@numba.njit(error_model="numpy", cache=True)
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     """Net load of each leg, kW and kvar, (lane, n_leg): loads, and what agents draw less what they inject.
 
@@ -37,37 +49,6 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
                 p_at[at] += p_kw[lane, agent] / parts
                 q_at[at] += -q_kvar[lane, agent] / parts
     return p_net, q_net
-
-
-@numba.njit(error_model="numpy", cache=True)
-def deviations(v_pu, first, band_pu):
-    """|V - 1| from the node ``first`` on, and what of it lies beyond the band, p.u., (2, lane, node).
-
-    ``v_pu`` is (lane, n_node).
-    """
-    lanes, n = v_pu.shape[0], v_pu.shape[1] - first
-    out = np.empty((2, lanes, n))
-    for lane in range(lanes):
-        for i in range(n):
-            deviation = abs(v_pu[lane, first + i] - 1.0)
-            excess = deviation - band_pu
-            out[0, lane, i] = deviation
-            out[1, lane, i] = 0.0 if excess < 0.0 else excess
-    return out
-
-
-@numba.njit(error_model="numpy", cache=True)
-def extremes(v_pu, first):
-    """Lowest and highest voltage from the node ``first`` on, p.u., (2, lane), of ``v_pu`` (lane, n_node)."""
-    out = np.empty((2, v_pu.shape[0]))
-    for lane in range(v_pu.shape[0]):
-        low = high = v_pu[lane, first]
-        for i in range(first + 1, v_pu.shape[1]):
-            v = v_pu[lane, i]
-            low = v if v < low else low
-            high = v if v > high else high
-        out[0, lane], out[1, lane] = low, high
-    return out
 
 
 @numba.njit(error_model="numpy", cache=True)
@@ -101,12 +82,15 @@ def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def within_float32(figures, low, high):
-    """``figures`` (lane, n) as float32, cut to ``low`` and ``high`` (n,)."""
-    out = np.empty(figures.shape, np.float32)
-    for lane in range(figures.shape[0]):
-        for i in range(figures.shape[1]):
-            x = np.float32(figures[lane, i])
+def joint_observation(raw, scale, column, low, high):
+    """The joint observation as float32, (lane, n): of each entry the scaled raw figure in its column, cut to bounds.
+
+    ``raw`` is (lane, n_raw), ``scale`` (n_raw,), the rest (n,).
+    """
+    out = np.empty((raw.shape[0], len(column)), np.float32)
+    for lane in range(raw.shape[0]):
+        for i in range(len(column)):
+            x = np.float32(raw[lane, column[i]] * scale[column[i]])
             x = low[i] if x < low[i] else x
             out[lane, i] = high[i] if x > high[i] else x
     return out

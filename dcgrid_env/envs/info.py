@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.utility_limits import constraint
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -42,8 +41,8 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
         return figures
     state = transition.state
     figures["power_flow_converged"] = transition.converged.astype(np.float64)
-    extremes = step_kernels().extremes(state.v_pu, scenario.feeder.load_slice.start)
-    figures["voltage_min_pu"], figures["voltage_max_pu"] = extremes[0], extremes[1]
+    figures["voltage_min_pu"] = transition.voltages.lowest_pu
+    figures["voltage_max_pu"] = transition.voltages.highest_pu
     if state.three_phase is not None:
         figures["unbalance_max_pct"] = 100.0 * np.maximum.reduce(state.three_phase.unbalance, -1, initial=0.0)
         figures |= _of_equipment(scenario, state.three_phase.equipment)

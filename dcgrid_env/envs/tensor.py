@@ -8,10 +8,11 @@ that led to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import is_array_api_obj
+from array_api_compat import is_array_api_obj, is_torch_array
 
 from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.core.seeds import whole_seed
@@ -55,6 +56,8 @@ class _Outside(NamedTuple):
 
 class TensorEnv:
     """Episodes of a scenario in step with each other, differentiable where the arrays are.
+
+    On the CPU, steps and their derivative run torch on one thread, and the power flow on ``DCGRID_NUM_THREADS``.
 
     Parameters
     ----------
@@ -117,10 +120,11 @@ class TensorEnv:
             as_like(placed.distance, self.like), *map(self._index, (placed.nodes, placed.legs, placed.nearest))
         )
         self.step_number = 0
-        self.state, _ = dynamics.initial_state(self._on, self._exogenous())
-        self._measured = (self._measure(),) * remembered(self.scenario)
-        self._due = as_like(np.ones(len(lanes)), self.like)
-        return self._observe()
+        with self._torch_threads():
+            self.state, _ = dynamics.initial_state(self._on, self._exogenous())
+            self._measured = (self._measure(),) * remembered(self.scenario)
+            self._due = as_like(np.ones(len(lanes)), self.like)
+            return self._observe()
 
     def step(self, action: Array) -> TensorStep:
         """Advance every lane by joint actions (lane, n_action) in [-1, 1], arrays of the kind of ``like``.
@@ -131,6 +135,10 @@ class TensorEnv:
         if self.over:
             raise RuntimeError("the episodes are over or have not begun; call reset()")
         self._check_action(action)
+        with self._torch_threads():
+            return self._stepped(action)
+
+    def _stepped(self, action: Array) -> TensorStep:
         self.step_number += 1
         s, due = self._on, self._due
         try:
@@ -153,6 +161,14 @@ class TensorEnv:
         """Forget how the state came about: derivatives of later costs stop here (torch tensors)."""
         self.state = self.state.map(lambda array: array.detach())
         self._measured = tuple(a.detach() for a in self._measured)
+
+    def _torch_threads(self) -> Any:
+        """On the CPU one thread of torch, beside those of the power flow; elsewhere its setting is left alone."""
+        if not is_torch_array(self.like) or self.like.device.type != "cpu":
+            return nullcontext()
+        from dcgrid_env.core.torch_threads import one_torch_thread  # imports torch
+
+        return one_torch_thread()
 
     def _check_action(self, action: Array) -> None:
         like = self.like

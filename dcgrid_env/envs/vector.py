@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -171,10 +172,17 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
         """Arrays over lanes, each beside its mask of valid lanes, as gymnasium's vector environments give them."""
         figures = info_arrays(self.scenario, transition, self.info_level)
-        infos: dict[str, Any] = {name: values.copy() for name, values in figures.items()}
+        # Rows of one array are made several times faster than arrays one by one, and share nothing either.
+        infos: dict[str, Any] = dict(zip(figures, np.array(list(figures.values())), strict=True))
         if self.info_level == "full":
             infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)
-        return infos | {f"_{name}": valid.copy() for name in infos}
+        masks = np.repeat(valid[None], len(infos), axis=0)
+        return infos | dict(zip(_mask_keys(tuple(infos)), masks, strict=True))
+
+
+@cache
+def _mask_keys(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"_{name}" for name in names)
 
 
 def as_autoreset_mode(mode: Any) -> AutoresetMode:

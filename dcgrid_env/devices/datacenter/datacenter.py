@@ -14,10 +14,13 @@ at once at the top clock, while a backlog is worked off at the rating only. The 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
-from dcgrid_env.devices.datacenter.clock_law import Dvfs
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs
 from dcgrid_env.devices.ratings import DataCenterParams
 
 
@@ -86,12 +89,24 @@ def step(
     boost
         Whether ``p_ref_kw`` may exceed the rating.
     """
+    if type(dvfs) is LinearDvfs and is_rows(p_ref_kw) and is_rows(class_backlog_kws):
+        own, clock = (params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz), np.ascontiguousarray(f_mhz)
+        after = _kernel().serve_linearly(*own, class_backlog_kws, p_ref_kw, clock, dt_s, boost)
+        return DataCenterStep(*after, *after[:3])
     xp = namespace(p_ref_kw)
     arrived = positive_part(p_ref_kw - params.p_idle_kw)
     if boost:
         params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
     base = xp.minimum(p_ref_kw, params.p_idle_kw)
     return serve_arrived(params, dvfs, class_backlog_kws, base, arrived, f_mhz, dt_s, compute_share)
+
+
+@cache
+def _kernel() -> Any:
+    """The compiled form, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.devices.datacenter import linear_kernel
+
+    return linear_kernel
 
 
 def serve_arrived(

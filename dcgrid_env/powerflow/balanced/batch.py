@@ -35,10 +35,10 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
     """
     shape, n, dtype = p_kw.shape[:-1], feeder.n_bus, p_kw.dtype
     n_lanes = p_kw.size // n
-    loads = _rows(p_kw, (n_lanes, n)), _rows(q_kvar, (n_lanes, n)), _rows(v0_pu, (n_lanes,))
+    loads = rows(p_kw, (n_lanes, n)), rows(q_kvar, (n_lanes, n)), rows(v0_pu, (n_lanes,))
     if rest:
         warm = rest[0]
-        warm = _NO_ROWS[dtype.type] if warm is None else _rows(warm, (n_lanes, n - 1))
+        warm = _NO_ROWS[dtype.type] if warm is None else rows(warm, (n_lanes, n - 1))
         rest = (warm, *rest[1:])
     over_branches = np.empty((3, n_lanes, n - 1), dtype)
     per_lane = np.empty((2, n_lanes), dtype)
@@ -71,7 +71,7 @@ def _part(kernel: Any, of_feeder: Any, loads: Any, rest: Any, out: Any, first: i
     return kernel(*of_feeder, *(a[cut] for a in loads), *rest, tuple(a[cut] for a in out))
 
 
-def _rows(values: Any, shape: tuple[int, ...]) -> Any:
+def rows(values: Any, shape: tuple[int, ...]) -> Any:
     """Contiguous and writable: the one memory layout that the kernels are compiled for."""
     rows = values if values.shape == shape else values.reshape(shape)
     flags = rows.flags

@@ -1,7 +1,7 @@
 """Compiled DistFlow sweeps over buses in depth-first order, for NumPy arrays.
 
-Two forms of one arithmetic: ``_lane`` for a single feeder, and ``_block`` for many, whose innermost loops run over a
-block of lanes so that they become vector instructions. Neither lets the compiler reorder or fuse floating-point
+Two forms of one arithmetic: ``_lane`` for a single feeder, and ``compiled_blocks`` for many, whose innermost loops run
+over a block of lanes so that they become vector instructions. Neither lets the compiler reorder or fuse floating-point
 operations and a lane's figures are taken at its own last sweep, so a feeder's solution has the same bits alone, in any
 lane of any batch and on any number of threads.
 
@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK_SWEEPS, PER_KVA, distflow_blocks
 from dcgrid_env.powerflow.solution import (
     LINEAR_SWEEPS,
     LINEAR_TOLERANCE,
@@ -27,11 +28,8 @@ from dcgrid_env.powerflow.solution import (
     V_SQ_FLOOR,
 )
 
-BLOCK = 32  # lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123
 FEW = 10  # up to this many lanes one at a time beats a mostly empty block
-MOST_IN_BLOCKS = 800  # buses: the blocks of a larger feeder do not fit into the cache, and one lane at a time is faster
-PER_KVA = 1.0 / S_BASE_KVA
-BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
+MOST_IN_BLOCKS = 3000  # buses: a block is three times as fast there as one lane at a time, and no faster at 10,000
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
@@ -92,8 +90,9 @@ def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     for k in range(1, order.shape[0]):
         i = order[k]
         v_pu[lane, i] = np.sqrt(v[k, b])
-        p_branch_kw[lane, i - 1] = P[k, b] * S_BASE_KVA
-        q_branch_kvar[lane, i - 1] = Q[k, b] * S_BASE_KVA
+        if p_branch_kw.shape[0] > 0:
+            p_branch_kw[lane, i - 1] = P[k, b] * S_BASE_KVA
+            q_branch_kvar[lane, i - 1] = Q[k, b] * S_BASE_KVA
         current_sq_pu[lane, i - 1] = l[k, b]
         loss += r[k] * l[k, b]
     for k in range(ratio.shape[0]):
@@ -138,89 +137,19 @@ def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_s
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def _block(parent, r, x, shunt_g, shunt_b, scratch, before, off, collapsed):
-    """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive."""
-    p, q, P, Q, v, l = scratch
-    n = parent.shape[0]
-    for k in range(n):
-        for b in range(BLOCK):
-            P[k, b] = p[k, b] + r[k] * l[k, b]
-            Q[k, b] = q[k, b] + x[k] * l[k, b]
-    _add_shunts(shunt_g, shunt_b, scratch, before)
-    for k in range(n - 1, 0, -1):
-        i = parent[k]
-        for b in range(BLOCK):
-            P[i, b] += P[k, b]
-            Q[i, b] += Q[k, b]
-    for b in range(BLOCK):
-        off[b] = 0.0
-        collapsed[b] = 0.0
-    for k in range(1, n):
-        i = parent[k]
-        r_k = r[k]
-        x_k = x[k]
-        z_max = max(r_k, x_k)
-        for b in range(BLOCK):
-            v_i = v[i, b]
-            l_new = (P[k, b] * P[k, b] + Q[k, b] * Q[k, b]) / v_i
-            v_j = v_i - 2.0 * (r_k * P[k, b] + x_k * Q[k, b]) + (r_k * r_k + x_k * x_k) * l_new
-            collapsed[b] = collapsed[b] if v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING else 1.0
-            off[b] = max(off[b], abs(l_new - l[k, b]) * z_max)
-            l[k, b] = l_new
-            v[k, b] = v_j
-    _add_change(shunt_g, shunt_b, v, before, off)
-
-
-@numba.njit(nogil=True, error_model="numpy", cache=True)
-def _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
-    """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
-    n_lanes, n = p_kw.shape
-    work = np.empty((6, n, BLOCK), p_kw.dtype)
-    scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
-    before = np.empty((shunt_g.shape[0], BLOCK), p_kw.dtype)
-    off = np.empty(BLOCK, p_kw.dtype)
-    finite = np.empty(BLOCK, np.bool_)
-    collapsed = np.empty(BLOCK, p_kw.dtype)
-    done = np.empty(BLOCK, np.bool_)
-    most = min(BLOCK_SWEEPS, max_sweeps)
-    for first in range(0, n_lanes, BLOCK):
-        count = min(BLOCK, n_lanes - first)
-        for b in range(BLOCK):
-            lane = first + min(b, count - 1)
-            done[b] = b >= count
-            finite[b] = _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch)
-            _start(b, lane, order, warm, scratch[5])
-        left = count
-        for sweep in range(1, most + 1):
-            _block(parent, r, x, shunt_g, shunt_b, scratch, before, off, collapsed)
-            for b in range(count):
-                if done[b]:
-                    continue
-                if collapsed[b] > 0.0 or not finite[b]:
-                    out[6][first + b] = 0
-                elif off[b] <= tolerance:
-                    _store(b, first + b, order, r, ratio, scratch, sweep, off[b], True, out)
-                elif sweep == most:
-                    out[6][first + b] = 0
-                else:
-                    continue
-                done[b] = True
-                left -= 1
-            if left == 0:
-                break
-
-
-@numba.njit(nogil=True, error_model="numpy", cache=True)
 def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
     ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A lane that does not settle from there
-    starts again from no current, with ``max_sweeps``. Returns the number of lanes without a solution.
+    starts again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
+    Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
     few = n_lanes <= FEW or n > MOST_IN_BLOCKS
     if not few:
-        _blocks(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out)
+        distflow_blocks(
+            order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out
+        )
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     before = np.empty((shunt_g.shape[0], 1), p_kw.dtype)

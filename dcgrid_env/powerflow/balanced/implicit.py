@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.powerflow.balanced import adjoint
 from dcgrid_env.powerflow.balanced.batch import constants, solve_lanes
@@ -33,7 +34,7 @@ class _DistFlow(torch.autograd.Function):
         start = None if warm is None else warm.detach().numpy()
         solved = solve_lanes("distflow", feeder, *loads, start, *rest)
         tensors = [torch.from_numpy(np.asarray(a)) for a in solved[:-1]]
-        ctx.feeder = feeder
+        ctx.feeder, ctx.torch_threads = feeder, torch.get_num_threads()
         ctx.save_for_backward(*tensors[:4], tensors[5])
         ctx.mark_non_differentiable(*tensors[5:])
         return tuple(tensors)
@@ -44,6 +45,7 @@ class _DistFlow(torch.autograd.Function):
             raise RuntimeError(
                 "the derivative of distflow on CPU tensors has no derivative of its own; leave out create_graph=True"
             )
+        rest_of_backward_on(ctx.torch_threads)
         *solved, converged = (a.detach().numpy() for a in ctx.saved_tensors)
         n, dtype, shape = ctx.feeder.n_bus, solved[0].dtype, converged.shape
         n_lanes = converged.size

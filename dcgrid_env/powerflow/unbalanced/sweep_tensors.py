@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.adjoint_batch import derivatives
 from dcgrid_env.powerflow.unbalanced.sweep_batch import solve_batch
@@ -37,7 +38,7 @@ class _Sweep(torch.autograd.Function):
         amperes = np.concatenate((s.i_re_a, s.i_im_a), axis=-1)
         figures = (s.restart, amperes, s.v_pu, s.loss_kw, s.source_p_kw, s.source_q_kvar)
         tensors = [torch.from_numpy(np.asarray(a)) for a in (*figures, s.converged, s.iterations, s.residual_kva)]
-        ctx.feeder = feeder
+        ctx.feeder, ctx.torch_threads = feeder, torch.get_num_threads()
         ctx.save_for_backward(*given, tensors[0], tensors[1], tensors[6])
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*tensors[6:])
@@ -49,6 +50,7 @@ class _Sweep(torch.autograd.Function):
             raise RuntimeError(
                 "the derivative of the sweep on CPU tensors has no derivative of its own; leave out create_graph=True"
             )
+        rest_of_backward_on(ctx.torch_threads)
         *given, volts, amperes, converged = (a.detach().numpy() for a in ctx.saved_tensors)
         of_volts, of_amperes, of_magnitude, *of_lane = (None if w is None else w.numpy() for w in weights[:6])
         weights = (of_magnitude, of_volts, of_amperes, of_lane)

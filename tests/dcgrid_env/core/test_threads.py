@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import sys
 import threading
+import time
 import warnings
 
 import numpy as np
@@ -52,7 +53,7 @@ def test_two_threads_work_at_the_same_time(monkeypatch):
         meet.wait()  # passed by two at once or by none
         return threading.current_thread() is not threading.main_thread()
 
-    assert over_lanes(work, 200) == 2
+    assert over_lanes(work, 200) == 1  # the caller's thread is one of the two
 
 
 def test_few_lanes_and_one_thread_stay_on_the_callers_thread(monkeypatch):
@@ -70,6 +71,18 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
 
     with pytest.raises(RuntimeError, match="in a lane"):
         over_lanes(work, 200)
+    ended = []
+
+    def last_fails(first, last):
+        if last == 200:
+            raise RuntimeError("in the caller's")
+        time.sleep(0.05)
+        ended.append(first)
+        return 0
+
+    with pytest.raises(RuntimeError, match="in the caller's"):
+        over_lanes(last_fails, 200)
+    assert ended == [0]  # nothing goes on behind the caller's back
 
 
 def test_number_of_threads(monkeypatch):

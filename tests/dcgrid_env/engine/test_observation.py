@@ -384,14 +384,6 @@ def test_everything_lies_within_its_bounds_by_itself(name, scope, law):
         assert np.all(t.observation <= high)
 
 
-def test_what_lies_outside_is_cut():
-    scenario = make_scenario("toy6")
-    low, high = observation.joint_bounds(scenario)
-    cut = observation.within_bounds(scenario, np.array([[1e9] * len(low), [-1e9] * len(low)]))
-    assert cut.dtype == np.float32
-    np.testing.assert_array_equal(cut, [high, low])
-
-
 def test_fields_follow_the_episode():
     scenario = make_scenario("ieee33-weak", horizon=15)
     simulation, transitions = play(scenario, 3, 15)

@@ -8,6 +8,7 @@ from dcgrid_env.core.arrays import is_rows
 from dcgrid_env.engine import reward, step_kernels
 from dcgrid_env.engine.dynamics import _net_loads
 from dcgrid_env.engine.state import Exogenous
+from dcgrid_env.engine.voltage_figures import voltage_figures
 from dcgrid_env.scenario.presets import make_scenario
 
 RNG = np.random.default_rng(0)
@@ -18,28 +19,33 @@ V_PU = RNG.normal(1.0, 0.06, (5, 33))
 def test_sums_over_voltages(kind):
     scenario = make_scenario("ieee33", voltage_cost=kind)
     judged = reward.terms(scenario).judged
-    sums = reward._voltage_sums(scenario, V_PU, judged)
+    sums = reward._voltage_sums(scenario, V_PU, judged, voltage_figures(V_PU, judged.start, scenario.band_pu))
     deviation = np.abs(V_PU[:, judged] - 1.0)
     np.testing.assert_array_equal(sums[0], reward.voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
     np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.band_pu, 0.0).sum(-1))
-    tensors = reward._voltage_sums(scenario, torch.tensor(V_PU), judged)
+    tensors = reward._voltage_sums(scenario, torch.tensor(V_PU), judged, None)
     for ours, theirs in zip(sums, tensors, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-14)
 
 
-def test_extremes_leave_the_source_out():
-    v = V_PU.copy()
-    v[:, 0] = 9.0
-    lowest, highest = step_kernels.extremes(v, 1)
-    np.testing.assert_array_equal(lowest, v[:, 1:].min(-1))
-    np.testing.assert_array_equal(highest, v[:, 1:].max(-1))
-
-
-def test_cut_to_float32():
-    figures, high = RNG.normal(0.0, 2.0, (4, 7)), np.linspace(0.1, 1.0, 7, dtype=np.float32)
-    cut = step_kernels.within_float32(figures, -high, high)
+def test_joint_observation():
+    raw, scale, high = (
+        RNG.normal(0.0, 2.0, (4, 5)),
+        RNG.uniform(0.1, 3.0, 5),
+        np.linspace(0.1, 1.0, 7, dtype=np.float32),
+    )
+    column = np.array([0, 3, 1, 1, 4, 2, 0])
+    cut = step_kernels.joint_observation(raw, scale, column, -high, high)
     assert cut.dtype == np.float32
-    np.testing.assert_array_equal(cut, np.minimum(np.maximum(figures.astype(np.float32), -high), high))
+    whole = (raw * scale)[:, column].astype(np.float32)
+    np.testing.assert_array_equal(cut, np.minimum(np.maximum(whole, -high), high))
+
+
+def test_setpoints():
+    action = np.concatenate((RNG.uniform(-2.0, 2.0, (3, 4)), [[-1.0, 1.0, 0.0, np.nan]]))
+    middle, half = RNG.uniform(0.0, 800.0, 4), RNG.uniform(0.0, 600.0, 4)
+    expected = middle + half * np.minimum(np.maximum(action, -1.0), 1.0)
+    np.testing.assert_array_equal(step_kernels.setpoints(action, middle, half), expected)
 
 
 @pytest.mark.parametrize("parts", [1, 3])

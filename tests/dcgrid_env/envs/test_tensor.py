@@ -239,3 +239,26 @@ def test_numpy_episodes_need_no_torch():
         "env.reset([0]); env.step(np.zeros((1, 4))); assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", program], check=True, timeout=120)
+
+
+def test_torch_runs_on_one_thread_and_its_setting_stays(monkeypatch):
+    seen = {"step": [], "backward": []}
+    env = TensorEnv("toy6", like=torch.empty(0))
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        env.reset([0, 1])
+        observe = TensorEnv._observe
+        monkeypatch.setattr(TensorEnv, "_observe", lambda e: seen["step"].append(torch.get_num_threads()) or observe(e))
+        action = torch.zeros((2, action_layout(env.scenario).n), requires_grad=True)
+        action.register_hook(lambda grad: seen["backward"].append(torch.get_num_threads()))
+        cost = torch.stack([env.step(action).cost_j.sum() for _ in range(3)]).sum()
+        assert torch.get_num_threads() == 3
+        cost.backward()
+        assert torch.get_num_threads() == 3
+        assert seen == {"step": [1, 1, 1], "backward": [1]}
+        with pytest.raises(ValueError, match="action"):
+            env.step(torch.zeros(1))
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,38 @@
+"""torch on one thread while batches of tensors step and are differentiated, so that one set of threads works: ours.
+
+Two sets on the same cores wait for each other: torch's threads spin between its operations, on a core that the power
+flow's threads are to run on, and these operations are so small that torch gains nothing by a second thread
+(docs/decisions/0023-threads.md). The setting that a program has made is put back behind every call, which takes a third
+of a microsecond. Imported by who is given torch tensors, and so has torch already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Run torch's operations on one thread."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def rest_of_backward_on(threads: int) -> None:
+    """Run what is left of the derivative that is being computed on as many threads; to be called from a ``backward``.
+
+    The setting is put back when the whole derivative is done. Where an error ends it, the setting stays.
+    """
+    before = torch.get_num_threads()
+    if before != threads:
+        engine: Any = torch.autograd.Variable._execution_engine  # pyright: ignore[reportAttributeAccessIssue]
+        engine.queue_callback(lambda: torch.set_num_threads(before))
+        torch.set_num_threads(threads)

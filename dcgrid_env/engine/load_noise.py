@@ -1,0 +1,80 @@
+"""The other loads of a feeder and the noise on them, drawn for many lanes at once."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core import random
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+from dcgrid_env.scenario.scenario import Scenario
+
+
+class LoadNoise(NamedTuple):
+    """What the load noise needs to know of a scenario, as the kernel takes it."""
+
+    rho: float  # over one step
+    sigma: float
+    p_base_kw: np.ndarray
+    q_base_kvar: np.ndarray
+    q_fixed_kvar: np.ndarray
+
+
+class BaseLegs(NamedTuple):
+    """The loads of a three-phase feeder, which the noise of their buses scales."""
+
+    bus: np.ndarray
+    p_kw: np.ndarray
+    q_kvar: np.ndarray
+
+
+@cached_on_owner
+def base_legs(feeder: ThreePhaseFeeder) -> BaseLegs:
+    """Those of a feeder."""
+    return BaseLegs(feeder.leg_bus.copy(), feeder.p_load_kw.copy(), feeder.q_load_kvar.copy())
+
+
+@cached_on_owner
+def load_noise(scenario: Scenario) -> LoadNoise:
+    """That of the scenario's own feeder."""
+    return _load_of(scenario.feeder, scenario)
+
+
+def _load_of(feeder: Any, scenario: Scenario) -> LoadNoise:
+    rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
+    if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
+        return LoadNoise(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
+    fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
+    return LoadNoise(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
+
+
+def drawn_loads(
+    scenario: Scenario, key: np.ndarray, step: np.ndarray, noise: np.ndarray, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draw the load noise at ``step`` and the loads, kW and kvar, (lane, n_bus) each, see ``core.random.load_step``.
+
+    On a three-phase feeder the second is the factor of each bus and the third 0.
+    """
+    process_and_loads = np.empty((3, *noise.shape))
+    z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
+    if isinstance(scenario.feeder, FeederBatch):
+        for member, at in scenario.feeder.members:
+            own = np.empty((3, len(at), noise.shape[1]))
+            load = _load_of(member, scenario)
+            random.load_step(key[at], step[at], noise[at], share[at], *load, own[0], own[1], own[2])
+            process_and_loads[:, at] = own
+    else:
+        load = load_noise(scenario)
+
+        def part(a: int, b: int) -> int:
+            return random.load_step(key[a:b], step[a:b], noise[a:b], share[a:b], *load, z[a:b], p[a:b], q[a:b])
+
+        if len(step) == 1:
+            random.load_step(key, step, noise, share, *load, z, p, q)
+        else:
+            over_lanes(part, len(step))
+    return z, p, q

@@ -1,0 +1,19 @@
+"""The comparison of two versions' speeds runs, here of one version with itself."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "docs" / "paired_speed.py"
+
+
+@pytest.mark.slow
+def test_one_version_with_itself():
+    command = [sys.executable, SCRIPT, sys.executable, "make", "tensor_gradient", "--rounds", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    *_, one, gradient = done.stdout.splitlines()
+    assert one.startswith("| make |")
+    assert gradient.startswith("| tensor_gradient |")
+    assert all(line.endswith("| True |") for line in (one, gradient))
