@@ -76,12 +76,8 @@ class TriedPolicy:
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """``LAW_PCT`` of each lane, (lane,), after ``place``."""
+        """``LAW_PCT`` of each lane, (lane,), once it has been tried."""
         return {LAW_PCT: 100.0 * ~np.asarray(self._pays)}
-
-    def episode_figures(self) -> list[dict[str, float]]:
-        """``LAW_PCT`` as one mapping a lane."""
-        return [{LAW_PCT: float(share)} for share in self.info[LAW_PCT]]
 
 
 def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario, parallel_env
-from dcgrid_env.agents import ModelAidedPolicy, Network, Policy, PolicyError, find_controller, guarded
+from dcgrid_env.agents import ModelAidedPolicy, Network, Policy, PolicyError, evaluate, find_controller, guarded
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS
 from dcgrid_env.agents.policy.trial_guard import pays
 from dcgrid_env.baselines import Droop, ModelAided, rollout
@@ -28,7 +28,14 @@ def test_what_does_worse_in_the_trial_is_left_out():
     assert (rollout(scenario, giving(*HARMFUL), range(2)).costs() > 1.02 * law).all()
     own = guarded(giving(*HARMFUL))
     np.testing.assert_array_equal(rollout(scenario, own, range(2)).costs(), law)
-    assert own.episode_figures() == [{"guard_law_pct": 100.0}] * 2
+    assert own.info["guard_law_pct"].tolist() == [100.0, 100.0]
+
+
+def test_on_random_feeders_it_is_tried_on_each():
+    scenario = make_scenario("zero-shot", split="validation", horizon=2)
+    law = rollout(scenario, ModelAided(), range(2)).costs()
+    found = evaluate(guarded(giving(*HARMFUL)), scenario, range(2))
+    assert found.means["J"] == pytest.approx(law.mean(), rel=1e-12)
 
 
 def test_what_pays_in_the_trial_acts_as_it_would_alone(monkeypatch):
