@@ -31,5 +31,5 @@ def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple
         law = spec.removesuffix(SUFFIX)
         return TUNABLE[law].law(), (
             f"{spec}: no gains are known for this feeder and these devices, so it has the defaults of {law} (dcgrid "
-            "dev tune finds them on a scenario, --scenario and --tuned take them)"
+            "tune finds them on a scenario, --scenario and --tuned take them)"
         )

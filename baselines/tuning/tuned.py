@@ -71,8 +71,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
         Where there are none for this scenario, saying what differs and how to find them.
     """
     file = OWN if path is None else Path(path)
-    if path is not None and str(file) not in shared(CARRIED, {}) and not file.is_file():
-        raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
+    require_tuned(path)
     own = read_tuned(file).get(law, {}).get(scenario.name)
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
     fits = own is not None and _grid_hash_of(own, scenario.name) == grid_hash(scenario)
@@ -91,6 +90,15 @@ def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = Non
     if not TUNABLE[law].fits(scenario):
         return TUNABLE[law].law()  # which says why when it is given the scenario
     return TUNABLE[law].law(**tuned_parameters(law, scenario, path).parameters)
+
+
+def require_tuned(path: str | Path | None) -> None:
+    """ValueError where a file of ``dcgrid tune`` that is named is not there, or is none; None names none."""
+    if path is None:
+        return
+    if str(path) not in shared(CARRIED, {}) and not Path(path).is_file():
+        raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
+    read_tuned(Path(path))
 
 
 def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:

@@ -64,10 +64,12 @@ class Benchmark(OverWorkers):
         from dcgrid_env.baselines.carried import carried
         from dcgrid_env.baselines.hindsight_costs import FOLDER
         from dcgrid_env.baselines.score import SPLIT
+        from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.core.work.unit import require_all
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
+        require_tuned(self.tuned)
         place = self.place
         cases = [Case(spec, self.tuned) for spec in scenario_specs(self.scenarios, self.set, SPLIT).values()]
         controllers = _controllers(self.controllers, cases[0])

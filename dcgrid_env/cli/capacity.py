@@ -83,10 +83,12 @@ class Capacity(OverWorkers):
         """Search, print, write. ValueError for a setting that cannot be, before anything is written."""
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+        from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         place, names = self.place, split_names(self.controllers)
         if not names:
             raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
+        require_tuned(self.tuned)
         study = _study(self)
         check_folder(self.out)
         console = plain_console()

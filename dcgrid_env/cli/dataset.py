@@ -97,6 +97,7 @@ class Dataset(OverWorkers):
 def _check(cfg: Dataset) -> None:
     """ValueError for a setting that cannot be."""
     from dcgrid_env.baselines.offline_data.minari_writer import require_minari
+    from dcgrid_env.baselines.tuning.tuned import require_tuned
 
     at_least(cfg, episodes=1, seed=0, noise=0, behaviour_seed=0)
     if cfg.split not in SPLITS:
@@ -108,6 +109,7 @@ def _check(cfg: Dataset) -> None:
         raise ValueError(f"noise is {cfg.noise}; give at most 2, which is the whole range of an action")
     if cfg.controller == RANDOM and cfg.noise:
         raise ValueError(f"noise is {cfg.noise}, and random actions are noise already; leave it out")
+    require_tuned(cfg.tuned)
     require_minari()
 
 

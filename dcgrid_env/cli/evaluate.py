@@ -80,10 +80,12 @@ class Evaluate(OverWorkers):
         from dcgrid_env.baselines.benchmark.benchmark_tables import IS_NO_BOUND
         from dcgrid_env.baselines.hindsight_costs import FOLDER
         from dcgrid_env.baselines.score import REFERENCE, STATIC
+        from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
                 raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
+        require_tuned(self.tuned)
         place, zipped = self.place, _zipped(self.policy)
         if zipped is not None:
             require_trusted(zipped, self.trust, self.scenario or "SCENARIO")

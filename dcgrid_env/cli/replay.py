@@ -68,10 +68,12 @@ class Replay(Command):
     def run(self) -> None:
         """Run the episode again and write. ValueError for a setting that cannot be, before anything is run."""
         from dcgrid_env.baselines import find_controller
+        from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.rendering import replay
 
         at_least(self, every=1, fps=0.1)
         asked = _asked(self)
+        require_tuned(asked.tuned)
         targets = [path for path in (self.gif, self.mp4) if path is not None]
         page = self.out or (self.run_folder or Path("results/replay")) / "replay.html"
         _check(self, asked, targets)

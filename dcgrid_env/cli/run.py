@@ -79,10 +79,12 @@ class Run(Command):
         from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.laws import stability
+        from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         if self.episodes < 1 or self.seed < 0:
             raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
         _check_options(self)
+        require_tuned(self.tuned)
         scenario = scenario_of(self)
         names = split_names(self.controllers)
         controllers = {name: find_controller(name, scenario, self.tuned) for name in names}

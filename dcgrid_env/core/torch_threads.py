@@ -8,6 +8,7 @@ of a microsecond. Imported by who is given torch tensors, and so has torch alrea
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -29,10 +30,18 @@ def one_torch_thread() -> Iterator[None]:
 def rest_of_backward_on(threads: int) -> None:
     """Run what is left of the derivative that is being computed on as many threads; to be called from a ``backward``.
 
-    The setting is put back when the whole derivative is done. Where an error ends it, the setting stays.
+    The setting is put back when the whole derivative is done, or an error has ended it.
     """
     before = torch.get_num_threads()
-    if before != threads:
-        engine: Any = torch.autograd.Variable._execution_engine  # pyright: ignore[reportAttributeAccessIssue]
-        engine.queue_callback(lambda: torch.set_num_threads(before))
-        torch.set_num_threads(threads)
+    if before == threads:
+        return
+
+    def done() -> None:
+        put_back()
+
+    # After an error the engine drops its callbacks without a call: the setting is put back as this one goes.
+    put_back = weakref.finalize(done, torch.set_num_threads, before)
+    put_back.atexit = False
+    engine: Any = torch.autograd.Variable._execution_engine  # pyright: ignore[reportAttributeAccessIssue]
+    engine.queue_callback(done)
+    torch.set_num_threads(threads)

@@ -113,3 +113,23 @@ def test_a_reader_that_stops_ends_a_command_in_silence():
     ended = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, check=False, timeout=60)
     os.close(write)
     assert (ended.returncode, ended.stderr) == (141, b"")
+
+
+TAKING_TUNED = [(prog, member) for prog, member in commands() if "tuned" in getattr(member, "__dataclass_fields__", ())]
+
+
+@pytest.mark.parametrize("prog", [prog for prog, _ in TAKING_TUNED])
+def test_a_file_of_gains_that_is_not_there_is_refused_whatever_is_to_run(prog, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy = ["toy6-analytic"] if prog == "dcgrid evaluate" else []
+    law = [] if policy else ["--compare" if prog == "dcgrid replay" else "--controllers", "none"]
+    law = ["--controller", "none"] if prog == "dcgrid dataset" else law
+    code, said = stopped(capsys, *prog.split()[1:], *policy, "--scenario", "toy6", *law, "--tuned", "none.json")
+    assert (code, said.err) == (2, "dcgrid: tuned is 'none.json', which is no file; give one that dcgrid tune wrote\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_commands_that_take_a_file_of_gains():
+    assert [prog.split()[1] for prog, _ in TAKING_TUNED] == [
+        "run", "benchmark", "evaluate", "replay", "dataset", "capacity"
+    ]  # fmt: skip

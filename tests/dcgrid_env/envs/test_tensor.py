@@ -260,5 +260,10 @@ def test_torch_runs_on_one_thread_and_its_setting_stays(monkeypatch):
         with pytest.raises(ValueError, match="action"):
             env.step(torch.zeros(1))
         assert torch.get_num_threads() == 3
+        env.reset([0, 1])
+        action.register_hook(lambda grad: grad[:, :1])  # of another shape: an error behind the power flow's derivative
+        with pytest.raises(RuntimeError, match="changed the size"):
+            env.step(action).cost_j.sum().backward()
+        assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(before)
