@@ -15,11 +15,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.agent_groups import axes
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
 from dcgrid_env.agents.policy.law_step import Past
 from dcgrid_env.agents.policy.neural_network import Family, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.baselines.equipment_agents import at_rest
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 
 
@@ -71,6 +73,7 @@ class ModelAidedPolicy(Policy, features="law"):
     def _begin(self, env_info: Scenario) -> None:
         self._law, self._past = ModelAided(**self.law), Past()
         self._law.reset(env_info)
+        self._decided, self._rest = np.logical_or(*axes(env_info)), at_rest(env_info).astype(np.float32)
         for device in env_info.devices:
             if device.count and device.kind not in self.networks:
                 raise PolicyError(
@@ -104,7 +107,8 @@ class ModelAidedPolicy(Policy, features="law"):
         outputs = {name: self.networks[name](own).astype(np.float64) for name, own in seen.items()}
         if self.corrects is not None:
             outputs = {name: own * self.corrects[:, None, None] for name, own in outputs.items()}
-        action = self._corrected.action(step, outputs).astype(np.float32)
+        action = np.tile(self._rest, (len(rows), 1))  # a site's other channels rest, as under the law
+        action[:, self._decided] = self._corrected.action(step, outputs)
         return action.reshape(*joint.shape[:-1], action.shape[-1])
 
     def _about(self) -> dict[str, Any]:

@@ -43,6 +43,7 @@ class TriedPolicy:
 
     def __init__(self, policy: ModelAidedPolicy):
         self.policy, self.observe = policy, policy.observe
+        self._pays: np.ndarray | None = None
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; PolicyError or ValueError where policy or law do not fit the scenario."""
@@ -51,7 +52,7 @@ class TriedPolicy:
         self.policy.corrects = None
         with on_purpose():
             self.policy.reset(self.scenario)
-        self._pays: np.ndarray | None = None
+        self._pays = None
         fixed = [device.buses for device in self.scenario.devices if device.count]
         if all(buses is not None for buses in fixed):
             self._try(np.array([[self.scenario.feeder.index(bus) for buses in fixed for bus in buses or ()]]))
@@ -76,8 +77,8 @@ class TriedPolicy:
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """``LAW_PCT`` of each lane, (lane,), once it has been tried."""
-        return {LAW_PCT: 100.0 * ~np.asarray(self._pays)}
+        """``LAW_PCT`` of each lane, (lane,); empty until the policy has been tried."""
+        return {} if self._pays is None else {LAW_PCT: 100.0 * ~self._pays}
 
 
 def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np.ndarray:

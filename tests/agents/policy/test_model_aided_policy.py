@@ -19,7 +19,7 @@ def giving(*values, **law):
     return ModelAidedPolicy(networks, law=law, scenario="test", made_with="a test")
 
 
-@pytest.mark.parametrize("preset", ["das69", "mixed", "zero-shot", "robust"])
+@pytest.mark.parametrize("preset", ["das69", "mixed", "zero-shot", "robust", "ride-through"])
 def test_networks_that_give_0_are_the_law(preset):
     scenario = make_scenario(preset, split="validation", horizon=12)
     law = rollout(scenario, ModelAided(price=0.5), range(2))

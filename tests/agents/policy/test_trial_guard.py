@@ -104,6 +104,7 @@ def test_it_drives_the_agents_by_name_and_where_places_are_fixed_needs_no_word_o
         np.testing.assert_allclose(acted[agent], wanted[agent], atol=1e-6)
     drawn = make_scenario("fault")
     own.reset(drawn)
+    assert own.info == {}
     with pytest.raises(PolicyError, match="call place"):
         own.act(parallel_env(drawn).reset(seed=0)[0])
 
