@@ -59,8 +59,10 @@ class Lost:
 class LostUnits(ValueError):
     """Some units have no result; the message names them, says why, and how to go on."""
 
-    traced = True
-    """Whether a traceback says more than the message."""
+    @property
+    def traced(self) -> bool:
+        """Whether a traceback says more than the message: not where no work raised anything, but workers died."""
+        return self.__cause__ is not None
 
 
 class Place(ABC):

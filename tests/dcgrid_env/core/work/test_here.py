@@ -11,7 +11,7 @@ import pytest
 
 from dcgrid_env.core.work import here
 from dcgrid_env.core.work.here import Here
-from dcgrid_env.core.work.unit import Lost, LostUnits, Needs, Unit
+from dcgrid_env.core.work.unit import Lost, LostUnits, Needs, Unit, require_all
 from dcgrid_env.core.work.worker import THREADS, Terminated, attempt, shared
 
 
@@ -62,6 +62,13 @@ def test_what_a_unit_raises_is_not_tried_again_and_named_when_the_others_are_don
     assert isinstance(raised.value.__cause__, ValueError)
     assert "Traceback" in raised.value.__cause__.__notes__[0]
     assert not active_children()
+
+
+@pytest.mark.parametrize("error", [None, ValueError("no")])
+def test_a_traceback_is_offered_where_some_work_raised(error):
+    with pytest.raises(LostUnits, match=r"^1 of 2 not done: a: gone") as raised:
+        require_all({"a": Lost("gone", error)}, 2)
+    assert raised.value.traced is (error is not None)
 
 
 class Awkward(Exception):
