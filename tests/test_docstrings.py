@@ -5,8 +5,6 @@ import re
 from collections import defaultdict
 from itertools import pairwise
 
-import pytest
-
 from helpers.places import ROOT
 
 FOLDERS = ("dcgrid_env", "baselines", "agents", "traces")
@@ -63,11 +61,9 @@ def openings(text):
             yield line.strip()
 
 
-@pytest.mark.parametrize("path", paths(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_public_docstring_stands_alone(path):
-    place = path.relative_to(ROOT).as_posix()
-    begins = [(line, opening) for line, text in texts(path) for opening in openings(text)]
-    bad = [f"{place}:{line}: {opening[:60]}" for line, opening in begins if NO_SENTENCE.match(opening)]
+def test_public_docstrings_stand_alone():
+    begins = [(path, line, opening) for path in paths() for line, text in texts(path) for opening in openings(text)]
+    bad = [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in begins if NO_SENTENCE.match(text)]
     assert not bad, "\n" + "\n".join(bad)
 
 

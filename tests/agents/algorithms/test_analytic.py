@@ -16,8 +16,8 @@ from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from helpers.states import with_fields
 
 TINY = Analytic(
-    scenario="toy6", updates=24, num_envs=16, window=25, hidden=(8,), validation_episodes=4, validate_every=2,
-    checkpoint_every=2,
+    scenario="toy6", set=("horizon=40",), updates=24, num_envs=16, window=10, hidden=(8,), validation_episodes=4,
+    validate_every=2, checkpoint_every=2,
 )  # fmt: skip
 TIMES = ("seconds", "forward_s", "backward_s")
 
@@ -70,14 +70,15 @@ def test_a_tiny_run_improves_and_writes_what_it_found(finished):
     config = json.loads((finished / "config.json").read_text())
     assert (config["scenario"], config["updates"], config["hidden"]) == ("toy6", 24, [8])
     card = Card.load(finished / "policy.json")
-    assert (card.algorithm, card.scenario, card.seed) == ("analytic", "toy6", 0)
+    assert (card.algorithm, card.scenario, card.seed) == ("analytic", "toy6 --set horizon=40", 0)
     assert card.validation_J == best
 
 
 def test_the_saved_policy_is_the_best_of_the_curve(finished):
     from dcgrid_env.agents.training.validation import Validation
 
-    found = Validation(["toy6"], 4)(Policy.load(finished / "policy.safetensors"))
+    scenario = make_scenario("toy6", split="validation", horizon=40)
+    found = Validation([scenario], 4)(Policy.load(finished / "policy.safetensors"))
     assert found["J"] == pytest.approx(min(row["J"] for row in read_curve(finished)), rel=1e-9)
 
 
@@ -108,7 +109,7 @@ def spoilt(tmp_path_factory):
 
 
 def test_the_rate_of_learning_falls_along_a_cosine(spoilt):
-    # toy6's 100 steps are four windows, so 16 updates are four batches: at 0, 1/4, 1/2 and 3/4 of half a turn.
+    # 40 steps are four windows, so 16 updates are four batches: at 0, 1/4, 1/2 and 3/4 of half a turn.
     assert spoilt[1] == pytest.approx([0.08, 0.04 * (1.0 + np.sqrt(0.5)), 0.04, 0.04 * (1.0 - np.sqrt(0.5))])
 
 

@@ -117,6 +117,7 @@ def test_safe_training_refuses_what_it_has_no_bound_for():
         require_plain(SCENARIOS["riding"])
 
 
+@pytest.mark.slow
 def test_the_surrogate_of_trips_leads_the_channel_of_the_return_and_its_absence_hardly_does():
     """A site that is away feels what returning brings through the surrogate alone."""
     slopes = {}

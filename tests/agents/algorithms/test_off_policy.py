@@ -60,7 +60,8 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
     def curve(folder):
         return [{k: v for k, v in row.items() if k not in times} for row in read_curve(folder)]
 
-    whole = module.main(tiny(name, tmp_path, "whole"))
+    short = {"set": ("horizon=30",), "steps": 360}
+    whole = module.main(tiny(name, tmp_path, "whole", **short))
     saved = sb3.Run.save
 
     def killed(run, state):
@@ -70,8 +71,8 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(sb3.Run, "save", killed)
         with pytest.raises(KeyboardInterrupt):
-            module.main(tiny(name, tmp_path, "broken"))
-    broken = module.main(tiny(name, tmp_path, "broken", resume=True))
+            module.main(tiny(name, tmp_path, "broken", **short))
+    broken = module.main(tiny(name, tmp_path, "broken", resume=True, **short))
     assert curve(broken) == curve(whole)
     assert len(curve(whole)) == 2
     assert Policy.load(broken / "policy.safetensors").sha256 == Policy.load(whole / "policy.safetensors").sha256

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario, sensitivity
+from dcgrid_env import CostWeights, PrefillDecodeDvfs, make_scenario, sensitivity
 from dcgrid_env.baselines import (
     CONTROLLERS,
     ConstantQ,
@@ -19,6 +19,7 @@ from dcgrid_env.baselines import (
     make_controller,
     rollout,
 )
+from helpers.forms import each_preset
 from helpers.needs import NEEDING_A_DEVICE, drives
 
 
@@ -203,7 +204,7 @@ def test_bad_parameters(make, arguments, message):
 @pytest.mark.parametrize(
     "law", [{}, {"dvfs": PrefillDecodeDvfs()}, {"dt_s": 0.1}], ids=["linear", "work_classes", "fast"]
 )
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", each_preset())
 def test_every_controller_runs_under_every_preset(preset, law):
     scenario = make_scenario(preset, horizon=5, **law)
     for name in CONTROLLERS:

@@ -15,7 +15,7 @@ from helpers.three_phase import ieee13
 
 @pytest.fixture(scope="module")
 def solved():
-    scenario = ieee33_weak_ups(trace="inference", split="validation")
+    scenario = ieee33_weak_ups(trace="inference", split="validation", horizon=60)
     return scenario, {seed: hindsight(scenario, seed) for seed in (0, 5)}
 
 
@@ -29,7 +29,7 @@ def test_the_environment_agrees_with_the_program(solved):
 
 def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
     scenario, found = solved
-    without = make_scenario("ieee33-weak", split="validation")
+    without = make_scenario("ieee33-weak", split="validation", horizon=60)
     for name in ("none", "droop", "constant-q"):
         costs = rollout(scenario, make_controller(name), list(found)).costs()
         assert all(cost > best.J for cost, best in zip(costs, found.values(), strict=True))

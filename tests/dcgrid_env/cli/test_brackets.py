@@ -54,7 +54,14 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize("command", SAID, ids=[command.partition("[")[0] for command in SAID])
+STUDIES = ("dev pareto", "dev ablate", "dev generalise")
+"""Commands that train."""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(c, marks=[pytest.mark.slow] if c.startswith(STUDIES) else [], id=c.partition("[")[0]) for c in SAID],
+)
 def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command):
     a_run(here / NAME / "run")
     (here / f"{NAME}.csv").parent.mkdir(parents=True, exist_ok=True)

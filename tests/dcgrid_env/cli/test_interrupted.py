@@ -67,8 +67,10 @@ def names(folder):
     return {path.name for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize(("sign", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize("name", WRITING)
+@pytest.mark.parametrize(
+    ("name", "sign", "status"),
+    [*((name, signal.SIGINT, 130) for name in WRITING), *((name, signal.SIGTERM, 143) for name in ("run", "train"))],
+)
 def test_a_signal_while_a_file_is_written_leaves_nothing(here, quick, monkeypatch, name, sign, status):
     arguments, file = WRITING[name]
     signalled(monkeypatch, sign, file)

@@ -11,6 +11,7 @@ import dcgrid_env
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.baselines import CONTROLLERS, Droop
 from dcgrid_env.cli.main import main
+from helpers.forms import each_preset
 
 
 def run(tmp_path, *arguments):
@@ -18,11 +19,7 @@ def run(tmp_path, *arguments):
     return json.loads((tmp_path / "results.json").read_text())
 
 
-LONG = ("ieee123-3ph-day", "smoothing")
-"""Presets of more than a thousand steps."""
-
-
-@pytest.mark.parametrize("scenario", [pytest.param(s, marks=pytest.mark.slow) if s in LONG else s for s in PRESETS])
+@pytest.mark.parametrize("scenario", each_preset(("toy6", "ieee34-3ph", "routing", "zero-shot")))
 def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
     results = run(tmp_path, "--scenario", scenario, "--episodes", "2", "--seed", "3", "--controllers", "none, droop")
     printed = capsys.readouterr().out

@@ -99,9 +99,9 @@ def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
         "c = find_controller('toy-law', s)\nf = find_controller('a.toy', s)\n"
         "print(s.name, load_feeder('toy-net').name, type(c).__name__, type(f).__name__)"
     )
-    assert printed(folder, code) == ["toy-day", "toy6", "Law", "Law"]
-    listed = python(folder, "-m", "dcgrid_env.cli", "list")
-    assert listed.returncode == 0, listed.stderr
+    listed = python(folder, "-W", "error", "-c", f"{code}\nfrom dcgrid_env.cli.main import main\nmain(['list'])")
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert listed.stdout.splitlines()[0] == "toy-day toy6 Law Law"
     for line in (
         "toy-law the toy's law (good-toy 1.0)",
         "toy-day a day of the toy (good-toy 1.0)",
@@ -209,16 +209,16 @@ def test_a_broken_one_is_one_line_and_stops_nobody_else(site):
     for name, (module, _) in BROKEN.items():
         site(name, module, f"[dcgrid.controllers]\nlaws = {name.replace('-', '_')}:THEIRS\n")
     folder = site("good-toy", GOOD, GOOD_POINTS)
-    listed = python(folder, "-m", "dcgrid_env.cli", "list")
-    assert listed.returncode == 0
-    assert "toy-law" in listed.stdout
-    lines = listed.stderr.splitlines()
+    code = (
+        "from dcgrid_env.cli.main import main\nmain(['list'])\n"
+        "main(['run', '--scenario', 'toy6', '--controllers', 'broken-law'])"
+    )
+    asked = python(folder, "-c", code)
+    assert "toy-law" in asked.stdout
+    assert asked.returncode == 2
+    *lines, error = asked.stderr.splitlines()
     assert len(lines) == len(BROKEN)
     # Who asks for what one of them would have had is told of it on the line of the error.
-    options = ["run", "--scenario", "toy6", "--controllers", "broken-law"]
-    asked = python(folder, "-W", "ignore", "-m", "dcgrid_env.cli", *options)
-    assert asked.returncode == 2
-    (error,) = asked.stderr.splitlines()
     assert error.startswith("dcgrid: unknown controller 'broken-law'; there are none, inverters, ")
     for line, name in zip(lines, sorted(BROKEN), strict=True):
         where = f"entry point 'laws' (dcgrid.controllers, {name.replace('-', '_')}:THEIRS) of {name} 1.0"

@@ -8,6 +8,7 @@ from dcgrid_env.engine import episode
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
 from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
+from helpers.forms import each_preset
 
 
 def draw(scenario: Scenario, seeds: range | list[int], number: int = 0) -> episode.Episode:
@@ -30,9 +31,6 @@ def actions(scenario: Scenario, lanes: int, seed: int = 0) -> np.ndarray:
 
 DAYS = [pytest.param(p, marks=pytest.mark.slow) if p == "ieee123-3ph-day" else p for p in PRESETS]
 """Presets; the rows of trace of a day take long to make."""
-LONG_ROWS = ("training", "smoothing", "bursty")
-OF_LONG_ROWS = [pytest.param(p, marks=pytest.mark.slow) if p in LONG_ROWS else p for p in DAYS]
-"""Presets; all rows of these take long to make."""
 
 
 @pytest.mark.parametrize("name", DAYS)
@@ -185,7 +183,7 @@ def run_digests(rows, length):
     return digest
 
 
-@pytest.mark.parametrize("name", OF_LONG_ROWS)
+@pytest.mark.parametrize("name", each_preset(("toy6", "ieee123", "mixed", "fault", "zero-shot")))
 def test_splits_share_no_window_and_no_key(name):
     pools = {split: trace_pool(make_scenario(name, split=split)).p_share for split in SPLITS}
     keys = {split: draw(make_scenario(name, split=split).member(0), range(500)).key for split in SPLITS}

@@ -19,7 +19,18 @@ def test_every_preset_runs(preset, law):
             assert metrics["power_flow_converged"]
 
 
-@pytest.mark.parametrize("source", [source for source in TRACE_SOURCES if source not in ("chat", "site")])
+ALIKE = ("llama3-405b", "mixtral-8x22b", "deepseek-v3")
+"""Sources that are made as llama3-70b is."""
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        pytest.param(source, marks=pytest.mark.slow) if source in ALIKE else source
+        for source in TRACE_SOURCES
+        if source not in ("chat", "site")
+    ],
+)
 def test_a_step_of_a_second_draws_the_mean_of_ten(source):
     # The window begins with the row, where step k covers the times from k dt to (k + 1) dt.
     same = {"trace": source, "trace_window": "start", "dvfs": PrefillDecodeDvfs()}

@@ -11,9 +11,10 @@ from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parall
 
 import dcgrid_env
 from dcgrid_env import ActionError, DcgridEnv, PrefillDecodeDvfs, field_names, parallel_env
+from helpers.forms import each_preset
 
 
-@pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
+@pytest.mark.parametrize("scenario", each_preset())
 def test_pettingzoo_checkers(scenario):
     parallel_api_test(parallel_env(scenario), num_cycles=250)
     parallel_seed_test(lambda: parallel_env(scenario), num_cycles=50)

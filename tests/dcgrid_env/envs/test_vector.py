@@ -11,14 +11,14 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 import dcgrid_env
 from dcgrid_env import DcgridEnv, DcgridVectorEnv
 from dcgrid_env.traces import PowerTrace
-from helpers.forms import WORK_CLASSES
+from helpers.forms import WORK_CLASSES, each_preset
 from helpers.in_other_processes import toy
 
 CLASSES = WORK_CLASSES | {"site_correlation": 0.5}
 
 
 @pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])
-@pytest.mark.parametrize("scenario", dcgrid_env.PRESETS)
+@pytest.mark.parametrize("scenario", each_preset())
 def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
     lanes, horizon = 70, 6  # more lanes than two threads' share, and three episodes each
     batch = DcgridVectorEnv(lanes, scenario, horizon=horizon, **extra)

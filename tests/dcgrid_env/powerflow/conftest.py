@@ -135,6 +135,8 @@ class PandapowerNet:
         }
 
 
-@pytest.fixture
-def pandapower_net() -> type[PandapowerNet]:
-    return PandapowerNet
+@pytest.fixture(scope="session")
+def pandapower_net() -> Callable[[Feeder], PandapowerNet]:
+    """The network of a feeder, made once."""
+    nets: dict[str, PandapowerNet] = {}
+    return lambda feeder: nets.get(feeder.name) or nets.setdefault(feeder.name, PandapowerNet(feeder))

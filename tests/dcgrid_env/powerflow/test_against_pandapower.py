@@ -1,10 +1,10 @@
-"""DistFlow against pandapower's Newton method: 24 random loads on each named feeder, a third of them feeding back."""
+"""DistFlow against pandapower's Newton method: 9 random loads on each named feeder, a third of them feeding back."""
 
 import numpy as np
 
 from dcgrid_env import distflow
 
-LANES = 24
+LANES = 9
 
 
 def test_distflow_agrees_with_newton_in_pandapower(feeder, random_loads, pandapower_net):

@@ -20,6 +20,12 @@ from dcgrid_env.rendering.phase_map import NO_VOLTAGE, PhaseMap
 from helpers.feeders import THREE_PHASE
 from helpers.three_phase import one_phase
 
+QUICK = "ieee13-3ph"
+each = pytest.mark.parametrize(
+    "name", [QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in THREE_PHASE if name != QUICK)]
+)
+"""On each three-phase feeder, but the smallest among the slow tests."""
+
 
 def make(scenario: Any = "ieee13-3ph", steps: int = 0, **overrides: Any) -> tuple[Any, list[Any]]:
     env: Any = dcgrid_env.DcgridEnv(scenario, render_mode="rgb_array", **overrides)
@@ -45,7 +51,7 @@ def is_image(frame):
     return frame.shape == (800, 1360, 3) and frame.std() > 5.0
 
 
-@pytest.mark.parametrize("name", THREE_PHASE)
+@each
 def test_each_bus_shows_the_voltages_of_its_phases_in_their_places(name):
     env, states = make(name, 5)
     feeder, v, xy = env.scenario.feeder, states[-1].v_pu[0], positions(env.scenario.feeder)
@@ -117,7 +123,7 @@ def test_a_lost_bank_and_banks_switched_off_are_said():
     assert labels(make("ieee13-3ph", capacitors=False)[0])[1:] == ["cap1 off", "cap2 off"]
 
 
-@pytest.mark.parametrize("name", THREE_PHASE)
+@each
 def test_curves_are_each_phase_s_spread_the_unbalance_and_the_taps(name):
     env, states = make(name, 25)
     feeder, curves = env.scenario.feeder, parts(env)[1]
@@ -217,8 +223,14 @@ def test_without_sites_and_in_a_batch():
     np.testing.assert_array_equal(batch.render()[0], first)
 
 
-@pytest.mark.parametrize("name", THREE_PHASE)
-@pytest.mark.parametrize("who", ["controlled", "agent"])
+@pytest.mark.parametrize(
+    ("name", "who"),
+    [
+        pytest.param(name, who, marks=pytest.mark.slow if who == "controlled" and name != QUICK else ())
+        for name in THREE_PHASE
+        for who in ("controlled", "agent")
+    ],
+)
 def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
     env, _ = make(name, regulators=who, split="test")
     panel = parts(env)[0]
@@ -236,7 +248,7 @@ def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
             assert not box.shrunk(0.9, 0.7).overlaps(taken.shrunk(0.9, 0.7)), (text, other)
 
 
-@pytest.mark.parametrize("name", THREE_PHASE)
+@each
 def test_keys_stay_in_the_figure_and_names_of_axes_off_each_other(name):
     env, _ = make(name, regulators="agent", capacitor_banks="agent")
     figure = env._viewer._figure

@@ -294,13 +294,12 @@ def test_neither_the_settings_of_the_user_nor_the_drawing_touch_each_other():
 
 def test_no_figure_is_left_behind():
     for mode in ("rgb_array", "human"):
-        for _ in range(2):
-            env = make(render_mode=mode)
-            run(env, 1)
-            env.render()
-            env.reset()
-            env.render()
-            env.close()
+        env = make(render_mode=mode)
+        run(env, 1)
+        env.render()
+        env.reset()
+        env.render()
+        env.close()
     assert pyplot.get_fignums() == []
 
 

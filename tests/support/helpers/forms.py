@@ -1,11 +1,19 @@
 """The forms that a scenario takes: what code that must run on any scenario is tried on."""
 
-from dcgrid_env import CostWeights, PrefillDecodeDvfs, make_scenario
+import pytest
+
+from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario
 
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 """Presets of every form on a balanced feeder: a scripted trace, drawn buses, given buses, PV, faults."""
 WORK_CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"}
 """Overrides that give data centres two classes of work, and draws above the rating."""
+KINDS = (
+    "toy6", "ieee123", "mixed", "fault", "ieee34-3ph", "ieee33-weak-ups", "routing", "ride-through", "smoothing",
+    "zero-shot",
+)  # fmt: skip
+"""Presets that have all code between them: the balanced forms, three phases, every kind of device and channel, random
+feeders. What one of the others runs, one of these runs too."""
 VARIANTS = {
     "toy6": ("toy6", {"horizon": 25}),
     "placed at random": ("ieee123", {"horizon": 20}),
@@ -26,6 +34,11 @@ VARIANTS = {
     "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
 }
 """By name a preset and overrides, short, so that every option that changes what is computed comes up."""
+
+
+def each_preset(quick=KINDS, left_out=()):
+    """Presets to run a test on, those that are not ``quick`` among the slow tests."""
+    return [p if p in quick else pytest.param(p, marks=pytest.mark.slow) for p in PRESETS if p not in left_out]
 
 
 def variant_of(name, split="test"):
