@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env import Scenario, make_scenario
-from dcgrid_env.agents import Policy, evaluate, guarded
+from dcgrid_env.agents import GuardedPolicy, Policy, evaluate, guarded
 from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.agents.policy.unseen import on_purpose
@@ -98,7 +98,7 @@ def _cell(policy: str, scenario: Scenario, seeds: range, droop: float, possible:
             if not error.refuses:
                 raise
             return Cell(None, None, 0.0)
-        if not isinstance(controller, Policy):
+        if isinstance(controller, GuardedPolicy):
             law_pct = float(np.mean([own["guard_law_pct"] for own in controller.episode_figures()]))
     return Cell(found[0], found[1], law_pct)
 

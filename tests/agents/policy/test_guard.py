@@ -88,6 +88,7 @@ def test_in_new_places_the_deviation_is_bounded(toy6, monkeypatch):
 def test_in_new_places_the_gain_stays_below_the_bound(monkeypatch):
     scenario = make_scenario("ieee33", split="validation", horizon=4)
     own = guarded("ieee33-weak-analytic")
+    assert isinstance(own, GuardedPolicy)
     rollout(scenario, own, [0])
     assert own.episode_figures()[0]["guard_new_places_pct"] == 100.0
     joint = np.zeros((1, len(own._v_step)), np.float32)
@@ -160,6 +161,7 @@ def test_without_a_card_the_moments_stand_for_the_range(toy6):
     policy = constant(0.3)
     assert card_of(policy) is None
     own = guarded(policy)
+    assert isinstance(own, GuardedPolicy)
     courses(toy6, own)
     assert own._ranges["inverter"].high == (3e3,) * 7
     bare = Policy({"datacenter": Network([(np.zeros((9, 2)), [1.0, 0.3])]), "inverter": policy.networks["inverter"]})

@@ -6,7 +6,7 @@ import pytest
 from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.agents import ModelAidedPolicy, Network, Policy, PolicyError, evaluate, find_controller, guarded
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS
-from dcgrid_env.agents.policy.trial_guard import pays
+from dcgrid_env.agents.policy.trial_guard import TriedPolicy, pays
 from dcgrid_env.baselines import Droop, ModelAided, rollout
 
 
@@ -114,5 +114,6 @@ def test_it_takes_no_other_law_and_is_found_by_name():
         guarded(giving(*HARMFUL), Droop())
     scenario = make_scenario("das69")
     found = find_controller("guarded:carry-over", scenario)
+    assert isinstance(found, TriedPolicy)
     assert found.policy.sha256 == Policy.load("carry-over").sha256
     assert found.scope == "model-aided"
