@@ -215,9 +215,9 @@ def _on_a_node() -> Callable[..., Any]:
     def unit(pickled: bytes, values: list[Any], expected: dict[str, str | None], words: tuple[str, ...]) -> Any:
         import os
         import pickle
+        from importlib import import_module
 
-        import ray
-
+        ray = import_module("ray")
         os.environ.update(dict.fromkeys(threads, "1"))
         if os.environ.get("DCGRID_CODE_SEEN") != str(expected):  # once in a process: a node may have joined just now
             if (has := installed(same)) != expected:
