@@ -39,7 +39,9 @@ class DcgridTensorEnv(EnvBase):
         self.group_map, self._columns, self._bounds, cuts = {}, {}, {}, [0, 0]
         spaces = dcgrid_env.parallel_env(self.grid.scenario)
         for agent in spaces.possible_agents:
-            kind = next(kind for kind, prefix in KINDS.items() if agent.startswith(prefix))
+            kind = next((kind for kind, prefix in KINDS.items() if agent.startswith(prefix)), None)
+            if kind is None:
+                raise ValueError(f"agent {agent} is neither data centre nor inverter; add its kind to KINDS")
             seen, acted = spaces.observation_space(agent), spaces.action_space(agent)
             self.group_map.setdefault(kind, []).append(agent)
             own = self._columns.setdefault(kind, ([], []))
@@ -70,7 +72,7 @@ class DcgridTensorEnv(EnvBase):
         self.reward_spec, self.done_spec = Composite(paid, shape=(lanes,)), Composite(ends, shape=(lanes,))
 
     def _set_seed(self, seed):
-        self._next_seed = seed
+        self._next_seed = seed or 0
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_) -> TensorDictBase:
         lanes = self.batch_size[0]
