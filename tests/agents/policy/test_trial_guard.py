@@ -5,6 +5,7 @@ import pytest
 
 from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.agents import ModelAidedPolicy, Network, Policy, PolicyError, evaluate, find_controller, guarded
+from dcgrid_env.agents.policy import trial_guard
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy, pays
 from dcgrid_env.baselines import Droop, ModelAided, rollout
@@ -39,7 +40,7 @@ def test_on_random_feeders_it_is_tried_on_each():
 
 
 def test_what_pays_in_the_trial_acts_as_it_would_alone(monkeypatch):
-    monkeypatch.setattr("dcgrid_env.agents.policy.trial_guard.pays", lambda policy, scenario, places: places[:, 0] >= 0)
+    monkeypatch.setattr(trial_guard, "pays", lambda policy, scenario, places: places[:, 0] >= 0)
     scenario = make_scenario("das69", split="validation", horizon=10)
     own, alone = guarded(giving(*HARMFUL)), rollout(scenario, giving(*HARMFUL), range(2)).costs()
     np.testing.assert_array_equal(rollout(scenario, own, range(2)).costs(), alone)
@@ -53,7 +54,7 @@ def test_each_placement_has_its_own_verdict(monkeypatch):
         verdicts.append(np.arange(len(places)) % 2 == 0)
         return verdicts[-1]
 
-    monkeypatch.setattr("dcgrid_env.agents.policy.trial_guard.pays", every_other)
+    monkeypatch.setattr(trial_guard, "pays", every_other)
     scenario = make_scenario("fault", split="validation", horizon=4)
     own = guarded(giving(*HARMFUL))
     costs = rollout(scenario, own, range(4)).costs()
@@ -67,15 +68,13 @@ def test_a_trial_weighs_policy_and_law_in_the_same_episodes_of_the_training_spli
     scenario = make_scenario("das69", split="validation", horizon=10)
     assert not pays(giving(0.0, 0.0, 0.0), scenario, place_of(scenario)).any()  # the law itself costs no less
     split = []
-    import dcgrid_env.agents.policy.trial_guard as module
-
-    own = module.transitions
+    own = trial_guard.transitions
 
     def watched(trial, driver, seeds, name, options):
         split.append((trial.split, seeds, options["buses"].shape[0], driver.corrects.sum()))
         return own(trial, driver, seeds, name, options)
 
-    monkeypatch.setattr(module, "transitions", watched)
+    monkeypatch.setattr(trial_guard, "transitions", watched)
     pays(giving(*HARMFUL), scenario, place_of(scenario))
     assert split == [("train", [0, 1, 2, 3] * 2, 8, 4)]
 
