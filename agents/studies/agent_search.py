@@ -3,29 +3,39 @@
 Optuna (T. Akiba et al., "Optuna: a next-generation hyperparameter optimization framework", arXiv 1907.10902) suggests
 settings by its tree-structured Parzen estimator; a trial is a training, whose validations are reported to the median
 pruner, which stops it where it lags behind the trials before. The first trial has the settings that a training begins
-with anyway, so that what is found is no worse on these episodes. A trial's suggestions depend on the search's seed, its
-own number and the trials before it alone: the same search gives the same trials, in one go or in several, as far as the
-trainings are the same to the last bit.
+with anyway, so that what is found is no worse on these episodes. Trials are suggested in batches, whose trainings are
+units of work. A trial's suggestions, and where it is stopped, depend on the search's seed, its own number and the
+batches before alone: the same search gives the same trials, in one go or in several, on one core or on many machines,
+as far as the trainings are the same to the last bit.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
+import io
+import json
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.studies.search_spaces import SPACES, Range, within
-from dcgrid_env.core.files import new_folder
+from dcgrid_env.agents.studies.training_units import train_all
+from dcgrid_env.core.files import new_folder, write_json
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.unit import GOES_ON, Place
 
 JOURNAL = "journal.log"
-"""File of the trials, to which each is added as it goes."""
-SECONDS = "seconds"
-"""Attribute of a trial: how long it took."""
+"""File of the trials, to which each is added when it has ended."""
+TRIAL = "trial.json"
+"""File in the folder of a trial's training: its costs on validation, whether it was stopped, and how long it took."""
+NUMBER, SECONDS = "number", "seconds"
+"""Attributes of a trial: its place in the order of suggestions, and how long it took."""
 NO_SETTINGS = (
     "scenario", "set", "seed", "out", "resume", "threads", "device", "validation_episodes", "checkpoint_every",
 )  # fmt: skip
@@ -49,6 +59,8 @@ def search(
     folder: Path,
     fixed: Collection[str] = (),
     on_trial: Callable[[Any], None] = lambda trial: None,
+    batch: int = 1,
+    place: Place = ONE_PROCESS,
 ) -> Any:
     """Add trials to a search until it has so many; the optuna study.
 
@@ -66,27 +78,32 @@ def search(
         Fields that stay as they are in ``base``, beside those that have no space in ``SPACES``.
     on_trial
         Called after each trial with it.
+    batch
+        Trials that are suggested together, none of which knows what the others of them found. So many can be trained at
+        once; what is found depends on it, and not on where and in which order they are trained.
+    place
+        Where they are trained.
 
     Raises
     ------
     ValueError
-        For an algorithm without a space, a folder with the journal of another search, or where optuna is missing.
+        For an algorithm without a space, a folder with the journal of another search, where optuna is missing, or for
+        trials that cannot be done: when the others of their batch are.
     """
     optuna = require_optuna()
     algorithm = base.algorithm()
     if algorithm not in SPACES:
         raise ValueError(f"algorithm is {algorithm!r}; there are spaces for {', '.join(SPACES)}")
     space = {name: own for name, own in SPACES[algorithm].items() if name not in fixed}
-    about = {**dataclasses.asdict(base), "seed of the search": seed}
+    about = {**dataclasses.asdict(base), "seed of the search": seed, "batch": batch}
     about = {name: str(value) for name, value in about.items() if name not in ("out", "resume", *space)}
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with new_folder(folder):
         backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL))
         study = optuna.create_study(
-            storage=optuna.storages.JournalStorage(backend), study_name=algorithm, load_if_exists=True,
-            pruner=optuna.pruners.MedianPruner(STARTUP_TRIALS, WARMUP_VALIDATIONS),
-        )  # fmt: skip
-        before = study.user_attrs.get("about", about)
+            storage=optuna.storages.JournalStorage(backend), study_name=algorithm, load_if_exists=True
+        )
+        before = {"batch": "1"} | study.user_attrs.get("about", about)  # journals of earlier versions do not say
         if before != about:
             field = next(name for name in about if before.get(name) != about[name])
             raise ValueError(
@@ -95,53 +112,128 @@ def search(
             )
         study.set_user_attr("about", about)
         begin = {name: getattr(base, name) for name, own in space.items() if within(own, getattr(base, name))}
-        for number in range(len(ended(study)), trials):
-            study.sampler = optuna.samplers.TPESampler(n_startup_trials=STARTUP_TRIALS, seed=1000 * seed + number)
-            if number == 0 and not any(trial.state.name == "WAITING" for trial in study.trials):
-                study.enqueue_trial(begin)
-            place = folder / f"trial-{number:03d}"
-            study.optimize(lambda trial, place=place: _cost(trial, base, space, place, optuna), n_trials=1)
-            on_trial(ended(study)[-1])
+        for first in range(0, trials, batch):
+            earlier = [trial for trial in ended(study) if number_of(trial) < first]
+            done = {number_of(trial) for trial in ended(study)}
+            suggested = _suggestions(earlier, range(first, min(first + batch, trials)), space, begin, seed)
+            todo = {folder / f"trial-{number:03d}": number for number in suggested if number not in done}
+            configs = [dataclasses.replace(base, **suggested[todo[out]].params, out=out) for out in todo]
+            lost: dict[int, str] = {}
+            for config, failure in train_all(configs, place, partial(train_trial, earlier=earlier)):
+                number = todo[config.out]
+                if failure is not None:
+                    lost[number] = failure
+                    continue
+                study.add_trial(_result(suggested[number], number, config.out))
+                on_trial(next(trial for trial in ended(study) if number_of(trial) == number))
+            if lost:
+                said = "; ".join(f"trial {number}: {lost[number]}" for number in sorted(lost))
+                raise ValueError(f"{len(lost)} of {len(todo)} trainings failed: {said}; {GOES_ON}")
     return study
 
 
 def ended(study: Any) -> list[Any]:
-    """Trials that came to an end, or were stopped by the pruner; one that was interrupted is done again."""
-    return [trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
+    """Trials that came to an end, or were stopped by the pruner, in their order; one that was interrupted is not."""
+    return sorted((trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")), key=number_of)
 
 
-def _cost(trial: Any, base: Any, space: Mapping[str, Any], folder: Path, optuna: Any) -> float:
-    """Train with the settings that are suggested; the best cost on validation."""
+def number_of(trial: Any) -> int:
+    """The number of a trial in the order in which they are suggested, which is not that in which they end."""
+    return trial.user_attrs.get(NUMBER, trial.number)
+
+
+def _suggestions(
+    earlier: Sequence[Any], numbers: Iterable[int], space: Mapping[str, Any], begin: Mapping[str, Any], seed: int
+) -> dict[int, Any]:
+    """The trials of a batch by their numbers, suggested by what the earlier batches found and by their own seeds."""
+    optuna = require_optuna()
+    study = optuna.create_study()
+    study.add_trials(earlier)
+    found = {}
+    for number in numbers:
+        study.sampler = optuna.samplers.TPESampler(n_startup_trials=STARTUP_TRIALS, seed=1000 * seed + number)
+        if number == 0:
+            study.enqueue_trial(begin)
+        trial = found[number] = study.ask()
+        for name, own in space.items():
+            _suggest(trial, name, own)
+    return found
+
+
+def _result(trial: Any, number: int, folder: Path) -> Any:
+    """A trial that has ended, as its training's folder tells."""
+    optuna = require_optuna()
+    about = json.loads((folder / TRIAL).read_text(encoding="utf-8"))
+    validations = dict(enumerate(about["validations"].values(), start=1))
+    states = optuna.trial.TrialState
+    value = validations[max(validations)] if validations else None
+    return optuna.trial.create_trial(
+        state=states.PRUNED if about["stopped"] else states.COMPLETE,
+        value=value if about["stopped"] else Card.load(folder / "policy.json").validation_J,
+        params=trial.params, distributions=trial.distributions, intermediate_values=validations,
+        user_attrs={NUMBER: number, SECONDS: about["seconds"]},
+    )  # fmt: skip
+
+
+def train_trial(config: Any, earlier: Sequence[Any]) -> None:
+    """Train with the settings of a trial until it ends, or lags behind the earlier trials; its folder tells which.
+
+    Parameters
+    ----------
+    config
+        Configuration of the training, with its folder, in which it goes on where it stopped.
+    earlier
+        The trials that it is held against.
+    """
     from dcgrid_env.agents.training.run_folder import TrainingError, watched
 
-    chosen = {name: _suggested(trial, name, own) for name, own in space.items()}
-    config = dataclasses.replace(base, **chosen, out=folder, resume=folder.exists())
-    validations = 0
+    path, began_s = config.out / TRIAL, time.perf_counter()
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"validations": {}, "seconds": 0.0}
+    costs = {int(step): cost for step, cost in before["validations"].items()}
+
+    def keep(stopped: bool) -> None:
+        spent_s = before["seconds"] + time.perf_counter() - began_s
+        write_json(path, {"validations": costs, "stopped": stopped, "seconds": spent_s})
 
     def report(figures: Mapping[str, float]) -> None:
-        nonlocal validations
-        validations += 1
-        trial.report(figures["J"], validations)
-        if trial.should_prune():
-            raise optuna.TrialPruned
+        nonlocal costs
+        step = int(figures["step"])
+        costs = {at: cost for at, cost in costs.items() if at < step} | {step: figures["J"]}
+        keep(stopped=False)
+        if _lags(list(costs.values()), earlier):
+            raise _Stopped
 
-    began_s = time.perf_counter()
     try:
-        with watched(report):
-            importlib.import_module(type(config).__module__).main(config)
-    except TrainingError:  # it diverged: no cost, and nothing to stop the search for
-        raise optuna.TrialPruned from None
-    finally:
-        trial.set_user_attr(SECONDS, time.perf_counter() - began_s)
-    cost = Card.load(folder / "policy.json").validation_J
-    assert cost is not None
-    return cost
+        with watched(report), contextlib.redirect_stdout(io.StringIO()):
+            begun = (config.out / "config.json").exists()
+            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=begun))
+    except (TrainingError, _Stopped):  # one that diverged has no cost, and is nothing to stop the search for
+        keep(stopped=True)
+    else:
+        keep(stopped=False)
 
 
-def _suggested(trial: Any, name: str, space: Any) -> Any:
+class _Stopped(Exception):
+    """Ends a training that lags behind."""
+
+
+def _lags(costs: Sequence[float], earlier: Sequence[Any]) -> bool:
+    """Whether the median pruner stops a trial with these costs on validation so far."""
+    optuna = require_optuna()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(pruner=optuna.pruners.MedianPruner(STARTUP_TRIALS, WARMUP_VALIDATIONS))
+    study.add_trials(earlier)
+    trial = study.ask()
+    for i, cost in enumerate(costs, start=1):
+        trial.report(cost, i)
+    return trial.should_prune()
+
+
+def _suggest(trial: Any, name: str, space: Any) -> None:
     if isinstance(space, Range):
-        return trial.suggest_float(name, space.low, space.high, log=space.log)
-    return trial.suggest_categorical(name, space.values)
+        trial.suggest_float(name, space.low, space.high, log=space.log)
+    else:
+        trial.suggest_categorical(name, space.values)
 
 
 def seconds(study: Any) -> float:

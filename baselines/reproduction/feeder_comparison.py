@@ -11,9 +11,11 @@ from dcgrid_env.baselines.reproduction.drawing import LABELS
 from dcgrid_env.baselines.reproduction.feeder_cases import cases, setting_of
 from dcgrid_env.baselines.reproduction.paper import COUNTS, K_P_MW_PER_PU
 from dcgrid_env.baselines.reproduction.ranking import Rows, agreement
-from dcgrid_env.baselines.reproduction.study import study
+from dcgrid_env.baselines.reproduction.study import studies
 from dcgrid_env.baselines.reproduction.study_runs import Law, Run, Runs, Setting
 from dcgrid_env.baselines.reproduction.table1 import LAWS
+from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.unit import Place
 
 Records = dict[str, Any]
 PARTS = ("table_one", "stability", "comparison", "gains", "inverters", "bus_thirteen", "intervals")
@@ -28,7 +30,9 @@ RANKED = {"deviation": "voltage_deviation_mean_pu", "J": "J"}
 """What rows are ranked by, and the metric."""
 
 
-def compare_feeders(setting: Setting, on_part: Callable[[str], None] | None = None) -> Records:
+def compare_feeders(
+    setting: Setting, on_part: Callable[[str], None] = lambda part: None, place: Place = ONE_PROCESS
+) -> Records:
     """Run the study on every form of the feeder with the same load, gains and episodes.
 
     Parameters
@@ -36,7 +40,9 @@ def compare_feeders(setting: Setting, on_part: Callable[[str], None] | None = No
     setting
         Load, number of episodes and placement; the feeder is each form's.
     on_part
-        Called with what is done next, ``len(PARTS)`` times for each form.
+        Called with what is done, ``len(PARTS)`` times for each form.
+    place
+        Where the parts are run.
 
     Returns
     -------
@@ -46,14 +52,8 @@ def compare_feeders(setting: Setting, on_part: Callable[[str], None] | None = No
     """
     forms = cases()
     runs = {name: Runs(setting_of(case, setting)) for name, case in forms.items()}
-    found: dict[str, Records] = {}
-    for name, case in forms.items():
-
-        def begin(part: str, label: str = case.label) -> None:
-            if on_part is not None:
-                on_part(f"{label}: {part.replace('_', ' ')}")
-
-        found[name] = {"label": case.label, "about": case.about} | study(runs[name], begin, PARTS)
+    done = studies(runs, PARTS, lambda name, part: on_part(f"{forms[name].label}: {part.replace('_', ' ')}"), place)
+    found = {name: {"label": case.label, "about": case.about} | done[name] for name, case in forms.items()}
     return {
         "setting": found["balanced"]["setting"],
         "cases": found,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from dcgrid_env import Scenario, Series, make_scenario
+from dcgrid_env import Scenario, Series, make_scenario, scenario_hash
 from dcgrid_env.baselines import Controller, Droop, NoControl, rollout
 from dcgrid_env.baselines.laws.droop import Memory
 from dcgrid_env.baselines.reproduction.load import Load
@@ -122,20 +123,27 @@ class Runs:
 
     def __init__(self, setting: Setting):
         self.setting = setting
-        self._runs: dict[tuple[Scenario, Law], Run] = {}
+        self.done: dict[tuple[str, Law], Run] = {}
+        """What has been computed, by the scenario's hash, which is the same in every process, and the law."""
 
     def of(self, scenario: Scenario, law: Law) -> Run:
         """The episodes of a scenario under a law."""
-        key = (scenario, law)
-        if key not in self._runs:
+        key = (_hash_of(scenario), law)
+        if key not in self.done:
             recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
             lanes = (recorder.lane(i) for i in range(self.setting.episodes))
-            self._runs[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
-        return self._runs[key]
+            self.done[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
+        return self.done[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
         """The course of one episode."""
         return rollout(scenario, law.controller(), [seed]).lane(0)
+
+
+@lru_cache(maxsize=1024)
+def _hash_of(scenario: Scenario) -> str:
+    """The hash of a scenario, which is asked for again with every figure of a run."""
+    return scenario_hash(scenario)
 
 
 def nodes_of(scenario: Scenario, bus: int | str) -> list[int]:

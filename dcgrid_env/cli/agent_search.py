@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import tyro
 
-from dcgrid_env.cli.command import GOES_ON, Command
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.names import one_scenario
 from dcgrid_env.cli.settings import alone_in, at_least
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 
 
 @dataclass(frozen=True)
-class TuneAgent(Command):
+class TuneAgent(OverWorkers):
     """Search over an algorithm's settings for a scenario, on the validation split, and print the best as TOML.
 
     Trials are kept in OUT: an interrupted search goes on where it was, and a larger --trials adds to it. What is
@@ -35,6 +34,9 @@ class TuneAgent(Command):
     """Fields of the algorithm's configuration for all trials, FIELD=VALUE, for instance --fixed steps=500000."""
     seed: int = 0
     """Seed of the search; the same one gives the same trials."""
+    batch: int = 1
+    """Trials that are suggested together and can be trained at once; what is found depends on it, and not on --workers
+    or --ray."""
     out: Path | None = None
     """Folder of the search; results/tune-agent/SCENARIO-ALGORITHM unless given."""
 
@@ -45,7 +47,15 @@ class TuneAgent(Command):
 
     def run(self) -> None:
         """Search, print each trial, then the best. ValueError for a setting that cannot be, before anything is done."""
-        from dcgrid_env.agents.studies.agent_search import SECONDS, best_as_toml, ended, require_optuna, search, seconds
+        from dcgrid_env.agents.studies.agent_search import (
+            SECONDS,
+            best_as_toml,
+            ended,
+            number_of,
+            require_optuna,
+            search,
+            seconds,
+        )
         from dcgrid_env.agents.studies.search_spaces import SPACES
         from dcgrid_env.cli.train import ALGORITHMS
 
@@ -53,10 +63,12 @@ class TuneAgent(Command):
         if self.algorithm not in SPACES:
             why = ", which has no search space" if self.algorithm in ALGORITHMS else ""
             raise ValueError(f"algorithm is {self.algorithm!r}{why}; there are spaces for {', '.join(SPACES)}")
-        at_least(self, trials=1, seed=0)
+        at_least(self, trials=1, seed=0, batch=1)
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
-        console = plain_console()
+        place, console = self.place, plain_console()
+        if self.batch < min(self.trials, place.workers) and (self.workers or self.ray):
+            say(console, f"trainings at once: {self.batch} of {place.workers}, as many as a batch has (--batch)")
 
         def shown(trial: Any) -> None:
             cost = "stopped" if trial.state.name == "PRUNED" else f"J {trial.value:.4f}"
@@ -64,18 +76,17 @@ class TuneAgent(Command):
                 f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
                 for name, value in trial.params.items()
             )
-            say(console, f"{trial.number}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {own}")
+            say(console, f"{number_of(trial)}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {own}")
 
-        silent = contextlib.redirect_stdout(io.StringIO())  # what each training says
-        with alone_in(folder, "dcgrid dev tune-agent"), silent:
-            study = search(base, self.trials, self.seed, folder, self._given(), shown)
+        with alone_in(folder, "dcgrid dev tune-agent"):
+            study = search(base, self.trials, self.seed, folder, self._given(), shown, self.batch, place)
         trials = ended(study)
         stopped = sum(trial.state.name == "PRUNED" for trial in trials)
         if len(trials) == stopped:
             raise ValueError(f"all {stopped} trials were stopped or diverged; look at {folder}")
         say(
             console,
-            f"best: trial {study.best_trial.number}, J {study.best_value:.4f} on validation; {len(trials)} trials, "
+            f"best: trial {number_of(study.best_trial)}, J {study.best_value:.4f} on validation; {len(trials)} trials, "
             f"{stopped} of them stopped, {seconds(study):.0f} s of training",
         )
         print(best_as_toml(study, base))

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from dcgrid_env.baselines.reproduction.study_runs import Setting
+    from dcgrid_env.core.work.unit import Place
 
 
 @dataclass(frozen=True)
-class Reproduce(Command):
+class Reproduce(OverWorkers):
     """Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).
 
     Its tables, figures and claims are shown beside what comes out here. With the recorded load a run takes about half
@@ -54,10 +55,10 @@ class Reproduce(Command):
         check_scenario(self.scenario)
         setting = Setting(choose_load(self.trace), self.episodes, self.placement)
         about: dict[str, Any] = {"meta": meta() | {"trace": _origin(setting)}}
+        place, console = self.place, plain_console()
         check_folder(self.out)
-        console = plain_console()
         name, make = ("reproduction-3ph", _compared) if self.scenario == TRUE else ("reproduction", _study)
-        records, render = make(setting, self.out, console)
+        records, render = make(setting, self.out, console, place)
         records = about | records
         write_json(self.out / f"{name}.json", records)
         write_text(self.out / f"{name}.md", render(records))
@@ -68,7 +69,7 @@ Rendered = tuple[dict[str, Any], Callable[[dict[str, Any]], str]]
 """Records of a study, and what makes Markdown of them."""
 
 
-def _study(setting: Setting, out: Path, console: Console) -> Rendered:
+def _study(setting: Setting, out: Path, console: Console, place: Place) -> Rendered:
     """The study on the balanced equivalent, with its figures."""
     from dcgrid_env.baselines.reproduction.markdown import render
     from dcgrid_env.baselines.reproduction.paper_figures import draw_all
@@ -76,22 +77,22 @@ def _study(setting: Setting, out: Path, console: Console) -> Rendered:
     from dcgrid_env.baselines.reproduction.study_runs import Runs
 
     runs, head = Runs(setting), ("claim", "paper", "ours", "verdict")
-    with _steps(console, len(PARTS) + 1) as begin:
-        records = study(runs, lambda part: begin(part.replace("_", " ")))
-        begin("figures")
+    with _steps(console, len(PARTS) + 1) as done:
+        records = study(runs, lambda part: done(part.replace("_", " ")), place)
         records["figures"] = draw_all(runs, out)
+        done("figures")
     _print_rows(console, head, [[row[key] for key in head] for row in records["claims"]])
     return records, render
 
 
-def _compared(setting: Setting, out: Path, console: Console) -> Rendered:
+def _compared(setting: Setting, out: Path, console: Console, place: Place) -> Rendered:
     """The study on the feeder with its phases beside that on the balanced equivalent."""
     from dcgrid_env.baselines.reproduction import feeder_comparison_markdown as written
     from dcgrid_env.baselines.reproduction.feeder_cases import cases
     from dcgrid_env.baselines.reproduction.feeder_comparison import PARTS, compare_feeders
 
-    with _steps(console, len(PARTS) * len(cases())) as begin:
-        records = compare_feeders(setting, begin)
+    with _steps(console, len(PARTS) * len(cases())) as done:
+        records = compare_feeders(setting, done, place)
     shown = {written.causes_table: 6, written.table_one_table: 6, written.orders_table: 7, written.claims_table: 6}
     for make, n in shown.items():
         head, rows = make(records)
@@ -101,18 +102,10 @@ def _compared(setting: Setting, out: Path, console: Console) -> Rendered:
 
 @contextmanager
 def _steps(console: Console, total: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar; what it gives is called with a name before each step."""
+    """A progress bar; what it gives is called with the name of each step that is done."""
     with progress_bar(console) as progress:
         bar = progress.add_task("", total=total)
-        begun = 0
-
-        def begin(step: str) -> None:
-            nonlocal begun
-            progress.update(bar, completed=begun, description=step)
-            begun += 1
-
-        yield begin
-        progress.update(bar, completed=total)
+        yield lambda step: progress.update(bar, advance=1, description=step)
 
 
 def _print_rows(console: Console, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

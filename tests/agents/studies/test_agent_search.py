@@ -1,6 +1,7 @@
 """The search over an algorithm's settings: its spaces, that it goes on and is the same again, and what it prints."""
 
 import dataclasses
+import json
 import tomllib
 
 import pytest
@@ -13,9 +14,11 @@ from dcgrid_env.agents.training import run_folder
 from dcgrid_env.agents.training.preset_settings import PATH
 from dcgrid_env.cli.main import main
 from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.core.work.here import Here
+from dcgrid_env.core.work.unit import Lost
 
 pytest.importorskip("optuna")
-from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, search
+from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, number_of, search, train_trial
 
 
 @pytest.mark.parametrize("algorithm", SPACES)
@@ -38,9 +41,9 @@ def trained(monkeypatch):
     def fake(cfg):
         done.append(cfg)
         cost = abs(cfg.learning_rate - 0.02)
-        for left in (0.2, 0.1, 0.0):
+        for step, left in enumerate((0.2, 0.1, 0.0)):
             for watcher in tuple(run_folder._watchers):
-                watcher({"J": 1.0 + cost * (1.0 + left)})
+                watcher({"step": 10 * step, "J": 1.0 + cost * (1.0 + left)})
         Card("0", 1, "0" * 64, validation_J=1.0 + cost).save(cfg.out / "policy.json")
         return cfg.out
 
@@ -62,6 +65,61 @@ def test_a_search_is_the_same_again_and_in_parts(tmp_path, trained):
     assert other.trials[1].params != whole.trials[1].params
     with pytest.raises(ValueError, match=r"journal.log: seed of the search was 5 and is 6 now"):
         search(base, 9, 6, tmp_path / "parts", ("max_grad_norm",))
+
+
+def test_a_batch_is_the_same_wherever_and_in_which_order_its_trials_are_trained(tmp_path, trained):
+    base = Analytic(scenario="toy6")
+    whole = search(base, 8, 5, tmp_path / "whole", batch=3)
+    assert [trial.number for trial in ended(whole)] == list(range(8))
+    other = search(base, 8, 5, tmp_path / "other", batch=3, place=Backwards())
+    assert [trial.number for trial in ended(other)] == [2, 1, 0, 5, 4, 3, 7, 6]
+    for a, b in zip(ended(whole), ended(other), strict=True):
+        for what in ("params", "value", "state", "intermediate_values"):
+            assert getattr(a, what) == getattr(b, what)
+        assert number_of(a) == number_of(b)
+    assert len({tuple(trial.params.items()) for trial in ended(whole)}) == 8
+    with pytest.raises(ValueError, match=r"journal.log: batch was 3 and is 1 now"):
+        search(base, 9, 5, tmp_path / "whole")
+
+
+def test_a_training_that_fails_is_named_and_the_others_are_kept(tmp_path, trained):
+    base = Analytic(scenario="toy6")
+    with pytest.raises(ValueError, match=r"1 of 3 trainings failed: trial 1: its machine is gone; the same command"):
+        search(base, 3, 5, tmp_path / "run", batch=3, place=Without(key="trial-001"))
+    again = search(base, 3, 5, tmp_path / "run", batch=3)
+    assert [number_of(trial) for trial in ended(again)] == [0, 1, 2]
+    assert [trial.number for trial in ended(again)] == [0, 2, 1]
+    assert len(trained) == 3
+
+
+def test_a_training_that_goes_on_counts_its_earlier_validations(tmp_path, trained):
+    out = tmp_path / "trial-000"
+    train_trial(Analytic(scenario="toy6", out=out), [])
+    first = json.loads((out / "trial.json").read_text())
+    assert list(first["validations"]) == ["0", "10", "20"]
+    (out / "trial.json").write_text(json.dumps(first | {"validations": {"-10": 9.0, "0": 8.0, "10": 7.0}}))
+    train_trial(Analytic(scenario="toy6", out=out), [])
+    assert list(json.loads((out / "trial.json").read_text())["validations"]) == ["-10", "0", "10", "20"]
+
+
+class Backwards(Here):
+    """Units one after the other, the last one first."""
+
+    def run(self, units, shared=None):
+        return super().run(units[::-1], shared)
+
+
+@dataclasses.dataclass(frozen=True)
+class Without(Here):
+    """A place on which one unit has no result."""
+
+    key: str = ""
+
+    def run(self, units, shared=None):
+        for unit in units:
+            if unit.key.endswith(self.key):
+                yield unit, Lost("its machine is gone")
+        yield from super().run([unit for unit in units if not unit.key.endswith(self.key)], shared)
 
 
 def test_it_finds_what_is_better_and_stops_what_is_not(tmp_path, trained):

@@ -130,7 +130,7 @@ def test_a_training_over_seeds_survives_a_killed_node(here, cluster):
     cluster.add_node()
 
 
-def test_tuning_hindsight_capacity_and_unseen_feeders_come_to_the_same(here, cluster):
+def test_tuning_hindsight_capacity_studies_and_searches_come_to_the_same(here, cluster):
     (here / "mine.toml").write_text(make_scenario("toy6", horizon=12).replace(name="mine").to_toml())
     few = ("--scenarios", "mine.toml", "--episodes", "2")
     site = ("--scenario", "mine.toml", "--samples", "2", "--window-s", "10", "--settle-s", "4", "--max-mw", "4")
@@ -139,6 +139,7 @@ def test_tuning_hindsight_capacity_and_unseen_feeders_come_to_the_same(here, clu
         "mine.json": ("dev", "hindsight", *few, "--out", "{}"),
         "capacity.csv": ("capacity", *site, "--controllers", "none,droop-tuned", "--out", "{}"),
         "unseen-feeders.md": ("dev", "unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--out", "{}"),
+        "reproduction.json": ("reproduce", "--episodes", "2", "--trace", "generated", "--out", "{}"),
     }
     for words in commands.values():
         for out, where in (("local", ("--workers", "1")), ("ray", ("--ray", cluster.address))):
@@ -147,11 +148,28 @@ def test_tuning_hindsight_capacity_and_unseen_feeders_come_to_the_same(here, clu
     for name in commands:
         local, ray = ((here / out / name).read_text() for out in ("local", "ray"))
         if name.endswith(".json"):
-            local, ray = (json.loads(text)["laws" if name == "tuned.json" else "episodes"] for text in (local, ray))
+            part = {"tuned.json": "laws", "reproduction.json": "claims"}.get(name, "episodes")
+            local, ray = (json.loads(text)[part] for text in (local, ray))
         if name.endswith(".md"):
             local, ray = ([line for line in text.splitlines() if "dcgrid dev" not in line] for text in (local, ray))
         assert local == ray
         assert local
+
+
+def test_a_search_over_settings_finds_the_same(here, cluster):
+    pytest.importorskip("optuna", reason="the extra search is not installed")
+    words = ["dev", "tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--batch", "2"]
+    words += ["--fixed", "updates=4", "validation_episodes=2", "hidden=[4]", "window=20", "num_envs=4"]
+    assert ended(begun(*words, "--workers", "1", "--out", "local"))[0] == 0
+    code, said = ended(begun(*words, "--ray", cluster.address, "--out", "ray"))
+    assert code == 0, said
+    assert "best: trial" in said
+    for number in range(3):
+        local, ray = (here / out / f"trial-{number:03d}" for out in ("local", "ray"))
+        assert (local / "policy.safetensors").read_bytes() == (ray / "policy.safetensors").read_bytes()
+        a, b = (json.loads((folder / "trial.json").read_text()) for folder in (local, ray))
+        assert a["validations"] == b["validations"]
+        assert not a["stopped"]
 
 
 UNITS = """
