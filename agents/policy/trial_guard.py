@@ -58,8 +58,14 @@ class TriedPolicy:
             self._try(np.array([[self.scenario.feeder.index(bus) for buses in fixed for bus in buses or ()]]))
 
     def place(self, buses: np.ndarray) -> None:
-        """Try the policy at these places, positions in ``bus_ids`` of the agents' buses, (lane, n_agent)."""
-        self._try(np.asarray(buses)[:, self._equipment.is_other])
+        """Try the policy at these places, positions in ``bus_ids`` of the agents' buses, (lane, n_agent).
+
+        PolicyError for places of another shape.
+        """
+        places, is_other = np.asarray(buses), self._equipment.is_other
+        if places.ndim != 2 or places.shape[1] != len(is_other):
+            raise PolicyError(f"guard: buses has shape {places.shape}; give (lane, {len(is_other)}), a place an agent")
+        self._try(places[:, is_other])
 
     def _try(self, own: np.ndarray) -> None:
         places, lane = np.unique(own, axis=0, return_inverse=True)
