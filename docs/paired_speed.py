@@ -5,6 +5,9 @@ environment with the other version. Rates are steps a second by the clock and by
 the median's; with --busy another process works beside them all the time. What was computed is compared at the end.
 
     python docs/paired_speed.py ../before/.venv/bin/python make_vec tensor --rounds 10 --busy
+    python docs/paired_speed.py --torch-threads 2 tensor tensor_gradient
+
+The second holds this version against itself with torch on two threads inside TensorEnv and its derivative too.
 """
 
 import argparse
@@ -12,6 +15,7 @@ import hashlib
 import statistics
 import subprocess
 import sys
+from contextlib import nullcontext
 from copy import copy
 from pathlib import Path
 from time import perf_counter, process_time
@@ -100,6 +104,16 @@ def tensor_gradient():
     return tensor(gradient=True)
 
 
+def tensor_4096():
+    """``tensor`` with 4,096 environments."""
+    return tensor(num_envs=4096)
+
+
+def tensor_4096_gradient():
+    """``tensor_4096`` with the derivative."""
+    return tensor(gradient=True, num_envs=4096)
+
+
 def analytic():
     """A block of training through the grid on ieee33-weak as ``dcgrid train analytic`` runs it: a whole batch."""
     import torch
@@ -117,11 +131,26 @@ def analytic():
     return block
 
 
-KINDS = {f.__name__: f for f in (make_vec, make, parallel_env, tensor, tensor_gradient, analytic)}
+KINDS = {
+    f.__name__: f
+    for f in (make_vec, make, parallel_env, tensor, tensor_gradient, tensor_4096, tensor_4096_gradient, analytic)
+}
 
 
-def serve(kind):
+def left_to_torch(threads):
+    """Have torch run on so many threads everywhere, TensorEnv's steps and their derivative among it."""
+    import torch
+
+    from dcgrid_env.core import torch_threads
+
+    torch.set_num_threads(threads)
+    torch_threads.one_torch_thread, torch_threads.rest_of_backward_on = nullcontext, lambda threads: None
+
+
+def serve(kind, torch_threads):
     """Run a block whenever a line comes in, and say what it did, how long it took, and what came out."""
+    if torch_threads:
+        left_to_torch(torch_threads)
     block = KINDS[kind]()
     block()
     print("ready", flush=True)
@@ -133,12 +162,12 @@ def serve(kind):
         print(steps / clock_s, steps / cpu_s, figures, flush=True)
 
 
-def measure(kind, interpreters, rounds):
-    """Blocks of each interpreter by turns: (rates by the clock, by processor time) of each, and whether bits agree."""
+def measure(kind, versions, rounds):
+    """Blocks of each version by turns: (rates by the clock, by processor time) of each, and whether bits agree."""
     command = [str(Path(__file__).resolve()), "--serve", kind]
     processes = [
-        subprocess.Popen([python, *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        for python in interpreters
+        subprocess.Popen([python, *command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for python, *options in versions
     ]
     try:
         for process in processes:
@@ -162,21 +191,30 @@ def main():
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("other", nargs="?", help="interpreter of an environment with the other version")
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], help="what to measure; all by default")
+    parser.add_argument("kinds", nargs="*", help=f"what to measure, of {', '.join(KINDS)}; all by default")
+    parser.add_argument("--torch-threads", type=int, help="hold this version against itself with so many of torch's")
     parser.add_argument("--rounds", type=int, default=10, help="blocks of each version")
     parser.add_argument("--busy", action="store_true", help="beside a process that keeps one core busy")
     parser.add_argument("--serve", choices=KINDS, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.serve:
-        serve(args.serve)
+        serve(args.serve, args.torch_threads)
         return
-    if args.other is None or args.rounds < 1:
-        parser.error("give the interpreter of the other version, and at least 1 round")
+    if args.torch_threads:
+        if args.other is not None:
+            args.kinds.insert(0, args.other)
+        other = [sys.executable, "--torch-threads", str(args.torch_threads)]
+    else:
+        other = [args.other]
+    if other == [None] or args.rounds < 1:
+        parser.error("give the interpreter of the other version, or --torch-threads, and at least 1 round")
+    if unknown := [kind for kind in args.kinds if kind not in KINDS]:
+        parser.error(f"{unknown[0]} is nothing to measure; give of {', '.join(KINDS)}")
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if args.busy else None
     print("| | steps/s before | now | times | median | by processor time | same bits |\n|---|---|---|---|---|---|---|")
     try:
         for kind in args.kinds or KINDS:
-            (before, now), same = measure(kind, [args.other, sys.executable], args.rounds)
+            (before, now), same = measure(kind, [other, [sys.executable]], args.rounds)
             best = [rates.max(axis=1) for rates in (before, now)]
             median = statistics.median(now[0]) / statistics.median(before[0])
             ratios = f"{best[1][0] / best[0][0]:.2f} | {median:.2f} | {best[1][1] / best[0][1]:.2f}"

@@ -9,7 +9,6 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -70,7 +69,7 @@ class Case:
 
 
 def power_flow_rows(case: Case, seconds: float) -> Iterator[Row]:
-    """The power flow alone: batches from a cold and a warm start, linearised, in torch; one feeder from Python."""
+    """The power flow alone: batches from a cold and a warm start, linearised; one feeder from Python."""
     n_feeders, loads, v0 = len(case.p_kw), (case.p_kw, case.q_kvar), case.v0_pu
     changed = case.changed()
 
@@ -86,12 +85,6 @@ def power_flow_rows(case: Case, seconds: float) -> Iterator[Row]:
     )
     name = f"lindistflow, {n_feeders} feeders (its error is the model's)"
     yield timed(name, case, lambda: lindistflow(case.feeder, *loads, v0))
-    if find_spec("torch") is not None:
-        import torch
-
-        p_kw, q_kvar = torch.tensor(case.p_kw), torch.tensor(case.q_kvar)
-        name = f"distflow, {n_feeders} feeders, cold start, torch tensors on the CPU"
-        yield timed(name, case, lambda: distflow(case.feeder, p_kw, q_kvar, v0))
     yield from _single_rows(case, changed, seconds)
 
 

@@ -1,9 +1,10 @@
 """How fast dcgrid is on this machine: ``python -m dcgrid_env.speed``.
 
 Steps of the environments with random actions drawn beforehand, resets included; batches of torch tensors on a device,
-with and without the derivative; the power flow alone, with its worst voltage error; the memory of a large batch; other
-libraries on the same feeder and loads. Every rate is the median of several blocks after a warm-up. ``--help`` lists the
-options. ``python -m dcgrid_env.speed sizes`` measures feeders of growing size instead, ``.. training`` a training.
+with and without the derivative, in float32 and float64; the power flow alone, with its worst voltage error, by arrays
+and by torch tensors on the device; the memory of a large batch; other libraries on the same feeder and loads. Every
+rate is the median of several blocks after a warm-up. ``--help`` lists the options. ``python -m dcgrid_env.speed sizes``
+measures feeders of growing size instead, ``.. training`` a training.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import platform
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from dcgrid_env.core.files import write_json
 from dcgrid_env.core.threads import n_threads
 from dcgrid_env.core.versions import meta, versions
 from dcgrid_env.scenario.presets import make_scenario
+from dcgrid_env.speed.device_power_flows import device_power_flow_rows
 from dcgrid_env.speed.environment_rates import environment_rows, memory_row, three_phase_environment_rows
 from dcgrid_env.speed.measuring import Row
 from dcgrid_env.speed.power_flow_rates import Case, power_flow_rows, reference_rows
@@ -65,6 +68,8 @@ def measure(cfg: Speed) -> Iterator[Row]:
     yield from power_flow_rows(case, cfg.seconds)
     three_phase = ThreePhaseCase.draw(cfg.feeders)
     yield from three_phase_rows(three_phase, cfg.seconds)
+    if find_spec("torch") is not None:
+        yield from device_power_flow_rows(case, three_phase, cfg.device, cfg.seconds)
     yield memory_row(cfg.scenario, cfg.memory_num_envs)
     if cfg.reference_solvers:
         yield from reference_rows(case, cfg.seconds)

@@ -1,6 +1,6 @@
 """How fast batches of torch tensors step, with and without the derivative: a part of ``python -m dcgrid_env.speed``.
 
-The first steps of episodes under random actions drawn beforehand, float32. Episodes are drawn once, and many
+The first steps of episodes under random actions drawn beforehand. Episodes are drawn once, and many
 environments are copies of a few, so that what is measured is the steps. With the derivative, their cost is
 differentiated by every action.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
+from functools import partial
 from importlib.util import find_spec
 
 from dcgrid_env.core.install import from_clone
@@ -20,6 +21,8 @@ from dcgrid_env.speed.measuring import Row, rate
 
 NUM_ENVS = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
 """Environments in the batches that are measured, by the kind of device."""
+PRECISIONS = ("float32", "float64")
+"""What tensors are measured in."""
 EPISODES = 256  # different ones in a batch
 WINDOW = 20  # steps in a call, and so those through which a derivative reaches back
 UNIT = "environment steps/s"
@@ -38,12 +41,15 @@ def tensor_rows(scenario: Scenario, device: str, seconds: float) -> Iterator[Row
 
 def _rows(scenario: Scenario, device: str, sizes: Iterable[int], seconds: float) -> Iterator[Row]:
     for num_envs in sizes:
-        for gradient in (False, True):
-            name = f"TensorEnv, {num_envs} environments, torch {device}" + (
-                f", gradient over {WINDOW} steps" if gradient else ""
-            )
-            per_s = _measured(scenario, device, num_envs, gradient, seconds)
-            yield Row(name, per_s, UNIT if per_s is not None else "does not fit into memory")
+        for precision in PRECISIONS:
+            for gradient in (False, True):
+                name = f"TensorEnv, {num_envs} environments, torch {device} {precision}" + (
+                    f", gradient over {WINDOW} steps" if gradient else ""
+                )
+                steps = num_envs * min(WINDOW, scenario.horizon)
+                window = partial(_window, scenario, device, precision, num_envs, gradient)
+                per_s = measured(window, steps, device, seconds)
+                yield Row(name, per_s, UNIT if per_s is not None else "does not fit into memory")
 
 
 def kind_of(device: str) -> str:
@@ -64,13 +70,12 @@ def kind_of(device: str) -> str:
     return parsed.type
 
 
-def _measured(scenario: Scenario, device: str, num_envs: int, gradient: bool, seconds: float) -> float | None:
-    """Environment steps in a second, or None where the memory does not hold the batch."""
+def measured(made: Callable[[], Callable[[], object]], amount: float, device: str, seconds: float) -> float | None:
+    """The rate of what ``made`` gives, see ``rate``; None where the device's memory does not hold it."""
     import torch
 
     try:
-        work, steps = _window(scenario, device, num_envs, gradient)
-        return rate(work, steps * num_envs, seconds)
+        return rate(made(), amount, seconds)
     except torch.OutOfMemoryError:
         return None
     finally:
@@ -79,15 +84,16 @@ def _measured(scenario: Scenario, device: str, num_envs: int, gradient: bool, se
             torch.cuda.empty_cache()
 
 
-def _window(scenario: Scenario, device: str, num_envs: int, gradient: bool) -> tuple[Callable[[], object], int]:
-    """What drives a batch through the first window of its episodes, and the window's steps."""
+def _window(scenario: Scenario, device: str, precision: str, num_envs: int, gradient: bool) -> Callable[[], object]:
+    """What drives a batch through the first window of its episodes."""
     import torch
 
-    env = TensorEnv(scenario, like=torch.empty(0, device=device))
+    kind = {"dtype": getattr(torch, precision), "device": device}
+    env = TensorEnv(scenario, like=torch.empty(0, **kind))
     steps = min(WINDOW, scenario.horizon)
     n_action = action_layout(scenario).n
     generator = torch.Generator(device).manual_seed(0)
-    drawn = 2.0 * torch.rand((steps, num_envs, n_action), generator=generator, device=device) - 1.0
+    drawn = 2.0 * torch.rand((steps, num_envs, n_action), generator=generator, **kind) - 1.0
     drawn.requires_grad_(gradient)
     env.reset(range(min(EPISODES, num_envs)), copies=-(-num_envs // EPISODES))
 
@@ -100,4 +106,4 @@ def _window(scenario: Scenario, device: str, num_envs: int, gradient: bool) -> t
         if drawn.is_cuda:
             torch.cuda.synchronize()
 
-    return window, steps
+    return window
