@@ -36,7 +36,7 @@ from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.counterfactual import Counterfactual, require_one_step
 from dcgrid_env.agents.training.run_folder import device_of, torch
-from dcgrid_env.agents.training.torch_modules import Perceptron
+from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import made_with
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -71,6 +71,9 @@ class PpoCounterfactual(Training):
     """That of the clock's, in units of its action, whose range is 2."""
     last_std: float = 0.3
     """What is left of both at the end, as a share; they fall linearly."""
+    within_reach: bool = False
+    """Whether the mean that is explored around is cut to what the converter can dispatch: an agent whose mean lies far
+    beyond its limit finds no action that would change anything."""
     max_grad_norm: float = 0.5
     """Gradients are cut to this norm."""
 
@@ -86,6 +89,9 @@ class Rollout(NamedTuple):
     """Their means, (row, n_action)."""
     advantages: torch.Tensor
     """(row, n_action)"""
+    lowest: torch.Tensor
+    highest: torch.Tensor
+    """What means are cut to, (row, n_action)."""
     costs: np.ndarray
     """Cost of each step, (step, env)."""
 
@@ -181,22 +187,32 @@ class CounterfactualPpo(BaseAlgorithm):
         """Drive every environment by the policy and its exploration for so many steps."""
         env, policy, std = self.vec_env, self.actor, self.std
         joint: Any = self._last_obs
-        kept, costs = ([], [], [], []), []
+        kept, costs = ([], [], [], [], [], []), []
         with torch.no_grad():
             for _ in range(steps):
-                mean = policy.outputs(self._tensor(joint))
+                before = env.batch.save()
+                limits = self.limits(before.state)
+                mean = forgiving_clip(policy.outputs(self._tensor(joint)), *limits)
                 outputs = mean + std * torch.randn_like(mean)
                 action, asked = (policy.action(joint, each).astype(np.float64) for each in (outputs, mean))
-                before = env.batch.save()
                 following, reward, *_ = env.step(action)
-                own = self.counterfactual.of_step(before, env.batch.transition.state, action, asked)
-                for rows, each in zip(kept, (self._tensor(joint), outputs, mean, self._tensor(own)), strict=True):
+                own = self._tensor(self.counterfactual.of_step(before, env.batch.transition.state, action, asked))
+                for rows, each in zip(kept, (self._tensor(joint), outputs, mean, own, *limits), strict=True):
                     rows.append(each)
                 costs.append(-reward)
                 joint, self.num_timesteps = following, self.num_timesteps + env.num_envs
         self._last_obs = joint
-        observations, outputs, means, advantages = map(torch.cat, kept)
-        return Rollout(observations, outputs, means, advantages, np.array(costs))
+        return Rollout(*map(torch.cat, kept), np.array(costs))
+
+    def limits(self, state: Any) -> tuple[torch.Tensor, torch.Tensor]:
+        """Lowest and highest means after a state, (env, n_action): changes of q that end at the converter's limits."""
+        shape = len(state.q_kvar), len(self.first_std)
+        lowest, highest = (torch.full(shape, sign * torch.inf, device=self.device) for sign in (-1.0, 1.0))
+        if self.cfg.within_reach:
+            scale, entries = self.vec_env.scenario.q_scale_kvar, self.components["q"]
+            lowest[:, entries] = self._tensor((-state.q_limit_kvar - state.q_kvar) / scale)
+            highest[:, entries] = self._tensor((state.q_limit_kvar - state.q_kvar) / scale)
+        return lowest, highest
 
     def normalised(self, advantages: torch.Tensor) -> torch.Tensor:
         """Advantages, (row, n_action), those of each component over their standard deviation."""
@@ -209,7 +225,7 @@ class CounterfactualPpo(BaseAlgorithm):
     def loss(self, data: Rollout, advantages: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The loss of some rows, and the share of likelihood ratios that are beyond what pays."""
         clip, chosen = self.cfg.clip, data.outputs[rows]
-        now = self.actor.outputs(data.observations[rows])
+        now = forgiving_clip(self.actor.outputs(data.observations[rows]), data.lowest[rows], data.highest[rows])
         ratio = torch.exp(0.5 * (((chosen - data.means[rows]) / self.std) ** 2 - ((chosen - now) / self.std) ** 2))
         gain = torch.min(ratio * advantages[rows], ratio.clamp(1.0 - clip, 1.0 + clip) * advantages[rows])
         of_components = [gain[:, entries].mean() for entries in self.components.values() if entries.any()]

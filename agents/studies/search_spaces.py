@@ -55,6 +55,7 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "clock_std": Range(0.05, 0.4, log=True),
         "epochs": Choice((2, 3, 5)),
         "num_envs": Choice((16, 32, 64)),
+        "within_reach": YES_NO,
     },
     "sac": {
         "nameplate": YES_NO,

@@ -127,6 +127,46 @@ def test_what_a_fault_has_taken_has_no_advantage_but_for_its_queue():
     assert (of_q[~lost] != 0.0).any()
 
 
+def test_within_reach_an_agent_whose_mean_is_far_beyond_its_limit_still_explores(tmp_path):
+    limits, spread = {}, {}
+    for within_reach in (False, True):
+        model = pushing_up(tiny(tmp_path, scenario="mixed", num_envs=2, within_reach=within_reach))
+        data, q = model.rollout(8), model.components["q"]
+        limits[within_reach] = data.lowest[:, q], data.highest[:, q]
+        # From the fourth step on all are at their limits, or where the mean and the exploration have them.
+        spread[within_reach] = data.advantages[4 * 2 :, q].std()
+        assert data.lowest[:, ~q].isneginf().all()
+        assert data.highest[:, ~q].isposinf().all()
+        assert ((data.means <= data.highest) & (data.means >= data.lowest)).all()
+    assert all(edge.isinf().all() for edge in limits[False])
+    assert spread[False] == 0.0
+    assert spread[True] > 0.0
+
+
+def test_within_reach_only_what_leads_back_has_a_derivative(tmp_path):
+    model = pushing_up(tiny(tmp_path, scenario="mixed", num_envs=2, within_reach=True))
+    data, q = model.rollout(4), model.components["q"]
+    for towards, moved in ((1.0, False), (-1.0, True)):
+        model.actor.optimizer.zero_grad()
+        advantages = torch.where(q, towards * (data.outputs - data.means), 0.0)
+        model.loss(data, advantages, torch.arange(len(advantages)))[0].backward()
+        grads = [p.grad.abs().sum() for net in model.actor.networks.values() for p in net.parameters()]
+        assert bool(torch.stack(grads).sum() > 0.0) == moved
+
+
+def pushing_up(cfg):
+    """A model whose mean asks for far more reactive power than there is, whatever it sees."""
+    vec_env = algorithm.vec_env_for(cfg)
+    model = algorithm.make(cfg, vec_env)
+    model._last_obs = vec_env.reset()
+    with torch.no_grad():
+        for net in model.actor.networks.values():
+            for parameter in net.parameters():
+                parameter.zero_()
+            list(net.parameters())[-1].fill_(5.0)
+    return model
+
+
 def test_a_killed_run_goes_on_with_the_same_curve_and_the_same_seed_gives_it(tmp_path, monkeypatch):
     whole = algorithm.main(tiny(tmp_path, "whole"))
     learned = algorithm.CounterfactualPpo.update
