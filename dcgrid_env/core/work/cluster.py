@@ -52,12 +52,25 @@ class Cluster(Place):
         """What Ray says of the nodes that are alive and have cores for units."""
         return [node for node in self.ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
 
+    def waits_for(self, units: Sequence[Unit[Any, Any]]) -> str:
+        """What no node has that a unit takes, and that it waits for a node with it; empty where all have room."""
+        for unit in units:
+            wanted = {"CPU": unit.needs.cores, "GPU": unit.needs.gpus, "memory": unit.needs.memory_gb * _GB}
+            if not any(all(node["Resources"].get(k, 0) >= n for k, n in wanted.items()) for node in self.nodes):
+                listed = ", ".join(
+                    f"{n:g} {k}" if k != "memory" else f"{n / _GB:g} GB of memory" for k, n in wanted.items() if n
+                )
+                return f"ray: no node of the cluster has {listed} for {unit.key}, which waits until one joins"
+        return ""
+
     def run(
         self, units: Sequence[Unit[Item, Result]], shared: Mapping[str, Any] | None = None
     ) -> Iterator[tuple[Unit[Item, Result], Result | Lost]]:
         """See ``Place.run``; a unit whose node or worker dies is tried again where Ray has room for it."""
         if not units:
             return
+        if waiting := self.waits_for(units):
+            warnings.warn(waiting, stacklevel=2)
         ray, expected = self.ray, _asked()(SAME)
         values = ray.put(packed(dict(shared or {})))  # into the object store, which keeps one copy a node
         task = ray.remote(_on_a_node())
