@@ -123,7 +123,8 @@ def _gain_axis(ax: Axes, worst: float, best: float) -> None:
     """Linear as far below the droop as the best is above, logarithmic beyond: beginnings cost many times the droop."""
     linear = max(best, 1.0)
     bottom = max(worst, -MOST_SHOWN_PCT)
-    ticks = [tick for tick in MaxNLocator(6).tick_values(-linear, linear) if max(bottom, -linear) <= tick <= linear]
+    low = max(bottom, -linear)
+    ticks = [tick for tick in MaxNLocator(6).tick_values(low, linear) if low <= tick <= linear]
     ticks += [-tick for tick in _rounded(linear, -bottom, (1, 3)) if tick > 1.5 * linear]
     ax.set_yscale("symlog", linthresh=linear, linscale=1.5)
     ax.set_ylim(1.15 * bottom if bottom < -linear else bottom - 0.08 * linear, 1.1 * linear)
@@ -137,8 +138,16 @@ def _log_axis(ax: Axes) -> None:
     high = max(high, 4.0 * low)
     ax.set_xlim(low, high)
     ticks = next((t for steps in ((1, 3), (1, 2, 5), (1, 2, 3, 5, 7)) if len(t := _rounded(low, high, steps)) > 2), [])
-    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.set_xticks(ticks, [_short(tick) for tick in ticks])
     ax.minorticks_off()
+
+
+def _short(number: float) -> str:
+    """A number as a label, thousands as k and millions as M."""
+    for unit, letter in ((1e6, "M"), (1e3, "k")):
+        if number >= unit:
+            return f"{number / unit:g}{letter}"
+    return f"{number:g}"
 
 
 def _rounded(low: float, high: float, steps: Sequence[int]) -> list[float]:

@@ -11,6 +11,7 @@ import numpy as np
 from dcgrid_env import RandomFeeders, Scenario, make_scenario
 from dcgrid_env.agents import Evaluation, evaluate, find_controller
 from dcgrid_env.agents.policy.unseen import on_purpose
+from dcgrid_env.agents.studies.feeder_by_feeder import OnFeeder
 from dcgrid_env.agents.studies.learning_tables import NONE, SCORE, Table, estimate, page, wrapped
 from dcgrid_env.agents.studies.scored import score
 from dcgrid_env.baselines import published
@@ -138,16 +139,25 @@ def _seeds(evaluation: Evaluation) -> np.ndarray:
 
 def feeders_table(one: Tried, worst: int) -> Table | None:
     """How the scores of the feeders of a random family are spread, and the worst of them; None where there is none."""
+    scores = {name: each for name in one.others if (each := feeder_scores(one, name)) is not None}
+    return _spread(f"{one.scenario.name}: each random feeder by itself", scores, worst) if scores else None
+
+
+def each_table(scenario: str, driven: Sequence[OnFeeder], each: int, worst: int) -> Table:
+    """The same over as many episodes of each feeder."""
+    names = [name for name in driven[0].J if name != REFERENCE]
+    scores = {name: np.array([on.score(name) for on in driven]) for name in names}
+    return _spread(f"{scenario}: each random feeder by itself, over {each} episodes of its own", scores, worst)
+
+
+def _spread(title: str, scores: Mapping[str, np.ndarray], worst: int) -> Table:
     header = ("over the feeders", "mean", "median", "above 0", f"the worst {worst}")
     rows = []
-    for name in one.others:
-        each = feeder_scores(one, name)
-        if each is not None:
-            lowest = ", ".join(f"{value:.2f}" for value in np.sort(each)[:worst])
-            rows.append((
-                name, f"{each.mean():.3f}", f"{np.median(each):.3f}", f"{(each > 0).sum()} of {len(each)}", lowest
-            ))  # fmt: skip
-    return Table(f"{one.scenario.name}: each random feeder by itself", header, tuple(rows)) if rows else None
+    for name, each in scores.items():
+        lowest = ", ".join(f"{value:.2f}" for value in np.sort(each)[:worst])
+        above = f"{(each > 0).sum()} of {len(each)}"
+        rows.append((name, f"{each.mean():.3f}", f"{np.median(each):.3f}", above, lowest))
+    return Table(title, header, tuple(rows))
 
 
 def markdown(shown: Table, of_feeders: Sequence[Table], made_by: str) -> str:

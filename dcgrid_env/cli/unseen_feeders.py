@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dcgrid_env.cli.names import scenario_names, split_names
 from dcgrid_env.cli.progress import progress_bar
@@ -12,6 +13,12 @@ from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.trainings import MOST_EPISODES
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dcgrid_env.agents.studies.learning_tables import Table
+    from dcgrid_env.core.work.unit import Place
 
 
 @dataclass(frozen=True)
@@ -26,6 +33,9 @@ class UnseenFeeders(OverWorkers):
     """Split of the episodes; there is a score on test alone."""
     episodes: int = 100
     """Episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
+    each: int = 0
+    """Episodes of each random feeder to score it by, beside those of --episodes that fall on it; their hindsight is
+    solved on the way, about a second an episode."""
     worst: int = 5
     """How many of the worst random feeders to show."""
     out: Path | None = None
@@ -40,10 +50,11 @@ class UnseenFeeders(OverWorkers):
             raise ValueError("controllers is empty; name at least one")
         if not 2 <= self.episodes <= MOST_EPISODES:
             raise ValueError(f"episodes is {self.episodes}; give 2 to {MOST_EPISODES}, the published test episodes")
-        at_least(self, worst=1)
+        at_least(self, worst=1, each=0)
         if self.out is not None:
             check_folder(self.out)
         unseen_feeders.require_found(names, scenarios, self.split)
+        families = self._families(scenarios)
         place, console, results = self.place, plain_console(), []
         with progress_bar(console) as progress:
             bar = progress.add_task("scenarios", total=len(scenarios))
@@ -52,6 +63,7 @@ class UnseenFeeders(OverWorkers):
                 progress.advance(bar)
         shown = unseen_feeders.scores_table(results, self.episodes)
         of_feeders = [table for one in results if (table := unseen_feeders.feeders_table(one, self.worst)) is not None]
+        of_feeders += [self._each(names, family, place, console) for family in families]
         for table in (shown, *of_feeders):
             console.print(table.rich(console.width))
         for line in (line for one in results for line in one.refusals.values()):
@@ -61,3 +73,28 @@ class UnseenFeeders(OverWorkers):
 
             write_text(self.out / "unseen-feeders.md", unseen_feeders.markdown(shown, of_feeders, meta()["command"]))
             say(console, f"wrote {self.out / 'unseen-feeders.md'}")
+
+    def _families(self, scenarios: list[str]) -> list[str]:
+        """Those whose feeders are driven one by one; ValueError where it is asked for and there are none."""
+        from dcgrid_env import RandomFeeders, make_scenario
+
+        if not self.each:
+            return []
+        families = [name for name in scenarios if isinstance(make_scenario(name).feeder, RandomFeeders)]
+        if not families:
+            raise ValueError(
+                f"each is {self.each}; none of {', '.join(scenarios)} is on random feeders: name zero-shot"
+            )
+        return families
+
+    def _each(self, names: list[str], family: str, place: Place, console: Console) -> Table:
+        """Drive the feeders of a family one by one; the table of their scores."""
+        from dcgrid_env.agents.studies.feeder_by_feeder import on_each_feeder
+        from dcgrid_env.agents.studies.unseen_feeders import each_table
+
+        with progress_bar(console) as progress:
+            bar = progress.add_task("feeders", total=None)
+            begun = lambda n: progress.update(bar, total=n)  # noqa: E731
+            done = lambda: progress.advance(bar)  # noqa: E731
+            driven = on_each_feeder(names, family, self.split, self.episodes, self.each, place, begun, done)
+        return each_table(family, driven, self.each, self.worst)

@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dcgrid_env import make_scenario
 from dcgrid_env.agents.studies import unseen_feeders
-from dcgrid_env.baselines import published
+from dcgrid_env.agents.studies.feeder_by_feeder import on_each_feeder
+from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.work.here import ONE_PROCESS
 
@@ -22,6 +24,23 @@ def test_each_random_feeder_has_a_score_of_its_own():
     assert table.rows[0][3] == "0 of 2"
 
 
+def test_each_feeder_is_scored_over_episodes_of_its_own():
+    begun, done = [], []
+    driven = on_each_feeder(
+        ["droop-q"], "zero-shot", "test", 2, 2, on_begin=begun.append, on_feeder=lambda: done.append(1)
+    )
+    assert begun == [len(driven)] == [len(done)] == [2]
+    test = make_scenario("zero-shot", split="test")
+    for first, on in enumerate(driven):
+        assert on.first == first
+        member, law = test.member(first), make_controller("droop-q", test)
+        assert (on.J["droop-q"] == rollout(member, law, range(2)).costs()).all()
+        assert (on.best <= on.J["droop-tuned"]).all()
+        assert on.score("droop-tuned") == 0.0
+    table: Any = unseen_feeders.each_table("zero-shot", driven, 2, 1)
+    assert table.rows[0][4] == f"{min(on.score('droop-q') for on in driven):.2f}"
+
+
 def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--controllers", "droop-q,ieee33-weak-analytic", "--scenarios", "toy6", "--episodes", "2", "--out", "docs"]
@@ -32,7 +51,17 @@ def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
     assert "wrote docs/unseen-feeders.md" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [("--episodes", "1"), ("--worst", "0"), ("--controllers", ""), ("--worst", "-1")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--each", "-1"),
+        ("--each", "2", "--scenarios", "toy6"),
+        ("--episodes", "1"),
+        ("--worst", "0"),
+        ("--controllers", ""),
+        ("--worst", "-1"),
+    ],
+)
 def test_settings_that_cannot_be_are_refused(words, capsys):
     with pytest.raises(SystemExit):
         main(["dev", "unseen-feeders", *words])
