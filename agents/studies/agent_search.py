@@ -24,6 +24,7 @@ from typing import Any
 
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.studies.search_spaces import SPACES, Range, within
+from dcgrid_env.agents.studies.training_runs import words_of
 from dcgrid_env.agents.studies.training_units import train_all
 from dcgrid_env.core.files import new_folder, write_json
 from dcgrid_env.core.install import from_clone
@@ -119,7 +120,7 @@ def search(
             todo = {folder / f"trial-{number:03d}": number for number in suggested if number not in done}
             configs = [dataclasses.replace(base, **suggested[todo[out]].params, out=out) for out in todo]
             lost: dict[int, str] = {}
-            for config, failure in train_all(configs, place, partial(train_trial, earlier=earlier)):
+            for config, failure in train_all(configs, place, partial(train_trial, earlier=earlier), words_of):
                 number = todo[config.out]
                 if failure is not None:
                     lost[number] = failure

@@ -42,6 +42,11 @@ def command(config: Any) -> str:
     return " ".join(words)
 
 
+def words_of(config: Any) -> list[str]:
+    """The words of that command without ``dcgrid``, as a policy's card is to name it."""
+    return shlex.split(command(config))[1:]
+
+
 def finished(config: Any) -> bool:
     """Whether the run has been done, with exactly these settings."""
     try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import importlib
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +144,7 @@ class Seeds(Command):
     def run(self) -> None:
         """Train what has not been trained, print each seed's cost on validation. ValueError where seeds fail."""
         from dcgrid_env.agents import Card
-        from dcgrid_env.agents.studies.training_runs import command, train_seed
+        from dcgrid_env.agents.studies.training_runs import train_seed, words_of
         from dcgrid_env.agents.studies.training_units import train_all
 
         where, first = place(self.workers, self.ray), self.configurations[0]
@@ -154,8 +153,7 @@ class Seeds(Command):
         console, failures = plain_console(), {}
         with progress_bar(console) as progress:
             bar = progress.add_task("seeds", total=len(self.configurations))
-            words = lambda configuration: shlex.split(command(configuration))[1:]  # noqa: E731
-            for configuration, failure in train_all(self.configurations, where, train_seed, words):
+            for configuration, failure in train_all(self.configurations, where, train_seed, words_of):
                 if failure is not None:
                     failures[configuration.seed] = failure
                 progress.advance(bar)
