@@ -202,7 +202,8 @@ class CounterfactualPpo(BaseAlgorithm):
                 costs.append(-reward)
                 joint, self.num_timesteps = following, self.num_timesteps + env.num_envs
         self._last_obs = joint
-        return Rollout(*map(torch.cat, kept), np.array(costs))
+        observations, outputs, means, advantages, lowest, highest = map(torch.cat, kept)
+        return Rollout(observations, outputs, means, advantages, lowest, highest, np.array(costs))
 
     def limits(self, state: Any) -> tuple[torch.Tensor, torch.Tensor]:
         """Lowest and highest means after a state, (env, n_action): changes of q that end at the converter's limits."""

@@ -159,7 +159,7 @@ def numpy_of(tensor: torch.Tensor) -> np.ndarray:
 
 class _ForgivingClip(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: torch.Tensor, low: float, high: float) -> torch.Tensor:
+    def forward(ctx: Any, x: torch.Tensor, low: Any, high: Any) -> torch.Tensor:
         ctx.save_for_backward(x)
         ctx.limits = low, high
         return x.clamp(low, high)
@@ -171,6 +171,6 @@ class _ForgivingClip(torch.autograd.Function):
         return torch.where(outwards, 0.0, weight), None, None
 
 
-def forgiving_clip(x: torch.Tensor, low: float, high: float) -> torch.Tensor:
+def forgiving_clip(x: torch.Tensor, low: float | torch.Tensor, high: float | torch.Tensor) -> torch.Tensor:
     """Cut to these limits: what a step beyond would gain has no derivative, what a step back would gain has."""
     return _ForgivingClip.apply(x, low, high)  # pyright: ignore[reportReturnType]

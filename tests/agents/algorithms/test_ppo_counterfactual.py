@@ -150,8 +150,9 @@ def test_within_reach_only_what_leads_back_has_a_derivative(tmp_path):
         model.actor.optimizer.zero_grad()
         advantages = torch.where(q, towards * (data.outputs - data.means), 0.0)
         model.loss(data, advantages, torch.arange(len(advantages)))[0].backward()
-        grads = [p.grad.abs().sum() for net in model.actor.networks.values() for p in net.parameters()]
-        assert bool(torch.stack(grads).sum() > 0.0) == moved
+        grads = [p.grad for net in model.actor.networks.values() for p in net.parameters() if p.grad is not None]
+        assert grads
+        assert any(bool(grad.any()) for grad in grads) == moved
 
 
 def pushing_up(cfg):

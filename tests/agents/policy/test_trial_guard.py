@@ -119,7 +119,7 @@ def test_it_takes_no_other_law_and_is_found_by_name():
 
 
 def test_places_of_another_width_are_refused():
-    controller = guarded(giving(*HARMFUL))
+    controller = TriedPolicy(giving(*HARMFUL))
     controller.reset(make_scenario("ieee33-weak", horizon=10))
     for buses in (np.zeros((1, 2), int), np.zeros(7, int)):
         with pytest.raises(PolicyError, match=r"guard: buses has shape .*; give \(lane, 7\), a place an agent"):

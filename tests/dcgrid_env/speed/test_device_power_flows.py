@@ -18,7 +18,7 @@ def cases():
 def test_every_form_is_measured_in_both_precisions(cases, monkeypatch):
     done = []
     monkeypatch.setattr(tensors, "rate", lambda work, amount, seconds: done.append(work()) or amount)
-    rows = list(device_power_flow_rows(*cases, "cpu", 0.01))
+    rows = list(device_power_flow_rows(cases[0], cases[1], "cpu", 0.01))
     assert len({row.name for row in rows}) == len(rows) == len(done) == 12
     assert {row.value for row in rows} == {6}
     for row in rows:
@@ -30,6 +30,6 @@ def test_every_form_is_measured_in_both_precisions(cases, monkeypatch):
 def test_other_devices_have_the_array_form_alone(cases, monkeypatch):
     monkeypatch.setattr(device_power_flows, "kind_of", lambda device: "cuda")
     monkeypatch.setattr(tensors, "rate", lambda work, amount, seconds: amount)
-    names = [row.name for row in device_power_flow_rows(*cases, "cpu", 0.01)]
+    names = [row.name for row in device_power_flow_rows(cases[0], cases[1], "cpu", 0.01)]
     assert len(names) == 8
     assert not any("array operations" in name for name in names)
