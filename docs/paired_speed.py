@@ -149,7 +149,7 @@ def left_to_torch(threads):
 
 def serve(kind, torch_threads):
     """Run a block whenever a line comes in, and say what it did, how long it took, and what came out."""
-    if torch_threads:
+    if torch_threads is not None:
         left_to_torch(torch_threads)
     block = KINDS[kind]()
     block()
@@ -200,18 +200,19 @@ def main():
     if args.serve:
         serve(args.serve, args.torch_threads)
         return
-    if args.torch_threads:
-        if args.other is not None:
-            args.kinds.insert(0, args.other)
-        other = [sys.executable, "--torch-threads", str(args.torch_threads)]
+    if args.torch_threads is None:
+        other, names = [args.other], ("before", "now")
     else:
-        other = [args.other]
-    if other == [None] or args.rounds < 1:
-        parser.error("give the interpreter of the other version, or --torch-threads, and at least 1 round")
+        args.kinds = [*filter(None, [args.other]), *args.kinds]
+        threads = args.torch_threads
+        other, names = [sys.executable, "--torch-threads", str(threads)], (f"on {threads} threads of torch", "as it is")
+    if other == [None] or args.rounds < 1 or (args.torch_threads is not None and args.torch_threads < 1):
+        parser.error("give the interpreter of the other version, or --torch-threads of 1 or more, and at least 1 round")
     if unknown := [kind for kind in args.kinds if kind not in KINDS]:
         parser.error(f"{unknown[0]} is nothing to measure; give of {', '.join(KINDS)}")
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if args.busy else None
-    print("| | steps/s before | now | times | median | by processor time | same bits |\n|---|---|---|---|---|---|---|")
+    print(f"| | steps/s {names[0]} | {names[1]} | times | median | by processor time | same bits |")
+    print("|---|---|---|---|---|---|---|")
     try:
         for kind in args.kinds or KINDS:
             (before, now), same = measure(kind, [other, [sys.executable]], args.rounds)

@@ -72,8 +72,8 @@ class PpoCounterfactual(Training):
     last_std: float = 0.3
     """What is left of both at the end, as a share; they fall linearly."""
     within_reach: bool = False
-    """Whether the mean that is explored around is cut to what the converter can dispatch: an agent whose mean lies far
-    beyond its limit finds no action that would change anything."""
+    """Whether the mean of reactive power is cut to what the converter could dispatch at the step before; no action that
+    is drawn around a mean far beyond the limit changes anything. Of no effect with --act clock."""
     max_grad_norm: float = 0.5
     """Gradients are cut to this norm."""
 
@@ -210,7 +210,7 @@ class CounterfactualPpo(BaseAlgorithm):
         shape = len(state.q_kvar), len(self.first_std)
         lowest, highest = (torch.full(shape, sign * torch.inf, device=self.device) for sign in (-1.0, 1.0))
         if self.cfg.within_reach:
-            scale, entries = self.vec_env.scenario.q_scale_kvar, self.components["q"]
+            scale, entries = np.maximum(self.vec_env.scenario.q_scale_kvar, 1e-9), self.components["q"]
             lowest[:, entries] = self._tensor((-state.q_limit_kvar - state.q_kvar) / scale)
             highest[:, entries] = self._tensor((state.q_limit_kvar - state.q_kvar) / scale)
         return lowest, highest

@@ -11,12 +11,8 @@ as far as the trainings are the same to the last bit.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import importlib
-import io
-import json
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -26,23 +22,20 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.studies.search_spaces import SPACES, Range, within
 from dcgrid_env.agents.studies.training_runs import words_of
 from dcgrid_env.agents.studies.training_units import train_all
-from dcgrid_env.core.files import new_folder, write_json
+from dcgrid_env.agents.studies.trial_training import STARTUP_TRIALS, read_trial, train_trial
+from dcgrid_env.core.files import new_folder
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.core.work.here import ONE_PROCESS
-from dcgrid_env.core.work.unit import GOES_ON, Place
+from dcgrid_env.core.work.unit import Place
 
 JOURNAL = "journal.log"
 """File of the trials, to which each is added when it has ended."""
-TRIAL = "trial.json"
-"""File in the folder of a trial's training: its costs on validation, whether it was stopped, and how long it took."""
 NUMBER, SECONDS = "number", "seconds"
 """Attributes of a trial: its place in the order of suggestions, and how long it took."""
 NO_SETTINGS = (
     "scenario", "set", "seed", "out", "resume", "threads", "device", "validation_episodes", "checkpoint_every",
 )  # fmt: skip
 """Fields of a configuration that say what is trained, where and how it is judged, not how it learns."""
-STARTUP_TRIALS, WARMUP_VALIDATIONS = 4, 1
-"""Trials, and validations of each, before which none is stopped."""
 
 
 def require_optuna() -> Any:
@@ -100,16 +93,13 @@ def search(
     about = {name: str(value) for name, value in about.items() if name not in ("out", "resume", *space)}
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with new_folder(folder):
-        backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL))
-        study = optuna.create_study(
-            storage=optuna.storages.JournalStorage(backend), study_name=algorithm, load_if_exists=True
-        )
-        before = {"batch": "1"} | study.user_attrs.get("about", about)  # journals of earlier versions do not say
+        study = _journal(folder / JOURNAL, algorithm)
+        before = study.user_attrs.get("about", about)
         if before != about:
-            field = next(name for name in about if before.get(name) != about[name])
+            field = next(name for name in {**before, **about} if before.get(name) != about.get(name))
+            was, now = (said.get(field, "not said") for said in (before, about))
             raise ValueError(
-                f"{folder / JOURNAL}: {field} was {before.get(field)} and is {about[field]} now; search with the same, "
-                "or give another --out"
+                f"{folder / JOURNAL}: {field} was {was} and is {now} now; search with the same, or give another --out"
             )
         study.set_user_attr("about", about)
         begin = {name: getattr(base, name) for name, own in space.items() if within(own, getattr(base, name))}
@@ -129,7 +119,21 @@ def search(
                 on_trial(next(trial for trial in ended(study) if number_of(trial) == number))
             if lost:
                 said = "; ".join(f"trial {number}: {lost[number]}" for number in sorted(lost))
-                raise ValueError(f"{len(lost)} of {len(todo)} trainings failed: {said}; {GOES_ON}")
+                raise ValueError(f"{len(lost)} of {len(todo)} trainings failed, the others are kept: {said}")
+    return study
+
+
+def _journal(path: Path, algorithm: str) -> Any:
+    """The search that a journal holds, or a new one; ValueError for what is no journal of this version."""
+    optuna = require_optuna()
+    try:
+        backend = optuna.storages.journal.JournalFileBackend(str(path))
+        storage = optuna.storages.JournalStorage(backend)
+        study = optuna.create_study(storage=storage, study_name=algorithm, load_if_exists=True)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: holds no search that can be read ({error}); give another --out") from None
+    if any(NUMBER not in trial.user_attrs for trial in ended(study)):
+        raise ValueError(f"{path}: is of an earlier version, which numbered trials otherwise; give another --out")
     return study
 
 
@@ -140,7 +144,7 @@ def ended(study: Any) -> list[Any]:
 
 def number_of(trial: Any) -> int:
     """The number of a trial in the order in which they are suggested, which is not that in which they end."""
-    return trial.user_attrs.get(NUMBER, trial.number)
+    return trial.user_attrs.get(NUMBER, -1)
 
 
 def _suggestions(
@@ -163,71 +167,16 @@ def _suggestions(
 
 def _result(trial: Any, number: int, folder: Path) -> Any:
     """A trial that has ended, as its training's folder tells."""
-    optuna = require_optuna()
-    about = json.loads((folder / TRIAL).read_text(encoding="utf-8"))
-    validations = dict(enumerate(about["validations"].values(), start=1))
+    optuna, told = require_optuna(), read_trial(folder)
+    costs = dict(enumerate(told.costs.values(), start=1))
     states = optuna.trial.TrialState
-    value = validations[max(validations)] if validations else None
+    value = costs[max(costs)] if costs else None
     return optuna.trial.create_trial(
-        state=states.PRUNED if about["stopped"] else states.COMPLETE,
-        value=value if about["stopped"] else Card.load(folder / "policy.json").validation_J,
-        params=trial.params, distributions=trial.distributions, intermediate_values=validations,
-        user_attrs={NUMBER: number, SECONDS: about["seconds"]},
+        state=states.PRUNED if told.stopped else states.COMPLETE,
+        value=value if told.stopped else Card.load(folder / "policy.json").validation_J,
+        params=trial.params, distributions=trial.distributions, intermediate_values=costs,
+        user_attrs={NUMBER: number, SECONDS: told.seconds},
     )  # fmt: skip
-
-
-def train_trial(config: Any, earlier: Sequence[Any]) -> None:
-    """Train with the settings of a trial until it ends, or lags behind the earlier trials; its folder tells which.
-
-    Parameters
-    ----------
-    config
-        Configuration of the training, with its folder, in which it goes on where it stopped.
-    earlier
-        The trials that it is held against.
-    """
-    from dcgrid_env.agents.training.run_folder import TrainingError, watched
-
-    path, began_s = config.out / TRIAL, time.perf_counter()
-    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"validations": {}, "seconds": 0.0}
-    costs = {int(step): cost for step, cost in before["validations"].items()}
-
-    def keep(stopped: bool) -> None:
-        spent_s = before["seconds"] + time.perf_counter() - began_s
-        write_json(path, {"validations": costs, "stopped": stopped, "seconds": spent_s})
-
-    def report(figures: Mapping[str, float]) -> None:
-        nonlocal costs
-        step = int(figures["step"])
-        costs = {at: cost for at, cost in costs.items() if at < step} | {step: figures["J"]}
-        keep(stopped=False)
-        if _lags(list(costs.values()), earlier):
-            raise _Stopped
-
-    try:
-        with watched(report), contextlib.redirect_stdout(io.StringIO()):
-            begun = (config.out / "config.json").exists()
-            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=begun))
-    except (TrainingError, _Stopped):  # one that diverged has no cost, and is nothing to stop the search for
-        keep(stopped=True)
-    else:
-        keep(stopped=False)
-
-
-class _Stopped(Exception):
-    """Ends a training that lags behind."""
-
-
-def _lags(costs: Sequence[float], earlier: Sequence[Any]) -> bool:
-    """Whether the median pruner stops a trial with these costs on validation so far."""
-    optuna = require_optuna()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(pruner=optuna.pruners.MedianPruner(STARTUP_TRIALS, WARMUP_VALIDATIONS))
-    study.add_trials(earlier)
-    trial = study.ask()
-    for i, cost in enumerate(costs, start=1):
-        trial.report(cost, i)
-    return trial.should_prune()
 
 
 def _suggest(trial: Any, name: str, space: Any) -> None:

@@ -65,7 +65,7 @@ def on_each_feeder(
     Parameters
     ----------
     names
-        Controllers.
+        Controllers that drive the scenario.
     scenario
         Name of a scenario on random feeders.
     split

@@ -37,7 +37,7 @@ def command(config: Any) -> str:
             words.append(f"--{flag}" if value else f"--no-{flag}")
         else:
             values = value if isinstance(value, tuple) else (value,)
-            shown = (f"{one:.15g}" if isinstance(one, float) else str(one) for one in values)
+            shown = (repr(float(one)).removesuffix(".0") if isinstance(one, float) else str(one) for one in values)
             words += [f"--{flag}", *map(shlex.quote, shown)]
     return " ".join(words)
 

@@ -143,11 +143,14 @@ def feeders_table(one: Tried, worst: int) -> Table | None:
     return _spread(f"{one.scenario.name}: each random feeder by itself", scores, worst) if scores else None
 
 
-def each_table(scenario: str, driven: Sequence[OnFeeder], each: int, worst: int) -> Table:
+def each_table(scenario: str, names: Sequence[str], driven: Sequence[OnFeeder], each: int, worst: int) -> Table:
     """The same over as many episodes of each feeder."""
-    names = [name for name in driven[0].J if name != REFERENCE]
     scores = {name: np.array([on.score(name) for on in driven]) for name in names}
-    return _spread(f"{scenario}: each random feeder by itself, over {each} episodes of its own", scores, worst)
+    return _spread(
+        f"{scenario}: each random feeder by itself, {each} {'episode' if each == 1 else 'episodes'} of its own",
+        scores,
+        worst,
+    )
 
 
 def _spread(title: str, scores: Mapping[str, np.ndarray], worst: int) -> Table:

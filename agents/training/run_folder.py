@@ -54,6 +54,10 @@ class TrainingError(RuntimeError):
     """A run that cannot begin or go on; the message names file, field, value and remedy."""
 
 
+class Diverged(TrainingError):
+    """A training whose figures are no longer finite."""
+
+
 _watchers: list[Callable[[Mapping[str, float]], None]] = []
 """What is told of each validation of the trainings in this process."""
 
@@ -191,14 +195,14 @@ class Run:
         if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
             raise self.diverged(what)
 
-    def diverged(self, what: str) -> TrainingError:
+    def diverged(self, what: str) -> Diverged:
         """The error for figures that are not finite."""
         checkpoint = (
             f"the checkpoint in {self.checkpoint_path} is from before"
             if self.checkpoint_path.exists()
             else "no checkpoint yet"
         )
-        return TrainingError(
+        return Diverged(
             f"training diverged at step {self.step}: {what} not finite; {checkpoint}; try a lower learning rate"
         )
 

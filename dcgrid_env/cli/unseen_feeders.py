@@ -30,12 +30,12 @@ class UnseenFeeders(OverWorkers):
     scenarios: str = "ieee33,ieee123,das69,khodr141,ieee33-weak,mixed,toy6,sync,bursty,training,robust,zero-shot"
     """Names of scenarios, separated by commas (dcgrid list)."""
     split: str = "test"
-    """Split of the episodes; there is a score on test alone."""
+    """Split of the episodes; those of --episodes have a score on test alone."""
     episodes: int = 100
     """Episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
     each: int = 0
-    """Episodes of each random feeder to score it by, beside those of --episodes that fall on it; their hindsight is
-    solved on the way, about a second an episode."""
+    """Episodes of each random feeder, its own seeds 0, 1, .., by which it is scored in a table of its own; their
+    hindsight is solved on the way, about a second an episode. None for 0."""
     worst: int = 5
     """How many of the worst random feeders to show."""
     out: Path | None = None
@@ -63,11 +63,14 @@ class UnseenFeeders(OverWorkers):
                 progress.advance(bar)
         shown = unseen_feeders.scores_table(results, self.episodes)
         of_feeders = [table for one in results if (table := unseen_feeders.feeders_table(one, self.worst)) is not None]
-        of_feeders += [self._each(names, family, place, console) for family in families]
         for table in (shown, *of_feeders):
             console.print(table.rich(console.width))
         for line in (line for one in results for line in one.refusals.values()):
             say(console, line)
+        for one in (one for one in results if one.scenario.name in families):
+            driving = [name for name in names if name not in one.refusals]
+            of_feeders.append(self._each(driving, one.scenario.name, place, console))
+            console.print(of_feeders[-1].rich(console.width))
         if self.out is not None:
             from dcgrid_env.core.files import write_text
 
@@ -97,4 +100,4 @@ class UnseenFeeders(OverWorkers):
             begun = lambda n: progress.update(bar, total=n)  # noqa: E731
             done = lambda: progress.advance(bar)  # noqa: E731
             driven = on_each_feeder(names, family, self.split, self.episodes, self.each, place, begun, done)
-        return each_table(family, driven, self.each, self.worst)
+        return each_table(family, names, driven, self.each, self.worst)

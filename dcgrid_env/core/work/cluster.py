@@ -53,15 +53,16 @@ class Cluster(Place):
         return [node for node in self.ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
 
     def waits_for(self, units: Sequence[Unit[Any, Any]]) -> str:
-        """What no node has that a unit takes, and that it waits for a node with it; empty where all have room."""
-        for unit in units:
-            wanted = {"CPU": unit.needs.cores, "GPU": unit.needs.gpus, "memory": unit.needs.memory_gb * _GB}
-            if not any(all(node["Resources"].get(k, 0) >= n for k, n in wanted.items()) for node in self.nodes):
-                listed = ", ".join(
-                    f"{n:g} {k}" if k != "memory" else f"{n / _GB:g} GB of memory" for k, n in wanted.items() if n
-                )
-                return f"ray: no node of the cluster has {listed} for {unit.key}, which waits until one joins"
-        return ""
+        """What no node has that units take, which then wait for a node with it; empty where all have room."""
+        has, lacking = [node["Resources"] for node in self.nodes], []
+        for needs in dict.fromkeys(unit.needs for unit in units):
+            wanted = {"CPU": needs.cores, "GPU": needs.gpus, "memory": needs.memory_gb * _GB}
+            if not any(all(own.get(what, 0) >= n for what, n in wanted.items()) for own in has):
+                memory = [f"{needs.memory_gb:g} GB of memory"] if needs.memory_gb else []
+                listed = [f"{n:g} {what}" for what, n in wanted.items() if n and what != "memory"] + memory
+                first = next(unit.key for unit in units if unit.needs == needs)
+                lacking.append(f"{', '.join(listed)} for {first}")
+        return f"ray: no node of the cluster has {'; or '.join(lacking)}; they wait until one joins" if lacking else ""
 
     def run(
         self, units: Sequence[Unit[Item, Result]], shared: Mapping[str, Any] | None = None

@@ -12,13 +12,15 @@ from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.studies.search_spaces import SPACES, Choice, within
 from dcgrid_env.agents.training import run_folder
 from dcgrid_env.agents.training.preset_settings import PATH
+from dcgrid_env.agents.training.run_folder import Diverged, TrainingError
 from dcgrid_env.cli.main import main
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.core.work.here import Here
 from dcgrid_env.core.work.unit import Lost
 
 pytest.importorskip("optuna")
-from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, number_of, search, train_trial
+from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, number_of, require_optuna, search
+from dcgrid_env.agents.studies.trial_training import Told, read_trial, train_trial
 
 
 @pytest.mark.parametrize("algorithm", SPACES)
@@ -84,7 +86,7 @@ def test_a_batch_is_the_same_wherever_and_in_which_order_its_trials_are_trained(
 
 def test_a_training_that_fails_is_named_and_the_others_are_kept(tmp_path, trained):
     base = Analytic(scenario="toy6")
-    with pytest.raises(ValueError, match=r"1 of 3 trainings failed: trial 1: its machine is gone; the same command"):
+    with pytest.raises(ValueError, match=r"1 of 3 trainings failed, the others are kept: trial 1: its machine is gone"):
         search(base, 3, 5, tmp_path / "run", batch=3, place=Without(key="trial-001"))
     again = search(base, 3, 5, tmp_path / "run", batch=3)
     assert [number_of(trial) for trial in ended(again)] == [0, 1, 2]
@@ -96,10 +98,50 @@ def test_a_training_that_goes_on_counts_its_earlier_validations(tmp_path, traine
     out = tmp_path / "trial-000"
     train_trial(Analytic(scenario="toy6", out=out), [])
     first = json.loads((out / "trial.json").read_text())
-    assert list(first["validations"]) == ["0", "10", "20"]
-    (out / "trial.json").write_text(json.dumps(first | {"validations": {"-10": 9.0, "0": 8.0, "10": 7.0}}))
+    assert list(first["costs"]) == ["0", "10", "20"]
+    (out / "trial.json").write_text(json.dumps(first | {"costs": {"-10": 9.0, "0": 8.0, "10": 7.0}}))
     train_trial(Analytic(scenario="toy6", out=out), [])
-    assert list(json.loads((out / "trial.json").read_text())["validations"]) == ["-10", "0", "10", "20"]
+    assert list(json.loads((out / "trial.json").read_text())["costs"]) == ["-10", "0", "10", "20"]
+
+
+def test_what_a_folder_holds_is_read_or_named(tmp_path, trained, monkeypatch):
+    base, out = Analytic(scenario="toy6"), tmp_path / "run" / "trial-000"
+    search(base, 1, 0, tmp_path / "run")
+    for damaged in ('{"costs', "{}", "[]", '{"costs": 1}'):
+        (out / "trial.json").write_text(damaged)
+        with pytest.raises(ValueError, match=r"trial.json: does not say how the trial went; delete the folder .*-000"):
+            read_trial(out)
+    assert read_trial(tmp_path) == Told()
+
+    def refused(cfg):
+        raise TrainingError("folder: holds another run")
+
+    monkeypatch.setattr(analytic, "main", refused)
+    with pytest.raises(ValueError, match=r"1 of 1 trainings failed, the others are kept: trial 1: .*holds another run"):
+        search(base, 2, 0, tmp_path / "run")
+
+    def diverged(cfg):
+        cfg.out.mkdir(exist_ok=True)
+        raise Diverged("not finite")
+
+    monkeypatch.setattr(analytic, "main", diverged)
+    assert ended(search(base, 2, 0, tmp_path / "run"))[1].state.name == "PRUNED"
+    (tmp_path / "run" / "journal.log").write_text('{"bad\n{"bad\n')
+    with pytest.raises(ValueError, match="holds no search that can be read"):
+        search(base, 2, 0, tmp_path / "run")
+
+
+def test_another_search_in_the_same_folder_is_refused(tmp_path, trained):
+    base = Analytic(scenario="toy6")
+    search(base, 1, 0, tmp_path / "run", ("num_envs",))
+    with pytest.raises(ValueError, match=r"num_envs was 128 and is not said now"):
+        search(base, 1, 0, tmp_path / "run")
+    optuna = require_optuna()
+    backend = optuna.storages.journal.JournalFileBackend(str(tmp_path / "run" / "journal.log"))
+    study = optuna.load_study(study_name="analytic", storage=optuna.storages.JournalStorage(backend))
+    study.add_trial(optuna.trial.create_trial(value=1.0))
+    with pytest.raises(ValueError, match="is of an earlier version, which numbered trials otherwise; give another"):
+        search(base, 1, 0, tmp_path / "run", ("num_envs",))
 
 
 class Backwards(Here):

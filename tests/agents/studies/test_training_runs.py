@@ -7,7 +7,7 @@ import pytest
 from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.algorithms.ppo import Ppo
 from dcgrid_env.agents.algorithms.safe import Safe
-from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, trained
+from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, trained, words_of
 from dcgrid_env.agents.studies.training_units import train_all
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.core.work.here import ONE_PROCESS
@@ -42,6 +42,8 @@ def test_a_command_names_what_differs_only():
     assert command(Analytic(scenario="mixed")) == "dcgrid train analytic --scenario mixed --updates 200 --history 0"
     made = command(Analytic.for_scenario("toy6", preview=False, delay_limit_s=2.0))
     assert made == "dcgrid train analytic --scenario toy6 --no-preview --delay-limit-s 2"
+    exact = Analytic.for_scenario("toy6", learning_rate=0.004130399570052626)
+    assert float(words_of(exact)[-1]) == exact.learning_rate
 
 
 def test_a_run_is_done_once_and_others_are_told_apart(tmp_path):

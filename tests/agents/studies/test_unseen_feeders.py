@@ -37,7 +37,7 @@ def test_each_feeder_is_scored_over_episodes_of_its_own():
         assert (on.J["droop-q"] == rollout(member, law, range(2)).costs()).all()
         assert (on.best <= on.J["droop-tuned"]).all()
         assert on.score("droop-tuned") == 0.0
-    table: Any = unseen_feeders.each_table("zero-shot", driven, 2, 1)
+    table: Any = unseen_feeders.each_table("zero-shot", ["droop-q"], driven, 2, 1)
     assert table.rows[0][4] == f"{min(on.score('droop-q') for on in driven):.2f}"
 
 

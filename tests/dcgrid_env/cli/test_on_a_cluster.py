@@ -168,7 +168,7 @@ def test_a_search_over_settings_finds_the_same(here, cluster):
         local, ray = (here / out / f"trial-{number:03d}" for out in ("local", "ray"))
         assert (local / "policy.safetensors").read_bytes() == (ray / "policy.safetensors").read_bytes()
         a, b = (json.loads((folder / "trial.json").read_text()) for folder in (local, ray))
-        assert a["validations"] == b["validations"]
+        assert a["costs"] == b["costs"]
         assert not a["stopped"]
 
 

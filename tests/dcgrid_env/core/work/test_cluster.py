@@ -58,4 +58,6 @@ def test_a_unit_that_no_node_has_room_for_is_said_to_wait():
         (Needs(1.0, 0.0, 4.0), "memory for"),
     ):
         assert said in found.waits_for([Unit("small", print, 0), Unit("seed 3", print, 0, needs)])
-    assert found.waits_for([Unit("seed 3", print, 0, Needs(3.0))]).endswith("for seed 3, which waits until one joins")
+    assert found.waits_for([Unit("seed 3", print, 0, Needs(3.0))]).endswith(
+        "3 CPU for seed 3; they wait until one joins"
+    )
