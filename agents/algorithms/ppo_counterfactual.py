@@ -25,13 +25,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
+from dcgrid_env.agents.training.agent_networks import AgentNetworks
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.counterfactual import Counterfactual, require_one_step
@@ -94,40 +94,6 @@ class Rollout(NamedTuple):
     """What means are cut to, (row, n_action)."""
     costs: np.ndarray
     """Cost of each step, (step, env)."""
-
-
-class AgentNetworks(BasePolicy):
-    """A network for each kind of agent, from joint observations to the outputs of all agents.
-
-    Parameters
-    ----------
-    networks
-        By the kind of the device.
-    seen
-        Gives their inputs.
-    acting
-        Makes a joint action of the outputs.
-    """
-
-    def __init__(
-        self, *args: Any, networks: torch.nn.ModuleDict, seen: PolicyInterface, acting: PolicyInterface, **kwargs: Any
-    ):
-        super().__init__(*args, **kwargs)
-        self.networks, self.seen, self.acting = networks, seen, acting
-        self.optimizer = self.optimizer_class(networks.parameters(), **self.optimizer_kwargs)
-
-    def outputs(self, joint: torch.Tensor) -> torch.Tensor:
-        """Outputs of all agents in the order of the joint action, (..., n_action)."""
-        each = [self.networks[kind](own) for kind, own in self.seen.inputs(joint).items()]
-        return torch.cat([own.reshape(*joint.shape[:-1], -1) for own in each], dim=-1)
-
-    def action(self, joint: np.ndarray, outputs: torch.Tensor) -> np.ndarray:
-        """The joint action that outputs mean after a joint observation, (env, n_action)."""
-        return self.acting.action(joint, {"joint": outputs.cpu().numpy()})
-
-    def _predict(self, observation: Any, deterministic: bool = False) -> torch.Tensor:
-        """The mean's action."""
-        return torch.as_tensor(self.action(observation.cpu().numpy(), self.outputs(observation)))
 
 
 class CounterfactualPpo(BaseAlgorithm):

@@ -40,12 +40,12 @@ class OnFeeder(NamedTuple):
     first: int
     """The family's episode that the feeder is first met in."""
     J: dict[str, np.ndarray]
-    """Of each controller, the tuned droop among them, (n_episode,)."""
+    """By controller, the tuned droop among them, (n_episode,)."""
     best: np.ndarray
     """With perfect foresight, (n_episode,)."""
 
     def score(self, name: str) -> float:
-        """Of a controller, a ratio of means over the episodes."""
+        """Score of a controller, a ratio of means over the episodes."""
         droop = self.J[REFERENCE]
         return float((droop - self.J[name]).mean() / (droop - self.best).mean())
 

@@ -144,7 +144,7 @@ def feeders_table(one: Tried, worst: int) -> Table | None:
 
 
 def each_table(scenario: str, names: Sequence[str], driven: Sequence[OnFeeder], each: int, worst: int) -> Table:
-    """The same over as many episodes of each feeder."""
+    """How the scores over as many episodes of each feeder are spread, and the worst of them."""
     scores = {name: np.array([on.score(name) for on in driven]) for name in names}
     return _spread(
         f"{scenario}: each random feeder by itself, {each} {'episode' if each == 1 else 'episodes'} of its own",

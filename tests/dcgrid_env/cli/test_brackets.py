@@ -69,7 +69,7 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0,))
     monkeypatch.setattr(ablation, "VARIANTS", {"all": {}})
     monkeypatch.setattr(
-        "dcgrid_env.baselines.reproduction.study.study", lambda runs, begin: begin(NAME) or {"claims": []}
+        "dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
     )
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.markdown.render", lambda records: "")

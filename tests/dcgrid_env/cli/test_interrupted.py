@@ -47,7 +47,7 @@ def quick(monkeypatch):
     monkeypatch.setattr("dcgrid_env.baselines.model_based.hindsight.hindsight", lambda scenario, seed: solved)
     tuned = SimpleNamespace(parameters={}, score=1.0, trials=1)
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", lambda law, scenarios, episodes: tuned)
-    monkeypatch.setattr("dcgrid_env.baselines.reproduction.study.study", lambda runs, begin: {"claims": []})
+    monkeypatch.setattr("dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: {"claims": []})
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])
 
 
