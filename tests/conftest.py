@@ -4,6 +4,10 @@ import os
 
 from hypothesis import settings
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Workers share the cores: threads of one's torch would wait for those of the others', of notebooks' too.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # The same examples at every run, and no limit on an example's time: a busy machine is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
