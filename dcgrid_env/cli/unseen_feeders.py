@@ -68,9 +68,9 @@ class UnseenFeeders(OverWorkers):
         for line in (line for one in results for line in one.refusals.values()):
             say(console, line)
         for one in (one for one in results if one.scenario.name in families):
-            driving = [name for name in names if name not in one.refusals]
-            of_feeders.append(self._each(driving, one.scenario.name, place, console))
-            console.print(of_feeders[-1].rich(console.width))
+            if driving := [name for name in names if name not in one.refusals]:
+                of_feeders.append(self._each(driving, one.scenario.name, place, console))
+                console.print(of_feeders[-1].rich(console.width))
         if self.out is not None:
             from dcgrid_env.core.files import write_text
 

@@ -79,3 +79,15 @@ def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_wh
     said = " ".join(capsys.readouterr().out.split())
     assert "does not apply" in said
     assert "controller 'routing-analytic' cannot drive toy6" in said
+
+
+def test_where_every_controller_refuses_no_feeder_is_driven_by_itself(monkeypatch, capsys):
+    def solved(*_: Any, **__: Any) -> None:
+        raise AssertionError("hindsight was solved for no controller")
+
+    monkeypatch.setattr("dcgrid_env.agents.studies.feeder_by_feeder.hindsight", solved)
+    words = ["--scenarios", "zero-shot", "--episodes", "2", "--each", "2", "--controllers", "routing-analytic"]
+    main(["dev", "unseen-feeders", *words])
+    said = capsys.readouterr().out
+    assert "does not apply" in said
+    assert "of its own" not in said
