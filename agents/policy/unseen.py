@@ -28,6 +28,8 @@ def on_purpose() -> Iterator[None]:
 def unseen(trained_on: str, scenario: Scenario) -> str | None:
     """Name of the field in which a scenario's grid differs from all that a policy was trained on; None for none.
 
+    Where one of those is on the scenario's feeder, the field in which that one differs.
+
     Parameters
     ----------
     trained_on
@@ -45,13 +47,14 @@ def unseen(trained_on: str, scenario: Scenario) -> str | None:
         every = trained_scenarios(trained_on)
     except (ValueError, OSError):  # code of the user's own, or a file that has changed since
         return None
-    differs = None
-    for trained in every:
-        plain, other = under_own_control(scenario), under_own_control(trained)
-        differs = None if _is_member(scenario, trained) else grid_difference(plain, other)
-        if differs is None:
-            return None
-    return differs
+    plain = under_own_control(scenario)
+    differs = [
+        None if _is_member(scenario, trained) else grid_difference(plain, under_own_control(trained))
+        for trained in every
+    ]
+    if not differs or None in differs:
+        return None
+    return next((field for field in differs if field != "feeder"), "feeder")  # that of the one on its feeder
 
 
 def trained_scenarios(trained_on: str) -> list[Scenario]:

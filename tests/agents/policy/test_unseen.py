@@ -7,6 +7,7 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Network, Policy, UnseenScenarioWarning
+from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.unseen import trained_scenarios, unseen
 
 
@@ -53,6 +54,20 @@ def test_a_file_of_the_same_scenario_is_known(tmp_path, monkeypatch):
     assert unseen("ieee33 --set p_rated_kw=500", make_scenario("ieee33")) == "p_rated_kw"
     (tmp_path / "mine.toml").unlink()
     assert unseen("mine.toml", make_scenario("das69")) is None
+
+
+def test_the_field_is_that_of_the_trained_scenario_on_the_same_feeder():
+    other = make_scenario("das69", v0_pu=1.03)
+    assert unseen("das69,ieee33", other) == unseen("ieee33,das69", other) == "v0_pu"
+    assert unseen("ieee33", other) == "feeder"
+
+
+def test_inputs_are_recorded_on_variants_of_what_a_policy_names_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = recorded(policy("toy6"), [make_scenario("toy6", v0_pu=1.03, horizon=4)], episodes=1)
+    assert found is not None
+    assert set(found) == {"datacenter", "inverter"}
 
 
 def test_code_of_the_users_own_is_not_run(tmp_path, monkeypatch):
