@@ -35,6 +35,7 @@ from dcgrid_env.agents.policy.memory import outputs_of
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.episodes import check_batch, episode_seeds, windows
+from dcgrid_env.agents.training.gradient_overflow import without_overflow
 from dcgrid_env.agents.training.limits import Limits, updated_factor
 from dcgrid_env.agents.training.normalisation import normalisation, remembered_columns
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
@@ -141,7 +142,7 @@ class Learner:
         for size in windows(env.scenario.horizon, cfg.window):
             began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
             for _ in range(size):
-                step = env.step(self.act(i, joint))
+                step = env.step(without_overflow(self.act(i, joint)))
                 joint = step.observation
                 total = total + self._priced(env, step)
                 waited = waited + step.state.backlog_kws.detach().sum(-1)
