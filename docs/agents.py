@@ -8,24 +8,19 @@ ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
 
 
 def cells(scenario: str, algorithm: str) -> list[str]:
-    """Score with interval, mean over seeds with its interval (or the range of an older card), delay, minutes."""
+    """Score with interval, mean over seeds with its interval and their number, delay, minutes."""
     path = FOLDER / f"{scenario}-{algorithm}.json"
     if not path.exists():
         return ["", "", "", ""]
     card = Card.load(path)
     found = card.scored
     assert found is not None, path
+    assert found.over_seeds is not None, path
     score, low, high = found.score
-    seeds = found.seed_scores
-    spread = "(1)"
-    if found.over_seeds is not None:
-        mean, least, most = found.over_seeds
-        spread = f"{mean:.2f} ({least:.2f} .. {most:.2f}; {len(seeds)})"
-    elif len(seeds) > 1:
-        spread = f"{min(seeds):.2f} .. {max(seeds):.2f} ({len(seeds)})"
+    mean, least, most = found.over_seeds
     return [
         f"{score:.2f} ({low:.2f} .. {high:.2f})",
-        spread,
+        f"{mean:.2f} ({least:.2f} .. {most:.2f}; {len(found.seed_scores)})",
         f"{found.delay_mean_s:.2f}",
         f"{(card.training_s or 0) / 60:.1f}",
     ]
