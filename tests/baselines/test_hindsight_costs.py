@@ -5,10 +5,11 @@ import pytest
 
 from dcgrid_env import PRESETS, acting_relays, make_scenario
 from dcgrid_env.agents import find_controller
+from dcgrid_env.agents.controllers import BEST_KNOWN as KEPT_POLICIES
 from dcgrid_env.baselines import CONTROLLERS, TUNED, make_controller, published, rollout
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, _shipped, records
 from dcgrid_env.baselines.model_based.hindsight import hindsight
-from dcgrid_env.baselines.tuning.best_known import replayed
+from dcgrid_env.baselines.tuning.best_known import SEARCH, replayed
 from helpers.needs import can_be_planned, drives, stays_connected
 
 EPISODES = dict.fromkeys(PRESETS, 100) | {"smoothing": 8}
@@ -97,6 +98,12 @@ def test_there_is_headroom(name):
     least = values.bound if name in BOUNDED else values.J
     for cost in j.values():
         assert (cost > least[:20] * (1.0 - LINEARISED)).all()
+
+
+@pytest.mark.parametrize("name", UNPLANNED)
+def test_no_record_of_the_best_known_leans_on_a_policy_that_may_be_trained_anew(name):
+    known = records(make_scenario(name, split="test"))
+    assert {record["by"] for record in known} <= {SEARCH, *CONTROLLERS, *TUNED, *KEPT_POLICIES}
 
 
 @pytest.mark.parametrize("name", TRIPPING)
