@@ -40,6 +40,7 @@ SHORTER = {
     "dcgrid run --scenario ieee33-weak --horizon 1440": {"--horizon": "4"},
     "dcgrid benchmark": {"--episodes": "2", "--workers": "1"},
     "dcgrid benchmark --controllers all": {"--episodes": "2", "--workers": "1", "--scenarios": "toy6"},
+    "dcgrid benchmark --scenarios smoothing": {"--episodes": "1", "--workers": "1"},  # of 6000 steps each
     "dcgrid benchmark --scenarios ieee33-weak,mixed": {"--episodes": "2", "--workers": "1", "--scenarios": "toy6"},
     "dcgrid train analytic": TRAINING,
     "dcgrid train analytic --vary 4": TRAINING | {"--vary": "1"},

@@ -17,6 +17,7 @@ LIMIT_S = 420
 
 
 def needs(*modules, extra="frameworks"):
+    """Skip without these modules; "tree" comes with RLlib, and not with the extra ray alone."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     why = f"{', '.join(missing)} not installed; {from_clone(extra)}"
     return pytest.mark.skipif(bool(missing), reason=why)
@@ -161,7 +162,7 @@ def test_torchrl_example(tmp_path):
 
 
 @pytest.mark.slow
-@needs("ray")
+@needs("ray", "tree")
 def test_rllib_wrapper_takes_the_environment_as_it_is(tmp_path):
     code = """
 import dcgrid_env
@@ -183,7 +184,7 @@ print("checked")
 
 
 @pytest.mark.slow
-@needs("ray")
+@needs("ray", "tree")
 def test_rllib_on_the_native_batch_has_every_transition_of_every_episode(tmp_path):
     code = """
 import numpy as np, dcgrid_env
@@ -226,7 +227,7 @@ print("checked")
 
 
 @pytest.mark.slow
-@needs("ray")
+@needs("ray", "tree")
 def test_rllib_policy_acts_as_its_modules_do(tmp_path):
     code = """
 import sys
@@ -258,7 +259,7 @@ print("checked")
 
 
 @pytest.mark.slow
-@needs("ray")
+@needs("ray", "tree")
 def test_rllib_example_with_two_workers(tmp_path):
     options = ["--iterations", "1", "--workers", "2", "--batch", "480", "--episodes", "2", "--save", "made"]
     printed = run(EXAMPLES / "rllib_multi_agent.py", *options, "--checkpoint", "results/rllib", home=tmp_path)
@@ -315,7 +316,7 @@ def test_benchmarl_example(tmp_path):
 
 
 @pytest.mark.slow
-@needs("ray")
+@needs("ray", "tree")
 def test_rllib_example_on_the_native_batch_and_its_checkpoint(tmp_path):
     options = ["--runners", "1", "--lanes", "4", "--episodes", "2"]
     more = ["--iterations", "1", "--save", "made", "--checkpoint", "results/rllib"]
