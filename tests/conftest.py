@@ -17,12 +17,15 @@ COMPILED = {"gw0": ("toy6",), "gw1": ("ieee34-3ph", "routing", "ride-through")}
 
 
 def pytest_sessionstart(session):
-    """Compile in a fresh checkout, a part in each of two workers, for the other to read from the disk."""
+    """Compile where nothing has been, a part in each of two workers, for the other to read from the disk."""
     presets = COMPILED.get(os.environ.get("PYTEST_XDIST_WORKER", ""), ())
-    cache = session.config.rootpath / "dcgrid_env" / "powerflow" / "balanced" / "__pycache__"
-    if not presets or any(cache.glob("*.nbi")) or "NUMBA_CACHE_DIR" in os.environ:
+    if not presets:
         return
     from dcgrid_env import DcgridVectorEnv, make_scenario
+    from dcgrid_env.core.kernel_files import folders
+
+    if any(folder.is_dir() and any(folder.iterdir()) for folder in folders()):
+        return
 
     for preset in presets:
         env = DcgridVectorEnv(2, make_scenario(preset, split="test", horizon=5))

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from dcgrid_env.core.compiled import compiled
 
 _FAST = {"reassoc", "contract", "nnan", "ninf", "nsz"}
 _TOP = 4.0  # beyond so many standard deviations an error does not come
@@ -22,7 +23,7 @@ _ROUNDING = 1e-12  # share of a limit
 _VECTOR = 8  # numbers that a processor takes at once; what is left of a row beyond a multiple takes as long again
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@compiled(nogil=True, fastmath=_FAST)
 def decide(
     first, last, by_voltage, by_violation, band_pu, hold, alike, base, own_base, gain, inverse_spread, by_all,
     by_q, by_own, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest,
@@ -87,7 +88,7 @@ def decide(
     return 0
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def half_normal(x):
     """Phi(x) - 1/2 within 4e-5, Phi the standard normal distribution."""
     x = min(max(x, -_TOP), _TOP)
@@ -96,7 +97,7 @@ def half_normal(x):
     return x * (_PHI[0] + y * (_PHI[1] + y * (_PHI[2] + y * (_PHI[3] + y * (_PHI[4] + y * high)))))
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@compiled(fastmath=_FAST, forceinline=True)
 def _slope(x, edge, apart, direction, moved, by, price):
     """Derivative of the expected cost by what moves the voltages by ``by``, after a move along ``direction``.
 
@@ -121,7 +122,7 @@ def _slope(x, edge, apart, direction, moved, by, price):
     return total
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high, high_f, close):
     """Where ``constant + rise t + _slope(t)`` is 0 in (low, high), of other signs at its ends; the Illinois method."""
     side = 0
@@ -145,7 +146,7 @@ def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high
     return 0.5 * (low + high)
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
     """How much less than all work to serve, kW, until a kW less relieves no more than it costs to let it wait.
 
@@ -163,7 +164,7 @@ def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
     return cut, relief
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def respond(x, edge, apart, rises, together, own, price, share, limit, effort, hold, rest):
     """The best setpoint as a share of the limit, and the slope at the one now without the price of effort.
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from dcgrid_env.core.compiled import compiled
 
 _FAR = 40.0  # half widths from a kink at which its rounding is beyond double precision
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@compiled(nogil=True, fastmath={"reassoc", "contract"})
 def smoothed_cost(e, by_voltage, by_violation, band_pu, smooth_pu):
     """Sum over deviations e, p.u., of m moments and k buses, (m, k), with kinks rounded over ``smooth_pu``.
 

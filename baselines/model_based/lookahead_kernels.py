@@ -3,11 +3,12 @@
 # pyright: basic
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(nogil=True, error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+
+@compiled(nogil=True, fastmath={"reassoc", "contract"})
 def rounds(
     first, last, count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work,
     price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
@@ -27,7 +28,7 @@ def rounds(
     return 0
 
 
-@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _lane(
     count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work, price, effort,
     w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
@@ -67,7 +68,7 @@ def _lane(
                 u_b[k, i] = to - new
 
 
-@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line):
     """The deviations of a step and their multipliers after a round, and into ``line`` what the next one begins from."""
     n, n_bus = slopes.shape
@@ -86,7 +87,7 @@ def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u
         line[m] = new - (to - new) - offset[k, m]
 
 
-@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _bus_terms(k, w_e, slopes, line, right):
     """The buses' part of the right-hand side of a step, into ``right``."""
     n, n_bus = slopes.shape
@@ -97,7 +98,7 @@ def _bus_terms(k, w_e, slopes, line, right):
         right[i, k] = w_e * total
 
 
-@numba.njit(error_model="numpy", cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x):
     """Solve the least-squares problem for ``right`` (n, step), into ``x``; ``_System`` says how."""
     n, steps = right.shape
@@ -129,7 +130,7 @@ def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_si
             x[i, k] = total
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def _within(k, base, low, high, s_rated, q_high, effort, u_y, y):
     """Proximal point of effort |q| within box and circle of what stands in ``u_y``, into ``y``; ``u_y`` is the rest."""
     n_dc, n_agent = base.shape[1], q_high.shape[0]

@@ -7,8 +7,9 @@ excess kurtosis -0.3, never beyond 3.47): integers and one multiplication, hence
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from dcgrid_env.core.compiled import compiled
 
 PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR, SAG = range(1, 11)
 """Streams: what a draw is for."""
@@ -19,20 +20,20 @@ _MASK = np.uint64(0xFFFF)
 _SCALE = 1.0 / np.sqrt(4 * (65536.0**2 - 1) / 12)
 
 
-@numba.njit(cache=True)
+@compiled
 def _mix(x):
     x = (x ^ (x >> np.uint64(30))) * _M1
     x = (x ^ (x >> np.uint64(27))) * _M2
     return x ^ (x >> np.uint64(31))
 
 
-@numba.njit(cache=True)
+@compiled
 def _hash(key, stream, step, index):
     counter = (np.uint64(stream) << np.uint64(56)) | (np.uint64(step) << np.uint64(24)) | np.uint64(index)
     return _mix(_mix(key + _GOLDEN) + (counter + np.uint64(1)) * _GOLDEN)
 
 
-@numba.njit(cache=True)
+@compiled
 def _standard(h):
     total = (
         (h & _MASK) + ((h >> np.uint64(16)) & _MASK) + ((h >> np.uint64(32)) & _MASK) + ((h >> np.uint64(48)) & _MASK)
@@ -40,7 +41,7 @@ def _standard(h):
     return (float(total) - 2.0 * 65535.0) * _SCALE
 
 
-@numba.njit(cache=True)
+@compiled
 def keys(salt, seeds, episodes):
     """One key per lane, uint64, from the split's salt, the lane's seed and the episode's number since that seed."""
     out = np.empty(seeds.shape[0], np.uint64)
@@ -49,7 +50,7 @@ def keys(salt, seeds, episodes):
     return out
 
 
-@numba.njit(cache=True)
+@compiled
 def bits(key, stream, n):
     """Hashes of one stream, shape (lane, n), uint64."""
     out = np.empty((key.shape[0], n), np.uint64)
@@ -64,7 +65,7 @@ def uniform(key, stream, n):
     return (bits(key, stream, n) >> np.uint64(11)) * 2.0**-53
 
 
-@numba.njit(cache=True)
+@compiled
 def standard(key, stream, step, n):
     """Standard draws (mean 0, variance 1) of each lane's own ``step``, shape (lane, n)."""
     out = np.empty((key.shape[0], n))
@@ -74,7 +75,7 @@ def standard(key, stream, step, n):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def load_step(key, step, z, share, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out):
     """One step of the buses' AR(1) load noise: z' = rho z + sqrt(1 - rho^2) e, and the loads.
 

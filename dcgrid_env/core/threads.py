@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 
-import numba
+from dcgrid_env.core.compiled import compiled
 
 LANES_PER_THREAD = 64  # below this many lanes a thread costs more than it saves
 _pool: tuple[int, ThreadPoolExecutor] | None = None
@@ -47,7 +47,7 @@ def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
     return own + sum(other.result() for other in others)
 
 
-@numba.njit(cache=True)
+@compiled
 def _nothing() -> int:
     return 0
 

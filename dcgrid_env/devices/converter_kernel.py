@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(error_model="numpy", cache=True)
+
+@compiled
 def dispatch_lanes(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
     """Reactive injection and its limit, kvar, (lane, n_device), from ratings (n_device,) and powers (lane, n_device).
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.core.units import S_BASE_KVA
@@ -87,7 +87,7 @@ def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     return (*constants(feeder, np.float64), source_pu, judged, band_pu)
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _lanes(
     first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.unbalance import TINY_PU
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def leg_loads(factor, leg_bus, p_kw, q_kvar):
     """Loads of the legs, kW and kvar, (lane, n_leg): base loads (n_leg,) times a factor of their bus (lane, n_bus)."""
     p, q = np.empty((factor.shape[0], len(leg_bus))), np.empty((factor.shape[0], len(leg_bus)))
@@ -20,7 +20,7 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
     return p, q
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def setpoints(action, middle, half_range):
     """Setpoints (lane, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
     out = np.empty(action.shape)
@@ -32,7 +32,7 @@ def setpoints(action, middle, half_range):
     return out
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     """Net load of each leg, kW and kvar, (lane, n_leg): loads, and what agents draw less what they inject.
 
@@ -51,7 +51,7 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     return p_net, q_net
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
     """Each agent's lowest and highest phase, p.u., (lane, n_agent), and each three-phase bus's unbalance factor.
 
@@ -81,7 +81,7 @@ def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
     return lowest, highest, factor
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def joint_observation(raw, scale, column, low, high):
     """The joint observation as float32, (lane, n): of each entry the scaled raw figure in its column, cut to bounds.
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+
+from dcgrid_env.core.compiled import compiled
 
 
 class VoltageFigures(NamedTuple):
@@ -19,7 +20,7 @@ class VoltageFigures(NamedTuple):
     highest_pu: np.ndarray
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _sums(v_pu, lane, first, n, band_pu):
     """Sums of |V - 1| and of its excess over ``n`` nodes, in the order in which ``np.add.reduce`` adds up a row.
 
@@ -50,7 +51,7 @@ def _sums(v_pu, lane, first, n, band_pu):
     return deviation, excess
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, highest):
     """Fill the figures, (lane,) each, of the lanes from ``begin`` up to ``end``, nodes from ``first`` on."""
     for lane in range(begin, end):

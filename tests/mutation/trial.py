@@ -86,8 +86,8 @@ class Trial:
 def begin(copy: Path, tests: list[str], limit_s: float, cache: Path | None, *, first: bool = False) -> Trial:
     """Run tests in a copy until one fails.
 
-    Kernels are cached in ``cache``, or beside their sources if it is None; ``first`` keeps compiled Python too, which
-    is right for sources that stay as they are.
+    Kernels are cached in ``cache``, or in the user's cache folder if it is None; ``first`` keeps compiled Python too,
+    which is right for sources that stay as they are.
     """
     output = copy.with_name(copy.name + ".txt")
     process = _fork.Process(target=_child, args=(copy, tests, cache, output, first))

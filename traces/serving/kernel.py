@@ -6,8 +6,7 @@ requests in decode advance together, by V tokens since the beginning, so a reque
 ends when V reaches V0 + g - 1: no step needs to look at every request.
 """
 
-from numba import njit
-
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.traces.time_grid import GRID_S
 
 RING = 8192
@@ -26,7 +25,7 @@ ARRIVAL, CONTEXT, GENERATED, NUMBER, LEVEL, FIRST, END_V = range(7)
 COME, ADMITTED, READ = range(3)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def advance(constants, state, count, ring, table, n_steps, reading, batch, at_v):
     """Advance by `n_steps`, in place.
 

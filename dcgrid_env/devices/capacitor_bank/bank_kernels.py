@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(error_model="numpy", cache=True)
+
+@compiled
 def measured_banks(settings, v, re, im, i_re, i_im):
     """Mean voltage and reactive power of each bank, (2, lane, n_capacitor), from figures of all nodes, (lane, node)."""
     lanes, n = v.shape[0], len(settings.kvar_per_pu_a)
@@ -23,7 +24,7 @@ def measured_banks(settings, v, re, im, i_re, i_im):
     return out
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def control_banks(by_voltage, on_at, off_at, delay_s, state, dt_s, controlled, same_time_s):
     """What ``capacitor_control.control_banks`` does: on, time beyond a threshold, time since, switched, switchings.
 

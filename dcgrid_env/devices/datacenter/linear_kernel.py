@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(error_model="numpy", cache=True)
+
+@compiled
 def serve_linearly(p_idle_kw, p_dynamic_kw, f_max_mhz, backlog_kws, p_ref_kw, f_mhz, dt_s, boost):
     """Backlog, kW s, work arrived and served, and draw, kW, (lane, slot) each, with the bits of the array form.
 

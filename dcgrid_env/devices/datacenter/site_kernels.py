@@ -7,13 +7,14 @@ Numba's functions have no types to check.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from dcgrid_env.core.compiled import compiled
 
 TINY_KW = 1e-30
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def route(arrived_kw, route_share, p_dynamic_kw, movable_share):
     """What arrives at each site after the move, what it sent and received, kW, and its share of all work that arrives.
 
@@ -41,7 +42,7 @@ def route(arrived_kw, route_share, p_dynamic_kw, movable_share):
     return out
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later, share, by_deadline):
     """See ``service_levels.serve_by_slack``; ``moved_kw`` is (0, 0) where nothing has a step less."""
     lanes, slots = arrived_kw.shape

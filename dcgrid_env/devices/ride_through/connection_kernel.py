@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.devices.ride_through.rules import ALL_BACK
 
 
-@numba.njit(cache=True)
+@compiled
 def _note(ages_s, age_s, window_s):
     """Put a new age in front of the others, and say whether the oldest then lies within the window."""
     n = ages_s.shape[0]
@@ -19,7 +19,7 @@ def _note(ages_s, age_s, window_s):
     return n > 0 and ages_s[n - 1] <= window_s
 
 
-@numba.njit(cache=True)
+@compiled
 def advance_lanes(
     before, volts, sags, pace, threshold, time_s, n_under, delay_s, release_s, longest_s, remembered_s, window_s, dt_s
 ):
@@ -80,7 +80,7 @@ def advance_lanes(
     return share, timer, wait, events, returns, locked, tripped, lost
 
 
-@numba.njit(cache=True)
+@compiled
 def largest_timer_share(timer_s, time_s):
     """How near the slow trip is, 0 .. 1, (lane, slot), see ``connection.timer_share``."""
     lanes, slots, n_element = timer_s.shape
@@ -94,7 +94,7 @@ def largest_timer_share(timer_s, time_s):
     return largest
 
 
-@numba.njit(cache=True)
+@compiled
 def younger(ages_s, than_s):
     """How many ages of each slot are below a time, (lane, slot)."""
     lanes, slots, n = ages_s.shape

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(cache=True)
+
+@compiled
 def step_lanes(
     stored_kws, share, p_kw, p_idle_kw, served_kw, p_rated_kw, battery_s, recharge_share, efficiency, serves, dt_s
 ):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(error_model="numpy", cache=True)
+
+@compiled
 def step_lanes(params, share, state, asked_kw, connected, hours):
     """State after an interval as the rows of (7, lane, slot), in the order of ``StorageState``.
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 
-@numba.njit(error_model="numpy", cache=True)
+
+@compiled
 def relay_volts(settings, v_re, v_im, i_re, i_im):
     """Relay volts, (lane, n_regulator), from voltages and currents of all nodes, (lane, n_node)."""
     lanes, n = v_re.shape[0], len(settings.node)
@@ -23,7 +24,7 @@ def relay_volts(settings, v_re, v_im, i_re, i_im):
     return out
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def _direct(settings, controlled, volts, tap, wanted):
     """Put into ``wanted`` which way each regulator of a lane is to go; the number of those that are to go anywhere."""
     asking = 0
@@ -39,7 +40,7 @@ def _direct(settings, controlled, volts, tap, wanted):
     return asking
 
 
-@numba.njit(error_model="numpy", cache=True)
+@compiled
 def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
     """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, lane, n_regulator)."""
     lanes, n = state.tap.shape

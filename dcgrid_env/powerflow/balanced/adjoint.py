@@ -16,9 +16,9 @@ The sweeps go up the tree for w, down it for the rest, until lbar stands still; 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
 
 BLOCK = 32
@@ -29,7 +29,7 @@ TOLERANCE = {8: 1e-10, 4: 1e-5}
 """Largest last change of lbar times squared current, as a share of the largest wbar, by bytes a figure."""
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
     """Fill ``out``: derivatives by p_kw and q_kvar (lane, bus) and by v0_pu (lane,) of sum(weights * solved).
 

@@ -15,9 +15,9 @@ power is that of the last sweep's voltage, and what the sweep changes of it is p
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK_SWEEPS, PER_KVA, distflow_blocks
 from dcgrid_env.powerflow.solution import (
@@ -32,7 +32,7 @@ FEW = 10  # up to this many lanes one at a time beats a mostly empty block
 MOST_IN_BLOCKS = 3000  # buses: a block is three times as fast there as one lane at a time, and no faster at 10,000
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     """Put a lane's loads into column b; whether all of them are finite."""
     p, q, _, _, v, _ = scratch
@@ -45,14 +45,14 @@ def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     return check == 0.0
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _start(b, lane, order, warm, l):
     l[0, b] = 0.0
     for k in range(1, order.shape[0]):
         l[k, b] = warm[lane, order[k] - 1] if warm.shape[0] > 0 else 0.0
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _clear(scratch):
     """No solution at all: no flow, and the lowest voltage but at the substation."""
     _, _, P, Q, v, l = scratch
@@ -61,7 +61,7 @@ def _clear(scratch):
         v[k, 0] = V_SQ_FLOOR
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _add_shunts(shunt_g, shunt_b, scratch, before):
     """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
     _, _, P, Q, v, _ = scratch
@@ -72,7 +72,7 @@ def _add_shunts(shunt_g, shunt_b, scratch, before):
             before[k, b] = v[k, b]
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _add_change(shunt_g, shunt_b, v, before, off):
     """Raise the residual of each column to the largest change of a shunt's power in this sweep."""
     for k in range(shunt_g.shape[0]):
@@ -81,7 +81,7 @@ def _add_change(shunt_g, shunt_b, v, before, off):
             off[b] = max(off[b], abs(v[k, b] - before[k, b]) * size)
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     _, _, P, Q, v, l = scratch
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
@@ -103,7 +103,7 @@ def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     residual_kva[lane] = residual * S_BASE_KVA
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch
@@ -136,7 +136,7 @@ def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_s
     return max_sweeps, residual
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
@@ -177,7 +177,7 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
     return failed
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def lindistflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, out):
     """Solve what ``distflow_lanes`` solves without its loss terms: one pass, and more only for the shunts' power."""
     n_lanes, n = p_kw.shape

@@ -7,9 +7,9 @@ bits there and here. Scratch arrays are (n_bus, BLOCK) in depth-first order and 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
@@ -19,7 +19,7 @@ BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near c
 PER_KVA = 1.0 / S_BASE_KVA
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v, l, finite):
     """Put loads and start of the lanes from ``first`` to ``last`` into the columns, and ``last`` into what is left.
 
@@ -50,7 +50,7 @@ def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v
             v[k, b] = v0 * v0
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
     """Write the flows of the lanes that have settled in this sweep: the next one changes them."""
     for b in range(settled.shape[0]):
@@ -60,7 +60,7 @@ def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
                 q_branch_kvar[first + b, order[k] - 1] = flow[k, BLOCK + b] * S_BASE_KVA
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw):
     """Write what has been found of the lanes from ``first`` to ``last``, as ``_load_block`` reads them."""
     loss = np.zeros(BLOCK)  # added up in float64 whatever the precision, as one lane alone does
@@ -84,7 +84,7 @@ def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_k
         loss_kw[lane] = loss[lane - first] * S_BASE_KVA
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _add_shunts(shunt_g, shunt_b, flow, v, before):
     """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
     for k in range(shunt_g.shape[0]):
@@ -94,7 +94,7 @@ def _add_shunts(shunt_g, shunt_b, flow, v, before):
             before[k, b] = v[k, b]
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up):
     """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive.
 
@@ -140,7 +140,7 @@ def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, 
             off[b] = max(off[b], abs(v[k, b] - before[k, b]) * size)
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def distflow_blocks(
     order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out
 ):

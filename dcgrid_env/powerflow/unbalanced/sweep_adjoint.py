@@ -12,9 +12,9 @@ which is the same sweep, with ibar for the voltage, vbar for the current, conjug
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     clear_inactive,
     hand_over,
@@ -32,7 +32,7 @@ TOLERANCE = 1e-9
 """Largest estimated error of ibar, as a share of its largest after the first sweep."""
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _transposed(plan, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
     shunt_currents(plan, wide, -1.0, Y, X)
@@ -40,7 +40,7 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
     legs_transposed(plan, wide, N, G, Y, X)
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
     """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up."""
     before, scale = np.ones(len(wide)), np.zeros(len(wide))
@@ -62,7 +62,7 @@ def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
             break
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _blocks(plan, wide, given, solved, weights, converged, out):
     """Take the lanes through in blocks of the given width."""
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
@@ -98,7 +98,7 @@ def _blocks(plan, wide, given, solved, weights, converged, out):
         hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out)
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def sweep_adjoint_lanes(plan, given, solved, weights, converged, out):
     """Fill ``out`` with derivatives of sum(weights * figures).
 

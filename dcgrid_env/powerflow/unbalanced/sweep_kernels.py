@@ -8,15 +8,15 @@ many. Nothing lets the compiler reorder or fuse floating-point operations, so a 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.unbalanced.plan import LINE, REGULATOR
 
 U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def shunt_currents(plan, wide, sign, V, J):
     """Set J to what the susceptances at each bus draw at V, times ``sign``, -1 for the conjugate."""
     W = np.uint64(len(wide))
@@ -56,7 +56,7 @@ def shunt_currents(plan, wide, sign, V, J):
                 J[o + U5 * W + b] = s2 * r0 + s4 * r1 + s5 * r2
 
 
-@numba.njit(inline="always")
+@compiled(inline="always")
 def leg_admittance(law, k, wide, V, i, j, H):
     """Set H to h_p and h_q of a leg between the rows i and j of V: see ``grid.three_phase_legs``."""
     W = np.uint64(len(wide))
@@ -84,7 +84,7 @@ def leg_admittance(law, k, wide, V, i, j, H):
                 H[W + b] = law[k, 13] + law[k, 14] * inverse
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def load_currents(plan, wide, V, P, Q, H, J):
     """Add to J what the loads' legs draw at V; P and Q hold their rows in the plan's order, scaled by the law's."""
     W = np.uint64(len(wide))
@@ -115,7 +115,7 @@ def load_currents(plan, wide, V, P, Q, H, J):
                 J[j + b] -= H[b]
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def device_currents(nodes, count, wide, V, P, Q, J):
     """Add to J what devices draw at V, a constant power at each of the first ``count`` nodes of the list."""
     W = np.uint64(len(wide))
@@ -130,7 +130,7 @@ def device_currents(nodes, count, wide, V, P, Q, J):
             J[i + W + b] += p * im - q * re
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def capacitor_currents(plan, wide, V, on, J):
     """Add to J what the capacitors draw at V; ``on`` has a row for each bank."""
     W = np.uint64(len(wide))
@@ -150,7 +150,7 @@ def capacitor_currents(plan, wide, V, on, J):
                 J[j + W + b] -= b_pu * on[at + b] * re
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def add_up(plan, wide, ratio, J):
     """Backward: add the currents of each bus to those of the bus that feeds it, I_n = A^T I_m."""
     W = np.uint64(len(wide))
@@ -184,7 +184,7 @@ def add_up(plan, wide, ratio, J):
                         J[u + b] += a * J[o + j * U2 * W + b]
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def go_down(plan, wide, sign, ratio, J, V, T, off):
     """Forward: V_m = A V_n - B I_m for each bus; ``sign`` times the reactance, -1 for the conjugate.
 
@@ -224,7 +224,7 @@ def go_down(plan, wide, sign, ratio, J, V, T, off):
         _take_over(o, size, wide, T, V, off)
 
 
-@numba.njit(inline="always")
+@compiled(inline="always")
 def _take_over(o, size, wide, T, V, off):
     """Take a bus's new voltages from T into V, and raise ``off`` to their squared change, the sum over phases."""
     W = np.uint64(len(wide))
@@ -249,7 +249,7 @@ def _take_over(o, size, wide, T, V, off):
                 V[o + at + b], V[o + at + W + b] = t0, t1
 
 
-@numba.njit(inline="always")
+@compiled(inline="always")
 def _line(k, z_re, z_im, sign, up, n, size, wide, J, V, T):
     """Set T to V_n - Z I of a line; rows of T first, and V after, as V's rows might else be each other's."""
     W = np.uint64(len(wide))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.solution import V_SQ_FLOOR
 from dcgrid_env.powerflow.unbalanced.lane_blocks import (
     active_devices,
@@ -25,7 +25,7 @@ ROUNDING = 1e-28  # a squared change of voltage that is rounding alone
 DIVERGED = 1e8  # a squared change of voltage that no sweep on its way to a solution has
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def error_sq(change, before):
     """Estimate the squared error left after a sweep by its squared change of voltage and that of the sweep before it.
 
@@ -38,7 +38,7 @@ def error_sq(change, before):
     return change * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else np.inf
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _clear(plan, work):
     """No solution at all: no current, and the lowest voltage."""
     V, J = work[0], work[1]
@@ -47,7 +47,7 @@ def _clear(plan, work):
         J[k] = 0.0
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
     """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
     p_kw, q_kvar = given[0], given[1]
@@ -96,7 +96,7 @@ def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
                 break
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def _one(lane, plan, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
     """Sweep one lane to the tolerance; the sweeps done, and whether it settled."""
     off = work[10]
@@ -120,7 +120,7 @@ def _one(lane, plan, given, start, tolerance_sq, max_sweeps, nodes, n_device, wo
     return max_sweeps, False
 
 
-@numba.njit(nogil=True, error_model="numpy", cache=True)
+@compiled(nogil=True)
 def sweep_lanes(plan, given, start, tolerance_pu, max_sweeps, out):
     """Solve each lane of ``given`` into the arrays of ``out``; the number of lanes without a solution.
 

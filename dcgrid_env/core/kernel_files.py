@@ -1,0 +1,109 @@
+"""The folders in which the machine code of kernels is kept: one file for each kernel and signature.
+
+A file's name contains a hash of all that its code depends on (``compiled``), so files of several versions and
+processes never conflict, and a file starts with the hash of its content, so a damaged one is recognised.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import stat
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+
+from dcgrid_env.core.files import write_bytes
+
+SUFFIX = ".kernel"
+DAY_S = 86_400
+UNUSED_S = 30 * DAY_S
+"""A file that no process has read for so long is deleted."""
+
+_unwritable: set[Path] = set()
+_pruned: set[Path] = set()
+
+
+def read(name: str) -> bytes | None:
+    """Return the content of an intact file, or None."""
+    for folder in folders():
+        path = folder / (name + SUFFIX)
+        try:
+            data = path.read_bytes()
+            if time.time() - path.stat().st_mtime > DAY_S:
+                with contextlib.suppress(OSError):  # readable, but not ours
+                    os.utime(path)
+        except OSError:
+            continue
+        if data[:32] == hashlib.sha256(data[32:]).digest():
+            return data[32:]
+    return None
+
+
+def write(name: str, content: bytes) -> None:
+    """Write a file into the first folder that can be written; report on stderr once where another one has to do."""
+    data = hashlib.sha256(content).digest() + content
+    for folder in folders():
+        if folder in _unwritable:
+            continue
+        try:
+            write_bytes(folder / (name + SUFFIX), data)
+        except OSError as error:
+            _unwritable.add(folder)
+            _report(folder, error)
+            continue
+        _prune(folder)
+        return
+
+
+@cache
+def folders() -> list[Path]:
+    """Folders to read from and write to, the preferred one first."""
+    import platformdirs
+
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folders = [(Path(chosen) / "dcgrid" if chosen else platformdirs.user_cache_path("dcgrid")) / "kernels"]
+    with contextlib.suppress(OSError):  # there may be no temporary folder
+        folders.append(_temporary())
+    return folders
+
+
+def _temporary() -> Path:
+    """Return a temporary folder of this user, which no other user can write; OSError if there is none.
+
+    The files are pickles, so a folder that others can write would run their code.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else None  # on Windows the temporary folder is the user's
+    folder = Path(tempfile.gettempdir()) / ("dcgrid-kernels" if user is None else f"dcgrid-kernels-{user}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or (user is not None and (found.st_uid != user or found.st_mode & 0o022)):
+        raise PermissionError(f"{folder} belongs to another user or can be written by others")
+    return folder
+
+
+def _report(folder: Path, error: OSError) -> None:
+    """Say on stderr that a folder cannot be written, and what is used instead."""
+    if multiprocessing.parent_process() is not None:
+        return
+    other = next((other for other in folders() if other not in _unwritable), None)
+    instead = f"using {other}" if other else "kernels are compiled again by each process"
+    remedy = "set NUMBA_CACHE_DIR to a writable folder to keep them"
+    print(f"dcgrid: {folder}: {error.strerror or error}; {instead}; {remedy}.", file=sys.stderr)
+
+
+def _prune(folder: Path) -> None:
+    """Delete files that no process has read for a long time, once per process."""
+    if folder in _pruned:
+        return
+    _pruned.add(folder)
+    oldest = time.time() - UNUSED_S
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            with contextlib.suppress(OSError):  # deleted by another process
+                if path.stat().st_mtime < oldest:
+                    path.unlink()
