@@ -24,7 +24,7 @@ def pytest_sessionstart(session):
     from dcgrid_env import DcgridVectorEnv, make_scenario
     from dcgrid_env.core.kernel_files import folders
 
-    if any(folder.is_dir() and any(folder.iterdir()) for folder in folders()):
+    if any(any(folder.glob("sweep_lanes-*")) for folder in folders()):
         return
 
     for preset in presets:
