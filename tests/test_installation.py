@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -41,8 +42,10 @@ class Environment:
 
     def install(self, *options):
         pip = [sys.executable, "-m", "pip", "--python", self.bin / "python", "install", "--quiet"]
-        offline = ["--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check"]
-        subprocess.run([*pip, *offline, *options, self.source], check=True)
+        # The build needs setuptools 77, which pip fetches where this environment has an older one.
+        major, *_ = version("setuptools").split(".")
+        built_here = ["--no-build-isolation"] if int(major) >= 77 else []
+        subprocess.run([*pip, "--no-deps", *built_here, *options, self.source], check=True)
 
     def run(self, *command, **variables):
         env = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | variables
@@ -87,7 +90,9 @@ def test_another_user_runs_a_wheel_that_root_installed(environment):
     place = {"HOME": "/nonexistent", "XDG_CACHE_HOME": "/nonexistent", "TMPDIR": str(temporary), "NUMBA_CACHE_DIR": ""}
 
     def stderr(code):
-        return [line for line in environment.python(code, other, **place).stderr.splitlines() if "NUMBA_CACHE_DIR" in line]
+        return [
+            line for line in environment.python(code, other, **place).stderr.splitlines() if "NUMBA_CACHE_DIR" in line
+        ]
 
     # A line of the folder that cannot be written, then nothing: the code is there.
     folder = temporary / f"dcgrid-kernels-{NOBODY}"
