@@ -38,6 +38,24 @@ def rated_nodes(feeder: Any) -> NDArray[np.intp]:
     return np.flatnonzero(~np.isnan(_ratings_a(feeder)))
 
 
+class RatingCoverage(NamedTuple):
+    """Of how many branches of a feeder a rating is known, and of which it is not."""
+
+    known: int
+    of: int
+    not_checked: tuple[str, ...]
+    """Names of the branches without a rating, as in ``"line 650-632"``."""
+
+
+def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
+    """Count the branches whose rating is known, on all phases, and name the others."""
+    unknown = np.isnan(_ratings_a(feeder))
+    fed = np.arange(feeder.n_bus) if isinstance(feeder, Feeder) else feeder.node_bus
+    without = set(fed[unknown].tolist()) - {0}
+    names = tuple(feeder.branch_names[bus - 1] for bus in sorted(without))
+    return RatingCoverage(feeder.n_branch - len(names), feeder.n_branch, names)
+
+
 def branch_loading(feeder: Any, solution: Any) -> Array:
     """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
 

@@ -84,6 +84,7 @@ class FlatNames:
     trace_window = Flat[TraceWindow]("workload", "window")
     site_correlation = Flat[float]("workload", "site_correlation")
     compute_share = Flat[float]("workload", "compute_share")
+    full_load_s = Flat[tuple[float, float] | None]("workload", "full_load_s")
 
     capacitors = Flat[bool]("background", "capacitors")
     load_sigma = Flat[float]("background", "load_sigma")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
 from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
 
 TraceWindow = Literal["random", "start", "together"]
@@ -31,15 +31,24 @@ class Workload:
     """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
     compute_share: float = number(0.0, 1.0, default=1.0)
     """Compute-bound share of the work where the trace does not tell (recordings), for a law of two work classes."""
+    full_load_s: tuple[float, float] | None = None
+    """Begin and end of a period of each episode in which all sites are asked for their rating at least, s; None for
+    none."""
 
     def __post_init__(self) -> None:
         settle(self, trace=_trace)
         check_fields(self)
+        if self.full_load_s is not None and not _is_period(self.full_load_s):
+            raise refuse(self, "full_load_s", "give its begin and its end, 0 <= begin < end, in s, or None")
         if isinstance(self.trace, str):
             if self.trace not in TRACE_SOURCES:
                 raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings or a file")
         elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
+
+
+def _is_period(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(finite, value)) and 0.0 <= value[0] < value[1]
 
 
 def _are_traces(values: tuple[Any, ...]) -> bool:
