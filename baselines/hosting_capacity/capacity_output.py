@@ -89,6 +89,7 @@ def record(found: Capacities) -> dict[str, Any]:
             "scenario_hash": scenario_hash(study.scenario),
             "split": study.scenario.split,
             "trace": study.scenario.trace if isinstance(study.scenario.trace, str) else "recordings",
+            "trace_scale": study.scenario.trace_scale,
             "tolerance_mw": study.step_mw,
             "max_mw": study.largest_mw,
             "buses": list(found.buses),

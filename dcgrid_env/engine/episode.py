@@ -17,7 +17,7 @@ from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.load_noise import base_legs, drawn_loads, load_noise
 from dcgrid_env.engine.state import Exogenous, LoadsToDraw
-from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
+from dcgrid_env.engine.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
@@ -167,7 +167,7 @@ def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarr
 
 def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The same of trace windows that begin at ``start``, which broadcasts against ``step`` (n,), kW, (n, n_site)."""
-    p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * scenario.site_rated_kw
+    p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * full_trace_kw(scenario)
     if scenario.full_load_s is None:
         return p_kw
     begin_s, end_s = scenario.full_load_s

@@ -11,6 +11,7 @@ from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recordin
 
 TraceWindow = Literal["random", "start", "together"]
 RecordingSplit = Literal["time", "recording"]
+TraceScale = Literal["rated", "as-recorded"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,10 +19,13 @@ class Workload:
     """The power that data centres would draw at the top clock with nothing queued."""
 
     trace: str | tuple[PowerTrace, ...] = "inference"
-    """Source: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
+    """Source: a name (``dcgrid list``) or recordings, each scaled as ``trace_scale`` says.
 
     The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
     long as an episode. Plain form: a generator's name, a recording's name or file, or a list of recordings."""
+    trace_scale: TraceScale = choice("rated", "as-recorded", default="rated")
+    """What the power of a recording becomes. ``rated`` scales it to the site: its rating, or its highest power where
+    that is not known, becomes the site's. ``as-recorded`` keeps its kW, which must not exceed the site's rating."""
     recording_split: RecordingSplit = choice("time", "recording", default="time")
     """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     window: TraceWindow = choice("random", "start", "together", default="random")

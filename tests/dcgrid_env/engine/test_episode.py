@@ -540,5 +540,5 @@ def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
 
 @pytest.mark.parametrize("period", [(4.0, 2.0), (1.0,), (0.0, float("nan")), (-1.0, 2.0), "all"])
 def test_a_period_that_is_none_is_refused(period):
-    with pytest.raises(ScenarioError, match="full_load_s is .*; give its begin and its end"):
+    with pytest.raises(ScenarioError, match=r"full_load_s is .*; give its begin and its end"):
         make_scenario("toy6", full_load_s=period)
