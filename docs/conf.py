@@ -60,6 +60,13 @@ def without_empty_globs(app: Any, docname: str, source: list[str]) -> None:
         source[0] = "\n".join(line for line, found in zip(lines, pages, strict=True) if any(True for _ in found))
 
 
+def notebook_output_with_the_site(app: Any) -> None:
+    """Write what notebooks show into the site's own folder, not into ``jupyter_execute`` in the folder above it."""
+    output_folder = str(Path(app.doctreedir) / "jupyter_execute")
+    app.env.mystnb_config = app.env.mystnb_config.copy(output_folder=output_folder)
+
+
 def setup(app: Any) -> None:
     """Connect what stands in this file."""
     app.connect("source-read", without_empty_globs)
+    app.connect("builder-inited", notebook_output_with_the_site, priority=900)  # after myst_nb has set its own

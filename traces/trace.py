@@ -179,6 +179,10 @@ class PowerTrace:
             compute_kw = compute_kw / peak_kw * rating_kw
         return replace(self, power_kw=power_kw, compute_kw=compute_kw, rated_kw=rating_kw)
 
+    def rated_at(self, rating_kw: float) -> "PowerTrace":
+        """Return the trace with another rating and the same power."""
+        return replace(self, rated_kw=rating_kw)
+
     def as_share(self) -> "PowerTrace":
         """Return the trace as a share of its rating, or of its own highest power where the rating is not known."""
         if self.rated_kw is None:

@@ -21,8 +21,10 @@ class AddedSite:
     matter of the lane, so that many buses and samples of a size run as one batch; the size is one of the scenario.
     """
 
-    def __init__(self, study: Study):
+    def __init__(self, study: Study, exempt: np.ndarray | None = None):
         self.study = study
+        self.exempt = np.zeros(study.scenario.feeder.n_node, bool) if exempt is None else exempt
+        """Nodes whose branch does not count as overloaded, since it is so without any site."""
         self.slot = study.scenario.n_datacenters if study.others else 0
         """Which of the data centres it is."""
         self.scenario = lru_cache(maxsize=512)(self._scenario)
@@ -51,6 +53,7 @@ class AddedSite:
         changed: dict[str, Any] = {
             "horizon": study.horizon,
             "start_hour": "random" if study.load == "day" else None,
+            "full_load_s": study.full_load_s,
             "n_datacenters": self.slot + 1,
             "datacenter_buses": self._datacenter_buses(),
             "p_rated_kw": (*(base.datacenter.p_rated_kw.tolist() if study.others else ()), kw),

@@ -5,18 +5,19 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from dcgrid_env import scenario_hash
+from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.hosting_capacity.capacity_study import has_ratings
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
-_NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "asked_max_pct", "margin")
+SHOWN = 12
+"""Elements or buses that a note names; results.json has all."""
+_NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "margin")
 _LISTS = ("smaller_fails_mw", "larger_carries_mw")
 
 
@@ -78,7 +79,7 @@ def capacity_table(found: Capacities) -> Table:
 
 def record(found: Capacities) -> dict[str, Any]:
     """The study and its answers as JSON takes them."""
-    study = found.study
+    study, ratings = found.study, rating_coverage(found.study.scenario.feeder)
     asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
     return {
         "study": asked
@@ -88,10 +89,15 @@ def record(found: Capacities) -> dict[str, Any]:
             "scenario_hash": scenario_hash(study.scenario),
             "split": study.scenario.split,
             "trace": study.scenario.trace if isinstance(study.scenario.trace, str) else "recordings",
+            "trace_scale": study.scenario.trace_scale,
             "tolerance_mw": study.step_mw,
             "max_mw": study.largest_mw,
             "buses": list(found.buses),
+            "full_load_s": list(study.full_load_s),
         },
+        "ratings": {"known": ratings.known, "of": ratings.of, "not_checked": list(ratings.not_checked)},
+        "overloaded_without_site": list(found.overloaded),
+        "without_answer": study.left_out(),
         "notes": list(found.notes),
         "capacities": [dataclasses.asdict(capacity) for capacity in _all(found)],
     }
@@ -101,6 +107,12 @@ def _all(found: Capacities) -> Iterator[BusCapacity]:
     yield from found.snapshot
     for name in found.controllers:
         yield from found.by_controller[name]
+
+
+def _listed(before: str, names: Sequence[str]) -> str:
+    """The first names behind a text, and how many there are beyond; nothing where there are none."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"{before}{', '.join(names[:SHOWN])}{more}" if names else ""
 
 
 def _mw(capacity: BusCapacity) -> str:
@@ -117,19 +129,24 @@ def _notes(found: Capacities) -> Iterator[str]:
         f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
         f"broken in {study.allowed_pct:g} % of the seconds."
     )
-    everyone = list(_all(found))
-    asked = max((c.asked_max_pct for name in found.controllers for c in found.by_controller[name]), default=0.0)
-    if asked:
-        yield f"In these windows a site's work asks for at most {asked:.0f} % of its rating; more samples may ask more."
-    tops = [capacity for capacity in everyone if capacity.at_most]
-    if not has_ratings(study.scenario.feeder):
-        beside = ", which is what would limit those at >=" if tops else ""
-        yield f"No rating of a branch is known: no size is too large for a line or transformer{beside}."
+    begin_s, end_s = study.full_load_s
+    yield f"In every window all sites are asked for their rating from {begin_s:g} to {end_s:g} s."
+    ratings = rating_coverage(study.scenario.feeder)
+    not_checked = _listed("; not checked: ", ratings.not_checked)
+    yield f"Ratings known for {ratings.known} of {ratings.of} elements{not_checked}."
+    if found.overloaded:
+        names = _listed("", found.overloaded)
+        yield f"Overloaded without any site: {names}. No site fits behind these; at other buses they do not count."
+    by_reason: dict[str, list[str]] = {}
+    for bus, reason in study.left_out().items():
+        by_reason.setdefault(reason, []).append(bus)
+    for reason, buses in by_reason.items():
+        yield f"No answer for {len(buses)} buses, {reason}: {_listed('', buses)}."
     for name in found.controllers:
         broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
         if len(broken) == len(found.buses):
             yield f"{name}: limits are broken without any site: {broken[0].limit}; --set v0_pu may help, or --limits."
-    for capacity in everyone:
+    for capacity in _all(found):
         if capacity.smaller_fails_mw:
             sizes = ", ".join(f"{mw:g}" for mw in capacity.smaller_fails_mw)
             yield f"* {capacity.controller}, bus {capacity.bus}: smaller sites of {sizes} MW break limits"

@@ -17,7 +17,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -137,6 +138,17 @@ class Study:
         return round(self.settle_s / self.scenario.dt_s)
 
     @property
+    def full_load_s(self) -> tuple[float, float]:
+        """Begin and end of the period of a window in which all sites are asked for their rating, s.
+
+        It is the middle third of the steps that count, and at least one step.
+        """
+        counted = self.horizon - self.settled
+        steps = max(1, counted // 3)
+        begin = self.settled + (counted - steps) // 2
+        return begin * self.scenario.dt_s, (begin + steps) * self.scenario.dt_s
+
+    @property
     def allowed_seconds(self) -> int:
         """Steps of all windows together in which limits may be broken."""
         return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
@@ -151,17 +163,34 @@ class Study:
         feeder = self.scenario.feeder
         if self.buses is not None:
             return self._named(self.buses)
-        if isinstance(feeder, Feeder):
-            loaded = np.flatnonzero(feeder.p_load_kw > 0)
-        else:
-            with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
-            loaded = np.array([i for i in with_load if set(feeder.bus_phases[i]) >= set("abc")], dtype=np.int64)
-        loaded = loaded[loaded > 0]
-        if not len(loaded):
+        fit = np.array([i for i in range(1, feeder.n_bus) if self._unfit(i) is None], dtype=np.int64)
+        if not len(fit):
             kind = "" if isinstance(feeder, Feeder) else " of three phases"
             raise ValueError(f"feeder {feeder.name!r} has no load bus{kind}; name the candidates as buses")
-        at = np.linspace(0, len(loaded) - 1, min(MAX_BUSES, len(loaded))).round().astype(int)
-        return loaded[at]
+        return fit[np.linspace(0, len(fit) - 1, min(MAX_BUSES, len(fit))).round().astype(int)]
+
+    def left_out(self) -> dict[str, str]:
+        """Why each bus that is no candidate is none, by its name; empty where the candidates are named."""
+        if self.buses is not None:
+            return {}
+        tried = {0, *self.candidates().tolist()}
+        spread = f"beyond the {MAX_BUSES} that are tried: name it as one of buses"
+        return {bus: self._unfit(i) or spread for i, bus in enumerate(self.scenario.feeder.bus_ids) if i not in tried}
+
+    def _unfit(self, position: int) -> str | None:
+        """Why a bus is no candidate by itself; None for one that is."""
+        feeder = self.scenario.feeder
+        if not self._loaded[position]:
+            return "without load"
+        phases = "abc" if isinstance(feeder, Feeder) else feeder.bus_phases[position]
+        return {1: "of one phase", 2: "of two phases"}.get(len(phases))
+
+    @cached_property
+    def _loaded(self) -> np.ndarray:
+        """Whether each bus has a load."""
+        feeder = self.scenario.feeder
+        of_legs = feeder.p_load_kw > 0
+        return of_legs if isinstance(feeder, Feeder) else np.isin(np.arange(feeder.n_bus), feeder.leg_bus[of_legs])
 
     def _named(self, buses: Sequence[str]) -> np.ndarray:
         feeder = self.scenario.feeder
@@ -171,11 +200,6 @@ class Study:
         if 0 in at:
             raise ValueError(f"buses has the substation {buses[at.index(0)]!r}, where the source is; choose another")
         return np.array(list(dict.fromkeys(at)), dtype=np.int64)
-
-
-def has_ratings(feeder: Any) -> bool:
-    """Whether the rating of some branch of a feeder is known."""
-    return feeder.rating_a is not None and not bool(np.isnan(feeder.rating_a).all())
 
 
 def _finite(value: object) -> bool:

@@ -15,9 +15,9 @@ from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, branch_to, search_buses
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
-from dcgrid_env.baselines.hosting_capacity.trial import trials
+from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.core.work.here import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
@@ -30,8 +30,8 @@ _SLOW = ("mpc",)
 """Beginnings of the names of controllers whose tasks are handed out first."""
 _PARTS = 2
 """Units of each controller and worker: a unit of few buses wastes batches, few units leave workers idle."""
-_STUDY = "study"
-"""Name of the shared value that has the study."""
+_STUDY, _EXEMPT = "study", "exempt"
+"""Names of the shared values: the study, and the nodes whose branch is overloaded without any site."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ class Capacities:
     """In the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
     """What they carry in one power flow: peak load, the site at its rating, nobody controls anything."""
+    overloaded: tuple[str, ...]
+    """Branches that are overloaded without any site: they carry none behind them, and do not count elsewhere."""
     notes: tuple[str, ...]
     """What is to be said of the controllers."""
 
@@ -112,7 +114,9 @@ def hosting_capacity(
     buses = study.candidates()
     snapshot = snapshot_capacity(study, buses)
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
-    critical = critical_samples(study, buses, guesses)
+    site = AddedSite(study)
+    site.exempt = overloaded_nodes(site)
+    critical = critical_samples(site, buses, guesses)
     parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
     tasks = [
         _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
@@ -125,7 +129,7 @@ def hosting_capacity(
         Unit(f"{task.controller} at buses {bus_ids[task.asked[0].bus]} to {bus_ids[task.asked[-1].bus]}", _work, task)
         for task in tasks
     ]
-    values = {_STUDY: study} | carried(place, (), names, tuned)
+    values = {_STUDY: study, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
     for unit, result in place.results(units, values, how_to_go_on=""):
         task = unit.item
         found |= {(task.controller, capacity.bus): capacity for capacity in result}
@@ -133,7 +137,8 @@ def hosting_capacity(
             on_buses(task.controller, len(result))
     ids = tuple(bus_ids[bus] for bus in buses)
     by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
-    return Capacities(study, ids, names, by_controller, tuple(snapshot), notes)
+    overloaded = tuple(branch_to(study.scenario.feeder, int(node)) for node in np.flatnonzero(site.exempt))
+    return Capacities(study, ids, names, by_controller, tuple(snapshot), overloaded, notes)
 
 
 def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
@@ -150,20 +155,22 @@ def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
         tolerance_mw=study.step_mw, max_mw=study.largest_mw,
     )  # fmt: skip
     guesses = np.full(len(buses), max(1, math.isqrt(study.top)))
-    return search_buses(AddedSite(moment), NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
+    site = AddedSite(moment)
+    site.exempt = overloaded_nodes(site)
+    return search_buses(site, NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
 
 
-def critical_samples(study: Study, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
+def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
     """The samples in which buses come nearest to a limit with a site of these sizes, in steps, that nobody controls.
 
     They are found at the price of no control, and are what every controller is tried in first.
     """
-    site, by_size = AddedSite(study), dict[int, list[int]]()
+    by_size = dict[int, list[int]]()
     for i, size in enumerate(sizes):
         by_size.setdefault(size, []).append(i)
     found: list[tuple[int, ...]] = [()] * len(buses)
     for size, at in by_size.items():
-        asked = [(int(buses[i]), np.arange(study.samples)) for i in at]
+        asked = [(int(buses[i]), np.arange(site.study.samples)) for i in at]
         for i, trial in zip(at, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
             found[i] = tuple(worst_samples(trial).tolist())
     return found
@@ -178,7 +185,7 @@ def _work(task: _Task) -> list[BusCapacity]:
     controller, _ = study_controller(task.controller, study.scenario, task.tuned)
     buses, guesses, critical = zip(*task.asked, strict=True)
     return search_buses(
-        AddedSite(study),
+        AddedSite(study, shared(_EXEMPT)),
         controller,
         task.controller,
         np.array(buses),

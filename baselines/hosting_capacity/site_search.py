@@ -11,7 +11,15 @@ from dcgrid_env import Feeder, Scenario, fcfs_delays
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
-from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, Trial, run_trial, trials
+from dcgrid_env.baselines.hosting_capacity.trial import (
+    COLLAPSED,
+    LIMITS,
+    OVERLOAD,
+    Trial,
+    run_trial,
+    trials,
+)
+from dcgrid_env.grid import AnyFeeder
 
 
 @dataclass(frozen=True)
@@ -33,8 +41,6 @@ class BusCapacity:
     """Share of the work that arrived at the site that was still queued at the end of the windows."""
     outside_pct: float
     """Share of the sampled seconds in which some limit was broken at that size."""
-    asked_max_pct: float
-    """The most that the site's work asks for in the samples, % of its rating: a size is found for that draw."""
     margin: float
     """Least distance to a limit at that size, ``Trial.margin``."""
     smaller_fails_mw: tuple[float, ...]
@@ -74,21 +80,25 @@ def search_buses(
     ControllerError
         Where the controller fails or cannot drive such a scenario.
     """
-    study = site.study
+    study, feeder = site.study, site.study.scenario.feeder
     samples = np.arange(study.samples)
+    before = [_overloaded_before(feeder, bus, site.exempt) for bus in buses]
     empty = run_trial(site, controller, 0, np.full(study.samples, buses[0]), samples, name)
     # Without a site of any size there is nothing to search where limits are broken already.
     fails = int(empty.outside.sum()) > study.allowed_seconds
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
     searches = [
-        BusSearch(empty, own, int(guess), 0 if fails else study.top, study.allowed_seconds, scan)
+        BusSearch(empty, own, int(guess), study.top, study.allowed_seconds, scan)
         for guess, own in zip(guesses, critical, strict=True)
     ]
-    left = dict(enumerate(searches))
+    left = {i: search for i, search in enumerate(searches) if not (fails or before[i])}
+    if on_bus is not None:
+        for _ in range(len(searches) - len(left)):
+            on_bus()
     while left:
         by_size: dict[int, list[tuple[int, Request]]] = {}
         for i, search in list(left.items()):
-            request = None if fails else search.next()
+            request = search.next()
             if request is None:
                 del left[i]
                 if on_bus is not None:
@@ -99,13 +109,30 @@ def search_buses(
             of_buses = [(int(buses[i]), request.samples) for i, request in asked]
             for (i, request), trial in zip(asked, trials(site, controller, size, of_buses, name), strict=True):
                 searches[i].take(request, trial)
-    return [
-        _capacity(site, name, bus, search, empty if fails else search.beyond)
-        for bus, search in zip(buses, searches, strict=True)
-    ]
+    found = []
+    for bus, search, overload in zip(buses, searches, before, strict=True):
+        beyond = empty if fails else search.beyond
+        limit = "" if beyond is None else _limit(study.scenario, beyond)
+        found.append(_capacity(site, name, bus, search, limit if fails or not overload else overload))
+    return found
 
 
-def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: Trial | None) -> BusCapacity:
+def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
+    """What of the branches that feed a bus is overloaded already, nearest to the bus; empty for none."""
+    while bus > 0:
+        for node in np.flatnonzero(overloaded & (np.asarray(feeder.node_bus) == bus)):
+            return f"overload of {branch_to(feeder, int(node))} without any site"
+        bus = int(feeder.parent[bus - 1])
+    return ""
+
+
+def branch_to(feeder: AnyFeeder, node: int) -> str:
+    """What the branch that feeds a node is called, with the phase where there are phases."""
+    phase = "" if isinstance(feeder, Feeder) else f", phase {feeder.node_ids[node][-1]}"
+    return f"{feeder.branch_names[feeder.node_bus[node] - 1]}{phase}"
+
+
+def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: str) -> BusCapacity:
     study, trial = site.study, search.at_size
     feeder = study.scenario.feeder
     delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
@@ -116,21 +143,15 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, beyond: T
         bus=feeder.bus_ids[bus],
         capacity_mw=site.mw(search.size),
         at_most=search.size == study.top,
-        limit="" if beyond is None else _limit(study.scenario, beyond),
+        limit=limit,
         delay_mean_s=delays.mean_s if sited else 0.0,
         delay_p95_s=delays.p95_s if sited else 0.0,
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
-        asked_max_pct=_asked_max_pct(site, search.size, trial) if sited else 0.0,
         margin=trial.margin,
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
         larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
     )
-
-
-def _asked_max_pct(site: AddedSite, size: int, trial: Trial) -> float:
-    own = site.scenario(size).datacenter
-    return 100.0 * float((trial.arrived_kw.max() + own.p_idle_kw[site.slot]) / own.p_rated_kw[site.slot])
 
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
@@ -139,7 +160,6 @@ def _limit(scenario: Scenario, beyond: Trial) -> str:
     at, feeder = int(beyond.at[lane, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
-    node = feeder.node_ids[at]
     if kind == OVERLOAD:
-        return f"overload of the branch from {feeder.bus_ids[feeder.parent[feeder.node_bus[at] - 1]]} to {node}"
-    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {node}"
+        return f"overload of {branch_to(feeder, at)}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"

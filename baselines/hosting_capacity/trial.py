@@ -10,7 +10,9 @@ import numpy as np
 
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
+from dcgrid_env.powerflow import has_ratings
 
 COLLAPSED = -10.0
 """Margin where the power flow has no solution."""
@@ -76,6 +78,23 @@ def trials(
     return [trial.of(slice(a, b)) for a, b in pairwise(ends)]
 
 
+def overloaded_nodes(site: AddedSite) -> np.ndarray:
+    """Nodes whose branch is overloaded without any site or control, in more steps than allowed, bool, (n_node,)."""
+    study, samples, controller = site.study, np.arange(site.study.samples), NoControl()
+    seconds = np.zeros(study.scenario.feeder.n_node, np.int64)
+    if not has_ratings(study.scenario.feeder):
+        return seconds > 0
+    seeds, options = site.lanes(np.ones_like(samples), samples)
+    steps = transitions(as_driven(site.scenario(0), controller), controller, seeds, None, options)
+    next(steps)
+    for k in range(study.horizon):
+        loading = next(steps).state.loading
+        if k >= study.settled:
+            seconds += (loading > study.loading_max_pct / 100.0 + _ROUNDING).sum(axis=0)
+    steps.close()
+    return seconds > study.allowed_seconds
+
+
 def _run(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
@@ -117,6 +136,7 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
     first = nodes.start or 0
     loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
     if now.state.loading is not None:  # 0 where no rating is known
-        branch = now.state.loading.argmax(axis=1)
-        loaded = 1.0 - now.state.loading[lane, branch] / (study.loading_max_pct / 100.0)
+        loading = np.where(site.exempt, 0.0, now.state.loading)
+        branch = loading.argmax(axis=1)
+        loaded = 1.0 - loading[lane, branch] / (study.loading_max_pct / 100.0)
     return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

@@ -58,13 +58,15 @@ class Figures:
     """What was found of a scenario."""
 
     reached: Mapping[str, Reached]
-    """By name: what stands in the table, and two further ones. Hindsight's may be of fewer episodes, the first."""
+    """By name: what stands in the table, all of the same episodes, and two further ones."""
     lowest_bus: str
     """Bus of the lowest mean voltage without control."""
     refused: str
     """Why there is no hindsight; empty where there is."""
     largest_k_q: float
     """The largest reactive gain of the droop that is stable by itself, Mvar per p.u. and s."""
+    asked: int
+    """Episodes that were asked for; there was time for those that the table is of."""
 
 
 NONE, PAPER, DROOP, CONSTANT, HINDSIGHT = "no control", "paper's droop", "best droop", "best constant", "hindsight"
@@ -101,8 +103,8 @@ def verdicts(scenario: Scenario, figures: Figures) -> tuple[Verdict, ...]:
     gain = _to_gain(scenario, reached, best)
     barred = any(verdict.is_bar for verdict in (*found, gain))
     said = f"{scenario.name} is {'not worth learning on as it stands' if barred else 'worth learning on'}"
-    few = best.n < reached[NONE].n
-    as_far = f", as far as the first {best.n} of {reached[NONE].n} episodes tell" if few else ""
+    few = best.n < figures.asked
+    as_far = f", as far as the first {best.n} of {figures.asked} episodes tell" if few else ""
     return (*found, gain, Verdict(f"{said}{as_far}", "give it more --seconds to be sure" if few else ""))
 
 
@@ -193,7 +195,7 @@ def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
 
 def _to_gain(scenario: Scenario, reached: Mapping[str, Reached], best: Reached) -> Verdict:
     """How far the best rule is from hindsight."""
-    rules = {name: reached[name].mean("J", best.n) for name in (NONE, PAPER, DROOP, CONSTANT)}
+    rules = {name: reached[name].mean("J") for name in (NONE, PAPER, DROOP, CONSTANT)}
     name = min(rules, key=lambda rule: rules[rule])
     j = best.mean("J")
     share = 1.0 - j / max(rules[name], 1e-12)

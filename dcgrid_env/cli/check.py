@@ -30,7 +30,7 @@ class Check(OverWorkers):
     split: str = "validation"
     """Which episodes the seeds mean: train, validation, test or ood."""
     seconds: float = 40.0
-    """Time after which nothing further is begun; hindsight is then of fewer episodes."""
+    """Time after which nothing further is begun; all columns are then of fewer episodes, the same ones."""
 
     def run(self) -> None:
         """Look, print the table and what it says. ValueError for a setting that cannot be."""

@@ -80,6 +80,7 @@ class Run(Command):
         from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.laws import stability
         from dcgrid_env.baselines.tuning.tuned import require_tuned
+        from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 
         if self.episodes < 1 or self.seed < 0:
             raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
@@ -110,7 +111,7 @@ class Run(Command):
             console.print(note)
         if scenario.power_flow == "distflow" and not runs.in_parts:  # which would run two long ones more
             console.print(linear_difference(scenario, seeds))
-        for line in tuned_from(names, scenario, self.tuned):
+        for line in (*scaling_lines(scenario), *tuned_from(names, scenario, self.tuned)):
             console.print(line)
         for name, controller in controllers.items():
             if said := stability.warning(scenario.member(self.seed), controller):
@@ -118,6 +119,7 @@ class Run(Command):
             if line := guard_line(name, runs.metrics[name][0]):
                 console.print(f"{line} (first episode)")
         about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
+        about["trace_scale"] = [recording._asdict() for recording in scaled_recordings(scenario)]
         write_json(self.out / "results.json", {"meta": about, "episodes": records})
         runs.draw(self.out / "figure.png")
         written = [*runs.folders, self.out / "results.json", self.out / "figure.png"]

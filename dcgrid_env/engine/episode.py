@@ -17,10 +17,12 @@ from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.given import Given
 from dcgrid_env.engine.load_noise import base_legs, drawn_loads, load_noise
 from dcgrid_env.engine.state import Exogenous, LoadsToDraw
-from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
+from dcgrid_env.engine.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
+
+_ROUNDING_S = 1e-9
 
 
 class Episode(NamedTuple):
@@ -160,7 +162,18 @@ def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
     """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_site)."""
-    return trace_pool(scenario).p_share.take(episode.start + step[:, None]) * scenario.site_rated_kw
+    return asked_kw(scenario, episode.start, step)
+
+
+def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """The same of trace windows that begin at ``start``, which broadcasts against ``step`` (n,), kW, (n, n_site)."""
+    p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * full_trace_kw(scenario)
+    if scenario.full_load_s is None:
+        return p_kw
+    begin_s, end_s = scenario.full_load_s
+    t_s = step[:, None] * scenario.dt_s
+    full = (begin_s + _ROUNDING_S < t_s) & (t_s <= end_s + _ROUNDING_S)
+    return np.where(full, np.maximum(p_kw, scenario.site_rated_kw), p_kw)
 
 
 def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:

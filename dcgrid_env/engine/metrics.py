@@ -196,9 +196,12 @@ class Series:
         return {"tap_moves": regulators.moved[1:].sum(), "capacitor_switchings": banks.switched[1:].sum()}
 
     def requests(self) -> list[tuple[Any, float]] | None:
-        """The requests of each site's row of trace and when the episode begins among them, s; None without any."""
+        """The requests of each site's row of trace and when the episode begins among them, s; None without any.
+
+        None too where work is asked for that no request stands for, in a period of full load.
+        """
         pool = trace_pool(self.scenario)
-        if not (pool.requests and len(self.trace_start)):
+        if not (pool.requests and len(self.trace_start)) or self.scenario.full_load_s is not None:
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
         begin_s = (offset + 1) * self.scenario.dt_s

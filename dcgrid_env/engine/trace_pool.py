@@ -12,6 +12,7 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.trace_scale import as_shares_of
 from dcgrid_env.traces import (
     TRACE_SOURCES,
     RowsOnDemand,
@@ -52,7 +53,8 @@ def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if not isinstance(trace, str):
-        rows = from_recordings(trace, split, dt_s, needed_s, scenario.largest_boost, scenario.recording_split)
+        shares, boost = as_shares_of(scenario)[0], scenario.largest_boost if scenario.trace_scale == "rated" else 1.0
+        rows = from_recordings(shares, split, dt_s, needed_s, boost, scenario.recording_split)
         require_window(rows, steps, dt_s, ", ".join(t.name for t in trace))
         return rows
     # Rounding may cost a step of dt at the end, so one more is asked for.
@@ -69,6 +71,12 @@ def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     count = max(scenario.n_sites, LEAST_LONG_ROWS, math.ceil(LEAST_WINDOWS / (spare + 1)))
     duration_s = (steps + spare + 1) * dt_s + DAY_S * by_hour
     return rows_on_demand(trace, split, dt_s, duration_s, count, scenario.largest_boost, spare)
+
+
+@cached_on_owner
+def full_trace_kw(scenario: Scenario) -> np.ndarray:
+    """Power that a share of 1 in the pool is at each site, kW, (n_site,)."""
+    return scenario.site_rated_kw if isinstance(scenario.trace, str) else as_shares_of(scenario)[1]
 
 
 def spare_steps(dt_s: float) -> int:

@@ -184,6 +184,12 @@ class Feeder(PerUnit, OneNodeABus):
             **optional_fields(network, order, branch),
         )
 
+    @cached_property
+    def branch_names(self) -> tuple[str, ...]:
+        """What branch k is called, as in ``"branch 5-6"``: by the buses that it joins."""
+        ids = self.bus_ids
+        return tuple(f"branch {ids[i]}-{bus}" for i, bus in zip(self.parent, ids[1:], strict=True))
+
     def to_network(self) -> Network:
         """The component tables of this feeder, from which :meth:`from_network` makes the same feeder again."""
         fed_from = [self.bus_ids[i] for i in self.parent]

@@ -17,6 +17,7 @@ from dcgrid_env.grid.three_phase_checks import check_three_phase
 from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
+from dcgrid_env.grid.three_phase_ratings import ratings_a
 from dcgrid_env.grid.topology import FeederError
 
 __all__ = ["ThreePhaseFeeder"]
@@ -107,12 +108,24 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @cached_property
     def rating_a(self) -> FloatArray | None:
-        """Ampacity of the line that feeds each node, A, shape (n_node,), NaN where unknown; None if no line has one."""
-        of_line = self.network.phase_line.rating_a
-        if not of_line or np.isnan(of_line).all():
-            return None
-        of_bus = [of_line[b.rows[0]] if b.kind == "phase_line" else np.nan for b in self._tree.branches]
-        return read_only(np.array([np.nan, *of_bus])[self.node_bus])
+        """Rated current of what feeds each node, A, shape (n_node,), NaN where unknown; None if none is known.
+
+        Of a transformer it is that of its to-side, at the rated voltage of which it carries its kVA; see
+        ``three_phase_ratings``.
+        """
+        ratings = ratings_a(self.network, self._tree)
+        return None if np.isnan(ratings).all() else read_only(ratings)
+
+    @cached_property
+    def regulated(self) -> IntArray:
+        """Nodes that a regulator feeds."""
+        fed = np.array([False, *(branch.kind == "regulator" for branch in self._tree.branches)])
+        return read_only(np.flatnonzero(fed[self.node_bus]), np.intp)
+
+    @cached_property
+    def branch_names(self) -> tuple[str, ...]:
+        """What branch k is called: its kind and its name, as in ``"transformer xfm1"``."""
+        return tuple(f"{b.kind.removeprefix('phase_')} {b.name}" for b in self._tree.branches)
 
     @cached_property
     def load_legs(self) -> Legs:

@@ -16,6 +16,10 @@ PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
 NUMBER = {"a": 1, "b": 2, "c": 3}
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
 TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
+RATINGS = {
+    "phase_line": "rating_a", "switch": "rating_a", "transformer": "rating_kva", "regulator": "rating_kva_per_phase",
+}  # fmt: skip
+"""The optional column of each kind of branch that says what it is rated for."""
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
@@ -164,8 +168,9 @@ def _check_branches(network: Network) -> None:
             matrix = getattr(line, field)[k]
             _check_matrix(network, f"line {one}", field, matrix, line.phases[k], non_negative=field == "r_ohm")
     _numbers(network, "phase_line", ["length_m"], may_be_nan=True)
-    if line.rating_a:
-        _numbers(network, "phase_line", ["rating_a"], positive=True, may_be_nan=True)
+    for kind, rating in RATINGS.items():
+        if getattr(getattr(network, kind), rating):
+            _numbers(network, kind, [rating], positive=True, may_be_nan=True)
     _numbers(network, "switch", ["r_ohm", "x_ohm"], non_negative=True)
     _numbers(network, "transformer", ["kva", "kv_ll_from", "kv_ll_to"], positive=True)
     _numbers(network, "transformer", ["r_percent", "x_percent", "antifloat_ppm"], non_negative=True)

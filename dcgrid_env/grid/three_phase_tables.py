@@ -50,6 +50,8 @@ class SwitchTable(Table):
     state: Sequence[str] = ()
     r_ohm: Sequence[float] = ()
     x_ohm: Sequence[float] = ()
+    rating_a: Sequence[float] = optional_column()
+    """Ampacity of each phase, A; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class TransformerTable(Table):
     connection_from: Sequence[str] = ()
     connection_to: Sequence[str] = ()
     kva: Sequence[float] = ()
-    """Rating of all phases together."""
+    """Base of the impedance, of all phases together; it is the rating too, unless ``rating_kva`` is given."""
     kv_ll_from: Sequence[float] = ()
     """Line-to-line, also of a transformer of one phase."""
     kv_ll_to: Sequence[float] = ()
@@ -73,6 +75,8 @@ class TransformerTable(Table):
     """Angle of the to-side against the from-side: -30 or 30 for delta to grounded wye, 0 for the others."""
     antifloat_ppm: Sequence[float] = ()
     """Inductive admittance to ground that OpenDSS adds: half of it, in millionths of the rating, at each terminal."""
+    rating_kva: Sequence[float] = optional_column()
+    """Rating of all phases together, of the smaller winding; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,8 @@ class RegulatorTable(Table):
     """Between further taps."""
     max_taps_per_move: Sequence[int] = ()
     antifloat_ppm: Sequence[float] = ()
+    rating_kva_per_phase: Sequence[float] = optional_column()
+    """Rating of a phase; NaN where it is not known. Without the column it is ``kva_per_phase``."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
-from dcgrid_env.powerflow.loading import branch_loading, has_ratings, rated_nodes
+from dcgrid_env.powerflow.loading import branch_loading, has_ratings, rated_nodes, rating_coverage
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
@@ -31,6 +31,7 @@ __all__ = [
     "nema_unbalance",
     "own_sensitivity",
     "rated_nodes",
+    "rating_coverage",
     "sensitivity",
     "sensitivity_by",
     "solve_unbalanced",

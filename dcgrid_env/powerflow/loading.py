@@ -4,8 +4,9 @@
 
 A balanced feeder has a branch to each bus but the substation; its current is that of the series impedance, without the
 charging of the line, and referred to the substation's base voltage as the rating is. On a three-phase feeder each phase
-of a line has a conductor, of the same rating; branches other than lines have none. Random feeders know the rating of
-every branch; lanes on several of them are taken feeder by feeder.
+of a line, switch or transformer counts, with its current at the to-side, and each phase of a regulator with the larger
+current of both sides, which differ by the ratio of its tap. Random feeders know the rating of every branch; lanes on
+several of them are taken feeder by feeder.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.core.arrays import Array, as_like, namespace, positive_sqrt, take_last
+from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part, positive_sqrt, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import AnyFeeder, Feeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -37,6 +38,24 @@ def rated_nodes(feeder: Any) -> NDArray[np.intp]:
     return np.flatnonzero(~np.isnan(_ratings_a(feeder)))
 
 
+class RatingCoverage(NamedTuple):
+    """Of how many branches of a feeder a rating is known, and of which it is not."""
+
+    known: int
+    of: int
+    not_checked: tuple[str, ...]
+    """Names of the branches without a rating, as in ``"line 650-632"``."""
+
+
+def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
+    """Count the branches whose rating is known, on all phases, and name the others."""
+    unknown = np.isnan(_ratings_a(feeder))
+    fed = np.arange(feeder.n_bus) if isinstance(feeder, Feeder) else feeder.node_bus
+    without = set(fed[unknown].tolist()) - {0}
+    names = tuple(feeder.branch_names[bus - 1] for bus in sorted(without))
+    return RatingCoverage(feeder.n_branch - len(names), feeder.n_branch, names)
+
+
 def branch_loading(feeder: Any, solution: Any) -> Array:
     """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
 
@@ -51,7 +70,7 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
     per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
     if not isinstance(feeder, Feeder):
         squared = solution.i_re_a * solution.i_re_a + solution.i_im_a * solution.i_im_a
-        return positive_sqrt(squared) * per_a
+        return positive_sqrt(squared) * per_a * _larger_side(feeder, solution.v_pu)
     xp, p, q = namespace(solution.v_pu), solution.p_branch_kw, solution.q_branch_kvar
     v_pu = solution.v_pu
     if feeder.voltage_ratio is not None:
@@ -59,6 +78,14 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
     current_a = positive_sqrt(p * p + q * q) / take_last(v_pu, _parents(feeder, xp, v_pu.device))
     loading = current_a * (per_a[1:] / (3.0**0.5 * feeder.base_kv))
     return xp.concat((0.0 * v_pu[..., :1], loading), axis=-1)
+
+
+def _larger_side(feeder: Any, v_pu: Array) -> Array:
+    """The larger current of both sides of what feeds each node, as a share of that at the node, (..., n_node)."""
+    xp, regulated = namespace(v_pu), as_like(_regulated(feeder), v_pu)
+    before = take_last(v_pu, _node_parents(feeder, xp, v_pu.device))
+    raised = positive_part(v_pu / xp.where(before > 0.0, before, v_pu + 1.0) - 1.0)
+    return 1.0 + regulated * raised
 
 
 class _Flows(NamedTuple):
@@ -83,6 +110,19 @@ def _ratings_a(feeder: AnyFeeder) -> NDArray[np.float64]:
 def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
     ratings = _ratings_a(feeder)
     return np.where(np.isnan(ratings), 0.0, 1.0 / ratings)
+
+
+@cached_on_owner
+def _regulated(feeder: Any) -> NDArray[np.float64]:
+    """1 at the nodes that a regulator feeds, 0 at others."""
+    return np.isin(np.arange(feeder.n_node), feeder.regulated).astype(np.float64)
+
+
+@cached_on_owner
+def _node_parents(feeder: Any, xp: Any, device: Any) -> Array:
+    """Node before each, the source's nodes before themselves, as an index of the array's kind."""
+    parents = np.where(feeder.node_parent < 0, np.arange(feeder.n_node), feeder.node_parent)
+    return parents if xp is np else xp.asarray(parents, device=device)
 
 
 @cached_on_owner

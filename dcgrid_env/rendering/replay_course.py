@@ -11,7 +11,6 @@ from dcgrid_env.devices.device import may_leave
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine import episode
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.trace_pool import trace_pool
 
 VOLTAGE_DECIMALS = 4
 _COST_DECIMALS = 5
@@ -107,8 +106,7 @@ def of_devices(run: Series) -> Iterator[tuple[Any, Any, range]]:
 
 def p_ref_kw(run: Series) -> np.ndarray:
     """What sites were asked for in the interval that ends at each step, kW, (T + 1, n_site)."""
-    steps = np.arange(len(run.v_pu))
-    return trace_pool(run.scenario).p_share.take(run.trace_start + steps[:, None]) * run.scenario.site_rated_kw
+    return episode.asked_kw(run.scenario, run.trace_start, np.arange(len(run.v_pu)))
 
 
 def _site_figures(run: Series, state: Any, first: int, count: int) -> dict[str, np.ndarray]:

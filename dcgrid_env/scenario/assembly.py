@@ -113,6 +113,8 @@ def _part(
                 f"scenario {scenario!r}: {path} is {given!r}; give {kind.__name__}(...) or a mapping of its fields"
             )
         start = given
+    if kind is DataCenters and "count" not in changes and isinstance(changes.get("buses"), list | tuple | np.ndarray):
+        changes["count"] = len(changes["buses"])
     with located(scenario, path, names):
         if start is not None and isinstance(changes.get("weights"), Mapping):
             changes["weights"] = changed_weights(start.weights, changes["weights"])

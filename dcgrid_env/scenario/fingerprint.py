@@ -30,7 +30,15 @@ from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.grid import Feeder, bus_numbers
-from dcgrid_env.grid.network import LineTable, NodeTable, PhaseLineTable, ShuntTable
+from dcgrid_env.grid.network import (
+    LineTable,
+    NodeTable,
+    PhaseLineTable,
+    RegulatorTable,
+    ShuntTable,
+    SwitchTable,
+    TransformerTable,
+)
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.flat_names import FLAT
@@ -57,6 +65,16 @@ _SCENARIO = """
 _OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.kind, Inverters.kind)}
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _PHASE_LINE = "name from_bus to_bus phases length_m r_ohm x_ohm b_us"
+_SWITCH = "name from_bus to_bus phases state r_ohm x_ohm"
+_TRANSFORMER = """
+    name from_bus to_bus phases connection_from connection_to kva kv_ll_from kv_ll_to r_percent x_percent shift_deg
+    antifloat_ppm
+"""
+_REGULATOR = """
+    name bank from_bus to_bus phases sensed_phase kv_ln kva_per_phase r_percent x_percent tap tap_neutral tap_min
+    tap_max tap_step vreg_v band_v pt_ratio ct_primary_a r_ldc_v x_ldc_v delay_s tap_delay_s max_taps_per_move
+    antifloat_ppm
+"""
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _DATA_CENTERS = """
     count buses p_rated_kw idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases
@@ -104,6 +122,9 @@ SCHEMA_1: dict[type[Any], Kind] = {
     LineTable: Kind("LineTable", ("from_bus", "to_bus", "r_ohm", "x_ohm")),
     ShuntTable: Kind("ShuntTable", ("bus", "phase", "capacitor_kvar")),
     PhaseLineTable: Kind("PhaseLineTable", tuple(_PHASE_LINE.split())),
+    SwitchTable: Kind("SwitchTable", tuple(_SWITCH.split())),
+    TransformerTable: Kind("TransformerTable", tuple(_TRANSFORMER.split())),
+    RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 

@@ -21,7 +21,7 @@ from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.scenario.cost import CostWeights, RewardScope, VoltageCost
 from dcgrid_env.scenario.grid_control import ByBank, Decider
 from dcgrid_env.scenario.sensing import ObservationScope
-from dcgrid_env.scenario.workload import RecordingSplit, TraceWindow
+from dcgrid_env.scenario.workload import RecordingSplit, TraceScale, TraceWindow
 from dcgrid_env.traces import PowerTrace
 
 Value = TypeVar("Value")
@@ -80,10 +80,12 @@ class FlatNames:
     inverter_trace = Flat[PowerTrace | tuple[float, ...] | str | None]("inverter", "injection")
 
     trace = Flat[str | tuple[PowerTrace, ...]]("workload", "trace")
+    trace_scale = Flat[TraceScale]("workload", "trace_scale")
     recording_split = Flat[RecordingSplit]("workload", "recording_split")
     trace_window = Flat[TraceWindow]("workload", "window")
     site_correlation = Flat[float]("workload", "site_correlation")
     compute_share = Flat[float]("workload", "compute_share")
+    full_load_s = Flat[tuple[float, float] | None]("workload", "full_load_s")
 
     capacitors = Flat[bool]("background", "capacitors")
     load_sigma = Flat[float]("background", "load_sigma")

@@ -46,7 +46,7 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
         if not isinstance(device.buses, tuple) or len(device.buses) != device.count:
             raise ScenarioError(
                 f"scenario {name!r}: {count} is {device.count}, but {buses} is {device.buses!r}; give both, "
-                f"{count}={device.count} and as many {buses}, or {buses}=None to have them drawn among the load buses"
+                f"{count}={device.count} and as many {buses}, {buses} alone, or {buses}=None to have them drawn"
             )
         where = next((name for name, of in FLAT.items() if of == (device.kind, "buses")), f"{device.kind}.buses")
         among = device.kind if getattr(device, "shares_bus", False) else ""

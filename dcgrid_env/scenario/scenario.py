@@ -33,6 +33,7 @@ from dcgrid_env.scenario.members import check_random_feeders, member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
 from dcgrid_env.scenario.ramp_limit import check_ramp_limit
 from dcgrid_env.scenario.sensing import Sensing
+from dcgrid_env.scenario.trace_scale import check_trace_scale
 from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import ALL_SPLITS
 
@@ -100,6 +101,8 @@ class Scenario(PickledByFields, FlatNames):
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
         check_ratings(self)
+        with located(self.name, "workload", {"trace_scale": "trace_scale"}):
+            check_trace_scale(self)
         for device in self.devices:
             names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
             with located(self.name, device.kind, names):

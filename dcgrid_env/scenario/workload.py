@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
 from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
 
 TraceWindow = Literal["random", "start", "together"]
 RecordingSplit = Literal["time", "recording"]
+TraceScale = Literal["rated", "as-recorded"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,10 +19,13 @@ class Workload:
     """The power that data centres would draw at the top clock with nothing queued."""
 
     trace: str | tuple[PowerTrace, ...] = "inference"
-    """Source: a name (``dcgrid list``) or recordings, each scaled to the site's rating.
+    """Source: a name (``dcgrid list``) or recordings, each scaled as ``trace_scale`` says.
 
     The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
     long as an episode. Plain form: a generator's name, a recording's name or file, or a list of recordings."""
+    trace_scale: TraceScale = choice("rated", "as-recorded", default="rated")
+    """What the power of a recording becomes. ``rated`` scales it to the site: its rating, or its highest power where
+    that is not known, becomes the site's. ``as-recorded`` keeps its kW, which must not exceed the site's rating."""
     recording_split: RecordingSplit = choice("time", "recording", default="time")
     """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     window: TraceWindow = choice("random", "start", "together", default="random")
@@ -31,15 +35,24 @@ class Workload:
     """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
     compute_share: float = number(0.0, 1.0, default=1.0)
     """Compute-bound share of the work where the trace does not tell (recordings), for a law of two work classes."""
+    full_load_s: tuple[float, float] | None = None
+    """Begin and end of a period of each episode in which all sites are asked for their rating at least, s; None for
+    none."""
 
     def __post_init__(self) -> None:
         settle(self, trace=_trace)
         check_fields(self)
+        if self.full_load_s is not None and not _is_period(self.full_load_s):
+            raise refuse(self, "full_load_s", "give its begin and its end, 0 <= begin < end, in s, or None")
         if isinstance(self.trace, str):
             if self.trace not in TRACE_SOURCES:
                 raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings or a file")
         elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
+
+
+def _is_period(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(finite, value)) and 0.0 <= value[0] < value[1]
 
 
 def _are_traces(values: tuple[Any, ...]) -> bool:

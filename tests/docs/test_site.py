@@ -3,7 +3,9 @@
 The site itself is built by .ci/run, where Sphinx is installed and a warning is an error.
 """
 
+import json
 import runpy
+import subprocess
 import sys
 
 import pytest
@@ -12,6 +14,7 @@ from dcgrid_env import PRESETS
 from helpers.places import ROOT
 
 EXTENSIONS = ROOT / "docs" / "extensions"
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
 
 
 @pytest.fixture(autouse=True)
@@ -51,3 +54,20 @@ def test_the_readme_has_the_table_that_its_command_prints():
     made = runpy.run_path(str(ROOT / "docs" / "headline.py"))["table"]()
     assert made.count("\n") == 7
     assert made in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_build_leaves_nothing_beside_the_site(tmp_path):
+    """A page with a notebook's picture, built with what docs/conf.py connects."""
+    pytest.importorskip("myst_nb")
+    source, out = tmp_path / "docs", tmp_path / "built" / "site"
+    source.mkdir()
+    shown = {"output_type": "display_data", "metadata": {}, "data": {"image/png": PIXEL}}
+    cell = {"cell_type": "code", "execution_count": 1, "metadata": {}, "outputs": [shown], "source": "1"}
+    notebook = {"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 4}
+    (source / "index.ipynb").write_text(json.dumps(notebook), encoding="utf-8")
+    own = f"import runpy\nsetup = runpy.run_path({str(ROOT / 'docs' / 'conf.py')!r})['setup']\n"
+    (source / "conf.py").write_text(own + "extensions = ['myst_nb']\nnb_execution_mode = 'off'\n", encoding="utf-8")
+    done = subprocess.run([sys.executable, "-m", "sphinx", "-q", source, out], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in out.parent.iterdir()] == ["site"]
+    assert list((out / "_images").glob("*.png"))

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File
+from dcgrid_env.grid.formats.three_phase_columns import FILES, RATINGS, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
 from dcgrid_env.grid.three_phase_checks import NUMBER, PHASES, check_three_phase
 from dcgrid_env.grid.topology import FeederError
@@ -64,7 +64,7 @@ def write_folder(network: Network, folder: Path) -> None:
     for kind, file in FILES.items():
         table = getattr(network, kind)
         columns = [(column, getattr(table, column.field)) for column in file.columns]
-        unused = {"rating_a"} if all(map(math.isnan, getattr(table, "rating_a", ()))) else set()
+        unused = {column.field for column in file.columns if says_nothing(column.field, vars(table))}
         if not any(any(shares) for shares in getattr(table, "zip", ())):
             unused.add("zip")
         columns = [(column, values) for column, values in columns if column.field not in unused]
@@ -140,10 +140,10 @@ def _read_table(folder: Path, file: File) -> Any:
     found: dict[str, list[Any]] = {column.field: [] for column in file.columns}
     for line, row in _rows(path, needed, more, RESULTS.get(file.name, ())):
         for column in file.columns:
+            if column.field in RATINGS and column.field not in row:
+                continue
             found[column.field].append(_read_cells(path, line, row, column))
-    if all(map(math.isnan, found.get("rating_a", ()))):  # as before there were ratings
-        found.pop("rating_a", None)
-    return file.table(**found)
+    return file.table(**{name: values for name, values in found.items() if not says_nothing(name, found)})
 
 
 def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> Any:

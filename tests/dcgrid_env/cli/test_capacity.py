@@ -35,7 +35,9 @@ def test_it_prints_and_writes_the_same_answers(capsys, tmp_path):
     (line,) = [line for line in printed.splitlines() if line.split()[:1] == ["18"]]
     assert line.split()[1:3] == [f"{rows[1].capacity_mw:g}", f"{rows[3].capacity_mw:g}"]
     assert (tmp_path / "out/capacity.png").read_bytes()[:4] == b"\x89PNG"
-    assert "No rating of a branch is known" in printed
+    assert "Ratings known for 0 of 32 elements; not checked: branch 1-2, " in printed
+    assert record["ratings"]["known"] == 0
+    assert len(record["ratings"]["not_checked"]) == 32
 
 
 def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):

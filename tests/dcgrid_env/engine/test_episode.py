@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PRESETS, PrefillDecodeDvfs, Scenario, ScenarioError, make_scenario
+from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.engine import episode
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.trace_pool import sun_rows, trace_pool, window_steps
@@ -519,3 +520,25 @@ def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
     begins = draw(scenario, range(1000)).sun % length
     # The last of its 3580 seconds is the row's last at the latest.
     assert np.unique(begins).tolist() == list(range(length - 3579))
+
+
+def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
+    plain = make_scenario("ieee33-weak", trace="chat", horizon=20, dt_s=0.5)
+    full = plain.replace(full_load_s=(2.0, 4.0))
+    drawn = draw(plain, range(3))
+    asked, without = (np.array([episode.p_ref_kw(s, drawn, np.full(3, k)) for k in range(22)]) for s in (full, plain))
+    inside = (np.arange(22) > 4) & (np.arange(22) <= 8)  # steps that end after 2 s and until 4 s
+    np.testing.assert_array_equal(asked[~inside], without[~inside])
+    np.testing.assert_array_equal(asked[inside], np.maximum(without[inside], plain.site_rated_kw))
+    assert (without[inside] < plain.site_rated_kw).any()
+    course, before = (rollout(s, NoControl(), [0]).lane(0) for s in (full, plain))
+    assert course.metrics()["unserved_kws"] == 0.0
+    np.testing.assert_allclose(course.p_kw[5, : plain.n_datacenters], plain.site_rated_kw)
+    assert "ttft_mean_s" in before.metrics()
+    assert "ttft_mean_s" not in course.metrics()  # no request stands for that work
+
+
+@pytest.mark.parametrize("period", [(4.0, 2.0), (1.0,), (0.0, float("nan")), (-1.0, 2.0), "all"])
+def test_a_period_that_is_none_is_refused(period):
+    with pytest.raises(ScenarioError, match=r"full_load_s is .*; give its begin and its end"):
+        make_scenario("toy6", full_load_s=period)

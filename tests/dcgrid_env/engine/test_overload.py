@@ -42,25 +42,31 @@ def test_loading_is_the_current_over_the_rating(power_flow):
         assert loading[1] > 0.0
 
 
-def test_on_three_phases_each_conductor_counts():
+def test_on_three_phases_each_conductor_transformer_and_regulator_counts():
     scenario = ieee13().replace(horizon=4)
     network = scenario.feeder.network
     names = network.phase_line.name
     ratings = [np.nan if k % 2 else 100.0 + k for k in range(len(names))]
+    of_kva = dict(zip(network.transformer.to_bus, network.transformer.kva, strict=True))
     line = dataclasses.replace(network.phase_line, rating_a=ratings)
     feeder = ThreePhaseFeeder.from_network(dataclasses.replace(network, phase_line=line))
     solution = solver_for(feeder, "sweep")(feeder, feeder.p_load_kw, feeder.q_load_kvar, 1.0)
     loading = branch_loading(feeder, solution)
-    of_bus = dict(zip(line.to_bus, ratings, strict=True)) | dict(zip(line.from_bus, [np.nan] * len(names), strict=True))
     assert isinstance(solution, ThreePhaseSolution)
     assert feeder.rating_a is not None
-    checked = 0
+    kinds = set()
     for node in rated_nodes(feeder):
-        bus = feeder.bus_ids[feeder.node_bus[node]]
+        bus, parent = feeder.bus_ids[feeder.node_bus[node]], feeder.node_parent[node]
+        kinds.add(feeder.branch_names[feeder.node_bus[node] - 1].split()[0])
         expected = solution.i_a[node] / feeder.rating_a[node]
+        if node in feeder.regulated:  # the current before it is larger by the ratio of the tap
+            expected *= max(1.0, solution.v_pu[node] / solution.v_pu[parent])
         assert loading[node] == pytest.approx(expected)
-        checked += bus in of_bus
-    assert checked == len(rated_nodes(feeder)) > 3
+        if bus in of_kva:
+            kv_ll = network.transformer.kv_ll_to[network.transformer.to_bus.index(bus)]
+            assert feeder.rating_a[node] == pytest.approx(of_kva[bus] / (np.sqrt(3.0) * kv_ll))
+    assert kinds == {"line", "transformer", "regulator"}
+    assert loading[feeder.regulated].max() > (solution.i_a / feeder.rating_a)[feeder.regulated].max()
     course = rollout(scenario.replace(feeder=feeder, observe_loading=True, weights={"overload": 1.0}), NoControl(), [0])
     own = course.metrics()[0]
     assert own["loading_max_pct"] > 100.0

@@ -354,6 +354,22 @@ def test_as_many_buses_as_datacenters():
         scenario_of_ones_own(datacenter_buses=(2,))
 
 
+def test_the_number_of_sites_follows_from_their_buses():
+    for buses in ((18,), [18, "25"], (18, 33, 25, 22, 12)):
+        scenario = make_scenario("ieee33", datacenter_buses=buses)
+        assert scenario.n_datacenters == len(buses)
+        assert scenario.datacenter_buses == tuple(map(str, buses))
+        assert make_scenario("ieee33", n_datacenters=len(buses), datacenter_buses=buses).difference(scenario) is None
+    fields = {"kind": "datacenter", "buses": [18, 25], "p_rated_kw": 500.0, "s_rated_share": 1.1, "q_max_share": 0.33}
+    listed = make_scenario("ieee33", devices=[fields])
+    assert (listed.n_datacenters, listed.datacenter_buses) == (2, ("18", "25"))
+    assert make_scenario("ieee33", n_datacenters=2, datacenter_buses=None).n_datacenters == 2
+    assert make_scenario("ieee33", inverter_buses=(3, 7)).n_inverters == 2
+    for changes in ({"n_datacenters": 3, "datacenter_buses": (18, 25)}, {"n_datacenters": 3}):
+        with pytest.raises(ScenarioError, match=r"n_datacenters is 3, but datacenter_buses is .*; give both"):
+            make_scenario("ieee33", **changes)
+
+
 def test_no_more_datacenters_than_free_load_buses():
     with pytest.raises(ScenarioError, match="n_datacenters is 3, but only 2 load buses have no device"):
         scenario_of_ones_own(n_datacenters=3, p_rated_kw=1.0)

@@ -161,23 +161,29 @@ def loaded_circuit(master: Path, trust: bool) -> DssCircuit:
     FeederError
         Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
     """
-    engine = _engine()
+    engine = new_engine()
     if not master.is_file():
         raise FeederError(f"there is no file {master}; give an OpenDSS master file")
     if trust:
-        _run(engine, f'redirect "{master.resolve()}"', str(master))
+        run_command(engine, f'redirect "{master.resolve()}"', str(master))
     else:
-        executive = engine.Executive
-        commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
-        options = [executive.Option(k + 1) for k in range(executive.NumOptions())]
-        for line in Script(master, commands, options, engine.Basic.Classes()).lines():
-            _run(engine, line.command, line.where)
+        for line in script_of(engine, master).lines():
+            run_command(engine, line.command, line.where)
     if engine.Basic.NumCircuits() != 1:
         raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
     return DssCircuit(engine)
 
 
-def _run(engine: Any, command: str, where: str) -> None:
+def script_of(engine: Any, master: Path) -> Script:
+    """The script of a master file, by the names that an engine knows."""
+    executive = engine.Executive
+    commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
+    options = [executive.Option(k + 1) for k in range(executive.NumOptions())]
+    return Script(master, commands, options, engine.Basic.Classes())
+
+
+def run_command(engine: Any, command: str, where: str) -> None:
+    """Run one command; FeederError, saying where it stands, for one that OpenDSS refuses."""
     try:
         engine.Text.Command(command)
     except engine.DSSException as error:
@@ -188,7 +194,8 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _engine() -> Any:
+def new_engine() -> Any:
+    """An OpenDSS engine that acts on nothing outside; FeederError where OpenDSSDirect.py is missing."""
     try:
         from opendssdirect import dss  # pyright: ignore[reportMissingImports]  (in the extra opendss only)
     except ImportError:

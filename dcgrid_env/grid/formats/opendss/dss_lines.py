@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
+from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import Matrix
 
@@ -18,16 +19,14 @@ _ROUNDING = 1e-12  # relative, of what an inverse leaves in place of 0
 _SWITCH_B_US = 1e-3
 """Charging that a switch is not thought to have: OpenDSS's own default is 2e-4 microsiemens."""
 _NO_PHASE = math.nan
-_DEFAULT_AMPS = 400.0
-"""OpenDSS's NormAmps of a line for which none is given."""
 _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 
 
-def read_lines(circuit: DssCircuit, report: Report) -> list[Joint]:
+def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Joint]:
     """The lines, switches and series reactors that can be represented; the others stand in the report."""
     named = [("line", name) for name in circuit.names("line")]
     named += [("reactor", name) for name in circuit.names("reactor") if in_series(circuit, "reactor", name)]
-    found = [_line(circuit, report, kind, name) for kind, name in named]
+    found = [_line(circuit, report, ratings, kind, name) for kind, name in named]
     return _side_by_side([line for line in found if line is not None], report)
 
 
@@ -37,7 +36,7 @@ def in_series(circuit: DssCircuit, kind: str, name: str) -> bool:
     return len({end.bus for end in circuit.terminals()}) > 1
 
 
-def _line(circuit: DssCircuit, report: Report, kind: str, name: str) -> Joint | None:
+def _line(circuit: DssCircuit, report: Report, ratings: ScriptRatings, kind: str, name: str) -> Joint | None:
     circuit.activate(kind, name)
     first, second = circuit.terminals()
     wrong = _wrong_ends(first.nodes, second.nodes)
@@ -61,9 +60,10 @@ def _line(circuit: DssCircuit, report: Report, kind: str, name: str) -> Joint | 
     z, b_us = z[np.ix_(turned, turned)], b_us[np.ix_(turned, turned)]
     ends = (first.bus, second.bus)
     length_m = _length_m(circuit) if kind == "line" else math.nan
-    values = _columns(length_m, z, b_us, phases) | {"rating_a": _rating_a(circuit) if kind == "line" else math.nan}
+    is_switch = kind == "line" and circuit.yes("switch")
+    values = _columns(length_m, z, b_us, phases) | {"rating_a": ratings.of_conductor(kind, name)}
     joint = Joint("phase_line", name, ends, phases, not any(opened), values)
-    return _as_switch(circuit, report, kind, joint, z, b_us)
+    return _as_switch(report, kind, joint, is_switch, z, b_us)
 
 
 def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
@@ -78,12 +78,6 @@ def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
 
 def _length_m(circuit: DssCircuit) -> float:
     return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
-
-
-def _rating_a(circuit: DssCircuit) -> float:
-    """Normal ampacity of a line; unknown where it is OpenDSS's own default, which says nothing of the line."""
-    rating_a = circuit.figure("normamps")
-    return rating_a if rating_a > 0.0 and rating_a != _DEFAULT_AMPS else math.nan
 
 
 def _columns(length_m: float, z: Any, b_us: Any, phases: str) -> dict[str, Any]:
@@ -105,17 +99,18 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def _as_switch(circuit: DssCircuit, report: Report, kind: str, line: Joint, z: Any, b_us: Any) -> Joint:
+def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: Any, b_us: Any) -> Joint:
     """A switch in place of a line that is one, or that is open; the report says what it has lost."""
     one = z[0, 0]
     alike = np.allclose(z, one * np.eye(len(z)), rtol=0.0, atol=1e-9 * abs(one))
     bare = alike and float(np.abs(b_us).max()) < _SWITCH_B_US
-    if line.closed and not (bare and kind == "line" and circuit.yes("switch")):
+    if line.closed and not (bare and is_switch):
         report.add("taken", kind, line.name, "in lines.csv")
         return line
     mean = complex(np.diag(z).mean())
     values = {"state": "closed" if line.closed else "open", "r_ohm": rounded(mean.real), "x_ohm": rounded(mean.imag)}
     values = {key: 0.0 if isinstance(v, float) and abs(v) < _ROUNDING * abs(mean) else v for key, v in values.items()}
+    values["rating_a"] = line.values["rating_a"]
     report.add("taken", kind, line.name, "in switches.csv" if bare else "open: in switches.csv, mean impedance alone")
     return replace(line, kind="switch", values=values)
 
@@ -127,7 +122,7 @@ def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
         pair = frozenset(line.ends) if line.closed else k
         other = found.get(pair)
         if other:
-            text = "beside each other between two buses: one row that is both"
+            text = "beside each other between two buses: one row that is both, rated as balanced currents divide"
             report.add("nothing lost", "line", f"{other.name} and {line.name}", text)
         found[pair] = _joined(other, line) if other else line
     return list(found.values())
@@ -141,15 +136,19 @@ def _joined(first: Joint, second: Joint) -> Joint:
     if first.kind == second.kind == "switch" and first.values == second.values and of_other_phases:
         return replace(first, name=name, phases=phases)
     at = ["abc".index(phase) for phase in phases]
-    y, b_us = np.zeros((3, 3), np.complex128), np.zeros((3, 3))
-    for line in (first, second):
+    y, b_us = np.zeros((2, 3, 3), np.complex128), np.zeros((3, 3))
+    for k, line in enumerate((first, second)):
         own = ["abc".index(phase) for phase in line.phases]
         z, own_b_us = _matrices(line)
-        y[np.ix_(own, own)] += np.linalg.inv(z)
+        y[k][np.ix_(own, own)] = np.linalg.inv(z)
         b_us[np.ix_(own, own)] += own_b_us
-    z = np.linalg.inv(y[np.ix_(at, at)])
+    z = np.linalg.inv(y.sum(axis=0)[np.ix_(at, at)])
     values = _columns(first.values.get("length_m", math.nan), z, b_us[np.ix_(at, at)], phases)
-    values |= {"rating_a": math.nan}  # how currents divide between the two is not known here
+    balanced = np.exp(-2j / 3 * np.pi * np.array(at))
+    shares = np.abs(y[:, :, at] @ z @ balanced)  # by line and phase
+    ratings = [float(line.values["rating_a"]) for line in (first, second)]
+    most = [rating / shares[k].max() for k, rating in enumerate(ratings)]
+    values["rating_a"] = rounded(min(most)) if not any(map(math.isnan, most)) else math.nan
     return replace(first, kind="phase_line", name=name, phases=phases, values=values)
 
 

@@ -109,6 +109,7 @@ def regulator_row(unit: Unit, regulation: Regulation, from_bus: str, report: Rep
         "name": regulation.name, "bank": unit.bank or to.bus, "from_bus": from_bus, "to_bus": to.bus,
         "phases": unit.phases, "sensed_phase": "abc"[unit.nodes[regulation.sensed] - 1],
         "kv_ln": rounded(to.kv_ll / math.sqrt(3.0)), "kva_per_phase": rounded(unit.kva / len(unit.phases)),
+        "rating_kva_per_phase": rounded(unit.rating_kva / len(unit.phases)),
         "r_percent": unit.r_percent if proper else 0.0, "x_percent": unit.x_percent if proper else 0.0,
         "tap": round(tap), "tap_neutral": 0, "tap_min": round(lowest), "tap_max": round(highest),
         "tap_step": rounded(step), "antifloat_ppm": unit.antifloat_ppm if proper else 0.0, **regulation.values,

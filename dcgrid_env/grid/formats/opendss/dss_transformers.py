@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
+from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import WINDINGS
+
+_SIZES = {"kva": 0.0, "rating_kva": 0.0}
+"""Columns of a transformer that add up where two stand beside each other."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Unit:
     nodes: tuple[int, ...]
     windings: tuple[Winding, Winding]
     kva: float
+    rating_kva: float
+    """Rating of the smaller winding at its rated voltage; NaN where the script gives none."""
     r_percent: float
     x_percent: float
     lag: bool
@@ -44,11 +50,11 @@ class Unit:
     bank: str
 
 
-def read_units(circuit: DssCircuit, report: Report) -> list[Unit]:
+def read_units(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Unit]:
     """The transformers that may be represented; the others stand in the report as refused."""
     found = []
     for name in circuit.names("transformer"):
-        unit = _unit(circuit, name)
+        unit = _unit(circuit, ratings, name)
         if isinstance(unit, str):
             report.add("refused", "transformer", name, unit)
         else:
@@ -56,7 +62,7 @@ def read_units(circuit: DssCircuit, report: Report) -> list[Unit]:
     return found
 
 
-def _unit(circuit: DssCircuit, name: str) -> Unit | str:
+def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
     circuit.activate("transformer", name)
     ends = circuit.terminals()
     if len(ends) != 2:
@@ -84,9 +90,10 @@ def _unit(circuit: DssCircuit, name: str) -> Unit | str:
     turned = (1, 2, 3), (2, 3, 1), (3, 1, 2)
     if nodes[0] != nodes[1] or (size == 3 and "delta" in {w.connection for w in windings} and nodes[0] not in turned):
         return f"its phases are {nodes[0]} and {nodes[1]}; both sides must have the same, a delta in the order 1 2 3"
+    rating_kva = ratings.of_transformer(name)
     circuit.activate("transformer", name)
     return Unit(
-        name, phases_of(nodes[0]), nodes[0], (windings[0], windings[1]), circuit.figures("kvas")[0],
+        name, phases_of(nodes[0]), nodes[0], (windings[0], windings[1]), circuit.figures("kvas")[0], rating_kva,
         rounded(resistance), rounded(circuit.figure("xhl")), circuit.text("leadlag").lower() in ("lag", "ansi"),
         circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag"), circuit.text("bank"),
     )  # fmt: skip
@@ -111,7 +118,10 @@ def oriented(unit: Unit, depth: dict[str, int]) -> Unit:
 
 
 def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
-    """The row of a transformer whose fed winding comes first, its taps taken into its voltages; or what is wrong."""
+    """The row of a transformer whose fed winding comes first, its taps taken into its voltages; or what is wrong.
+
+    Its rating is then at those voltages: neither winding carries more than its rated current.
+    """
     first, second = unit.windings
     pair = (first.connection, second.connection)
     if pair not in WINDINGS:
@@ -125,7 +135,7 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
         "connection_from": pair[0], "connection_to": pair[1], "kva": rounded(unit.kva),
         "kv_ll_from": rounded(first.kv_ll * first.tap), "kv_ll_to": rounded(second.kv_ll * to_tap),
         "r_percent": unit.r_percent, "x_percent": unit.x_percent, "shift_deg": shift_deg,
-        "antifloat_ppm": unit.antifloat_ppm,
+        "antifloat_ppm": unit.antifloat_ppm, "rating_kva": rounded(unit.rating_kva * min(first.tap, to_tap)),
     }  # fmt: skip
     return Joint("transformer", unit.name, (first.bus, to_bus), unit.phases, True, values)
 
@@ -139,16 +149,17 @@ def merged(joints: list[Joint], report: Report) -> list[Joint]:
             found[joint.ends] = joint
             continue
         phases = "".join(sorted(set(other.phases + joint.phases)))
-        kva = other.values["kva"] + joint.values["kva"]
+        added = {field: rounded(other.values[field] + joint.values[field]) for field in _SIZES}
         parallel = other.phases == joint.phases
         beside = len(phases) == len(other.phases + joint.phases) and math.isclose(
             other.values["kva"] / len(other.phases), joint.values["kva"] / len(joint.phases)
         )
-        if other.values | {"kva": 0.0} != joint.values | {"kva": 0.0} or not (parallel or beside):
+        if other.values | _SIZES != joint.values | _SIZES or not (parallel or beside):
             report.add("refused", "transformer", joint.name, f"it stands beside {other.name}, which is not its like")
             continue
         text = "beside each other between two buses: one row that is both"
         report.add("nothing lost", "transformer", f"{other.name} and {joint.name}", text)
-        values = joint.values | {"kva": rounded(kva)}
-        found[joint.ends] = replace(other, name=f"{other.name}+{joint.name}", phases=phases, values=values)
+        found[joint.ends] = replace(
+            other, name=f"{other.name}+{joint.name}", phases=phases, values=joint.values | added
+        )
     return list(found.values())

@@ -13,6 +13,7 @@ from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, core_rows, read_capacitors, read_loads
+from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.dss_regulators import (
     Regulation,
     is_regulator,
@@ -22,6 +23,7 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, merged, oriented, read_units, transformer_joint
 from dcgrid_env.grid.formats.opendss.joints import Joint, Supply, supply_of
+from dcgrid_env.grid.formats.three_phase_columns import says_nothing
 from dcgrid_env.grid.network import (
     CapacitorTable,
     Network,
@@ -79,7 +81,7 @@ def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(ALLOWABLE)}")
     circuit = loaded_circuit(Path(master), trust)
     converged, report = circuit.solve(), Report()
-    network = _network(circuit, report, f"OpenDSS script {Path(master).name}", allow)
+    network = _network(circuit, report, ScriptRatings(circuit, Path(master), report), Path(master).name, allow)
     return Imported(network, report.findings, _voltages(circuit, network) if converged else {})
 
 
@@ -90,9 +92,11 @@ def _voltages(circuit: DssCircuit, network: Network) -> dict[str, complex]:
     return {name: v / (1000.0 * kv) for name, v, kv in found if v is not None}
 
 
-def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: Collection[str]) -> Network:
+def _network(
+    circuit: DssCircuit, report: Report, ratings: ScriptRatings, script: str, allow: Collection[str]
+) -> Network:
     source, source_bus = read_source(circuit, report)
-    lines, units = read_lines(circuit, report), read_units(circuit, report)
+    lines, units = read_lines(circuit, report, ratings), read_units(circuit, report, ratings)
     supply = supply_of(source_bus, [*lines, *_unit_joints(units)])
     for loop in supply.loops:
         kind = "transformer" if loop[0].kind == "unit" else "line"
@@ -128,7 +132,7 @@ def _network(circuit: DssCircuit, report: Report, source_of_facts: str, allow: C
         phase_load=_table(PhaseLoadTable, loads),
         capacitor=_table(CapacitorTable, capacitors),
         frequency_hz=float(circuit.engine.Solution.Frequency()),
-        source_of_facts=source_of_facts,
+        source_of_facts=f"OpenDSS script {script}",
     )
 
 
@@ -233,8 +237,6 @@ def _rows(joints: Iterable[Joint], kind: str) -> list[Row]:
 
 
 def _table(table: type[Any], rows: Sequence[Row]) -> Any:
-    """A table out of its rows; each has every column. Ratings that are all unknown are left out."""
+    """A table out of its rows; each has every column. Ratings that say nothing are left out."""
     columns = {field.name: tuple(row[field.name] for row in rows) for field in dataclasses.fields(table)}
-    if all(map(math.isnan, columns.get("rating_a", ()))):
-        columns.pop("rating_a", None)
-    return table(**columns)
+    return table(**{name: values for name, values in columns.items() if not says_nothing(name, columns)})

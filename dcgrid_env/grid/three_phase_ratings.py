@@ -1,0 +1,39 @@
+"""Rated currents of the branches of a three-phase feeder, by the nodes that they feed.
+
+A line or switch has an ampacity. A transformer carries its rating at the rated voltage of its to-side, whose line
+currents are those of the windings behind it, but for the turns ratio; a regulator carries its own at its rated voltage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.three_phase_tree import Branch, Tree
+
+
+def ratings_a(network: Network, tree: Tree) -> NDArray[np.float64]:
+    """Rated current of what feeds each node, A, shape (n_node,); NaN where it is not known, and at the source."""
+    rated = [math.nan] * len(tree.phases[0])
+    for branch, phases in zip(tree.branches, tree.phases[1:], strict=True):
+        of_phase = dict(_of_phases(network, branch))
+        rated += [of_phase[phase] for phase in phases]
+    return np.array(rated)
+
+
+def _of_phases(network: Network, branch: Branch) -> Iterator[tuple[str, float]]:
+    table = getattr(network, branch.kind)
+    for row in branch.rows:
+        if branch.kind == "transformer":
+            kva = (table.rating_kva or table.kva)[row]
+            amps = kva / (len(branch.phases) * table.kv_ll_to[row] / math.sqrt(3.0))
+        elif branch.kind == "regulator":
+            amps = (table.rating_kva_per_phase or table.kva_per_phase)[row] / table.kv_ln[row]
+        else:
+            amps = table.rating_a[row] if table.rating_a else math.nan
+        for phase in table.phases[row]:
+            yield phase, amps
