@@ -101,8 +101,8 @@ def saved_pct(j: ArrayLike, j_reference: ArrayLike) -> float:
 def mean_over_seeds(seed_scores: Sequence[float], error: float, episodes: int) -> Estimate:
     """Mean of training seeds' scores, with its interval for a further seed on further episodes.
 
-    Every seed's policy drives the same episodes. The interval is Student's t over the variance between seeds, divided by
-    their number, plus that between episodes; degrees of freedom by F. E. Satterthwaite, Biometrics Bulletin 2, 1946.
+    Every seed's policy drives the same episodes. The interval is Student's t over the variance between seeds, divided
+    by their number, plus that between episodes; degrees of freedom by F. E. Satterthwaite, Biometrics Bulletin 2, 1946.
 
     Parameters
     ----------
