@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import FORMAT, Card, Scored
@@ -16,8 +18,8 @@ from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.agents.training.config import stored_config
 from dcgrid_env.baselines import Placed, make_controller
-from dcgrid_env.baselines.evaluation import evaluate, score_over_seeds
-from dcgrid_env.baselines.score import REFERENCE, SPLIT
+from dcgrid_env.baselines.evaluation import Evaluation, evaluate, hindsight_costs
+from dcgrid_env.baselines.score import REFERENCE, SPLIT, mean_over_seeds, score_error
 from dcgrid_env.core.files import write_bytes
 
 
@@ -59,28 +61,15 @@ def ship(
     if scenario is None and trained_on not in PRESETS:
         raise PolicyError(f"scenario: the policy was trained on {trained_on}; say on which preset it is scored")
     test = make_scenario(scenario or trained_on, split=SPLIT)
-    seeds = range(episodes)
-    droop = evaluate(make_controller(REFERENCE, test), test, seeds)
     with on_purpose():  # the scenario was asked for
-        evaluations = [evaluate(policy, test, seeds) for policy, _ in runs]
-    scores = [evaluation.score(droop).score for evaluation in evaluations]
-    over_seeds = None
-    if len(runs) > 1:
-        mean, low, high = score_over_seeds(evaluations, droop)
-        over_seeds = (mean, low, high)
-    best = min(range(len(cards)), key=lambda i: cards[i].validation_J or 0.0)
-    scored = Scored(
-        scenario=test.name,
-        split=SPLIT,
-        episodes=episodes,
-        scenario_hash=scenario_hash(test),
-        J=evaluations[best].means["J"],
-        delay_mean_s=evaluations[best].means["delay_mean_s"],
-        droop_delay_mean_s=droop.means["delay_mean_s"],
-        score=(scores[best].value, scores[best].low, scores[best].high),
-        seeds=tuple(card.seed or 0 for card in cards),
-        seed_scores=tuple(estimate.value for estimate in scores),
-        over_seeds=over_seeds,
+        evaluations = [evaluate(policy, test, range(episodes)) for policy, _ in runs]
+    validation_j = [card.validation_J or 0.0 for card in cards]
+    best = validation_j.index(min(validation_j))
+    scored = _scored(
+        evaluations[best],
+        tuple(card.seed or 0 for card in cards),
+        tuple(one.means["J"] for one in evaluations),
+        tuple(validation_j),
     )
     card = dataclasses.replace(cards[best], scored=scored)
     if card.inputs is None:
@@ -88,6 +77,53 @@ def ship(
     write_bytes(out / f"{name}{SUFFIX}", _weights(folders[best]).read_bytes())
     card.save(out / f"{name}.json")
     return card
+
+
+def rescored(card: Card, policy: Policy, episodes: int | None = None) -> Card:
+    """A bundled policy's card with scores against the reference and hindsight as they are now.
+
+    The costs of the other seeds' policies stay; over another number of episodes they are not known and left out.
+    """
+    scored = card.scored
+    if scored is None or card.seed is None or scored.seed_J is None:
+        raise PolicyError("card: it has no costs of its seeds; ship the policy again")
+    test = make_scenario(scored.scenario, split=scored.split)
+    n = episodes or scored.episodes
+    with on_purpose():
+        own = evaluate(policy, test, range(n))
+    if n == scored.episodes:
+        seeds, j, validation_j = scored.seeds, scored.seed_J, scored.seed_validation_J
+    else:
+        seeds, j, validation_j = (card.seed,), (own.means["J"],), None
+    return dataclasses.replace(card, scored=_scored(own, seeds, j, validation_j), format=FORMAT)
+
+
+def _scored(
+    own: Evaluation, seeds: tuple[int, ...], seed_j: tuple[float, ...], validation_j: tuple[float, ...] | None
+) -> Scored:
+    """Scores of a policy and of all seeds from its evaluation and their mean costs."""
+    test, n = own.scenario, len(own.seeds)
+    droop = evaluate(make_controller(REFERENCE, test), test, own.seeds)
+    found, best = own.score(droop).score, hindsight_costs(test, own.seeds)
+    possible = float(np.mean(droop.J - best))
+    scores = tuple((droop.means["J"] - j) / possible for j in seed_j)
+    over_seeds = mean_over_seeds(scores, score_error(own.J, droop.J, best), n) if len(seeds) > 1 else None
+    return Scored(
+        scenario=test.name,
+        split=SPLIT,
+        episodes=n,
+        scenario_hash=scenario_hash(test),
+        J=own.means["J"],
+        delay_mean_s=own.means["delay_mean_s"],
+        droop_delay_mean_s=droop.means["delay_mean_s"],
+        score=(found.value, found.low, found.high),
+        seeds=seeds,
+        seed_scores=scores,
+        over_seeds=None if over_seeds is None else tuple(over_seeds),
+        droop_J=droop.means["J"],
+        seed_J=seed_j,
+        seed_validation_J=validation_j,
+    )
 
 
 def with_inputs(card: Card, policy: Policy) -> Card:

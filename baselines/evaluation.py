@@ -11,8 +11,7 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.controller import with_figures
-from dcgrid_env.baselines.score import Estimate, Score, score
-from dcgrid_env.baselines.score import score_over_seeds as over_seeds
+from dcgrid_env.baselines.score import Score, score
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
@@ -49,24 +48,15 @@ class Evaluation:
             raise ValueError("no score: the droop was run on other episodes; evaluate both on the same")
         if len(self.seeds) < 2:
             raise ValueError("no score: an interval takes at least 2 episodes")
-        return score(self.J, droop.J, _costs(self.scenario, self.seeds, hindsight or published(self.scenario)))
+        return score(self.J, droop.J, hindsight_costs(self.scenario, self.seeds, hindsight))
 
 
-def score_over_seeds(
-    evaluations: Sequence[Evaluation], droop: Evaluation, hindsight: Published | None = None
-) -> Estimate:
-    """Score of several training seeds' policies on the same episodes, see ``score.score_over_seeds``.
+def hindsight_costs(scenario: Scenario, seeds: Sequence[int], hindsight: Published | None = None) -> np.ndarray:
+    """Hindsight's costs of these episodes, (n_episode,), once it is sure that they are the same here.
 
-    ValueError where there is no score, see :meth:`Evaluation.score`, or for one seed alone.
+    ``hindsight`` is as in :meth:`Evaluation.score`, which says when this raises ValueError.
     """
-    for one in evaluations:
-        one.score(droop, hindsight)  # which says why there is none
-    costs = _costs(droop.scenario, droop.seeds, hindsight or published(droop.scenario))
-    return over_seeds([one.J for one in evaluations], droop.J, costs)
-
-
-def _costs(scenario: Scenario, seeds: tuple[int, ...], hindsight: Published | None) -> np.ndarray:
-    """Hindsight's costs of these episodes, (n_episode,), once it is sure that they are the same here."""
+    hindsight = hindsight or published(scenario)
     if hindsight is None:
         raise ValueError(
             f"no score: hindsight is published for the test split of the presets as they are, not for this "

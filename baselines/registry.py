@@ -25,7 +25,7 @@ from dcgrid_env.baselines.laws.volt_var import VoltVar
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.mpc import Mpc
-from dcgrid_env.baselines.tuning.search import TUNABLE
+from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry

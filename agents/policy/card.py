@@ -16,8 +16,9 @@ from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.core.files import write_json
 
-FORMAT = 2
-"""Version of the card's format: 2 has ``inputs`` and the interval over seeds and episodes, 1 had neither."""
+FORMAT = 3
+"""Version of the card's format: 3 has costs on test and on validation of every seed, 2 had ``inputs`` and the interval
+over seeds and episodes, 1 had neither."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """What the one who trained a policy may say; the rest is filled in."""
 
@@ -45,8 +46,14 @@ class Scored:
     seed_scores: tuple[float, ...]
     """Their scores, in the same order."""
     over_seeds: tuple[float, float, float] | None = None
-    """Mean of those scores and the ends of its 95 % interval over seeds and episodes (``score.score_over_seeds``); none
+    """Mean of those scores and the ends of its 95 % interval over seeds and episodes (``score.mean_over_seeds``); none
     for one seed."""
+    droop_J: float | None = None
+    """Mean J of the tuned droop, of which a policy saves a share."""
+    seed_J: tuple[float, ...] | None = None
+    """Mean J of each seed's policy, in the order of ``seeds``; none in formats 1 and 2."""
+    seed_validation_J: tuple[float, ...] | None = None
+    """Mean J of each on the validation episodes by which the best was selected; none where it was not recorded."""
 
     def __post_init__(self) -> None:
         _check(self, str, "scenario", "split", "scenario_hash")
@@ -55,8 +62,10 @@ class Scored:
         _check_all(self, float, "score", 3)
         _check_all(self, int, "seeds")
         _check_all(self, float, "seed_scores", len(self.seeds))
-        if self.over_seeds is not None:
-            _check_all(self, float, "over_seeds", 3)
+        _check(self, (float, type(None)), "droop_J")
+        for name, n in (("over_seeds", 3), ("seed_J", len(self.seeds)), ("seed_validation_J", len(self.seeds))):
+            if getattr(self, name) is not None:
+                _check_all(self, float, name, n)
 
 
 @dataclass(frozen=True)

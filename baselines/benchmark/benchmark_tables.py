@@ -11,14 +11,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dcgrid_env import METRICS, Metric
+from dcgrid_env.baselines import Published
 from dcgrid_env.baselines.benchmark.columns import fit, folded
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary
-from dcgrid_env.baselines.score import REFERENCE, Estimate
+from dcgrid_env.baselines.score import REFERENCE, Estimate, saved_pct
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from rich.console import Group
 
 NONE = "–"
+SAVED = "J saved, %"
+"""Heading of what a controller saves of the reference's cost."""
 
 COLUMNS = tuple(
     METRICS[name]
@@ -31,8 +35,9 @@ COLUMNS = tuple(
 
 LEGEND = (
     f"Score: 0 is {REFERENCE}, 1 is perfect foresight, or where a table says so the best known; mean(J_ref - J) / "
-    "mean(J_ref - J_hindsight) over the same test episodes. In parentheses its 95 % paired bootstrap interval, and "
-    "that of the paired difference of J.",
+    "mean(J_ref - J_hindsight) over the same test episodes. In parentheses 95 % intervals over episodes.",
+    f"J saved: mean(J_ref - J) / mean(J_ref), in per cent of the cost of {REFERENCE}. What hindsight saves is the "
+    "headroom: where it is small, so is all that a score says.",
     "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
     "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
     "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",
@@ -111,22 +116,41 @@ def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> 
     return Table("Score", ("controller", *(s.scenario for s in summaries)), tuple(rows), tuple(notes))
 
 
+def saved_table(summaries: Sequence[ScenarioSummary]) -> Table:
+    """How much of the reference's J all controllers, and hindsight, save on all scenarios, %."""
+    names = [row.controller for row in summaries[0].rows]
+    by_name = {(s.scenario, row.controller): row.saved_pct for s in summaries for row in s.rows}
+    rows = [(name, *(_estimate(by_name[s.scenario, name], ".1f") for s in summaries)) for name in names]
+    rows.append(("hindsight (headroom)", *(_number(s.headroom_pct) for s in summaries)))
+    title = f"J saved, % of J of {REFERENCE}"
+    return Table(title, ("controller", *(s.scenario for s in summaries)), tuple(rows))
+
+
 def scenario_table(summary: ScenarioSummary) -> Table:
     """Everything about one scenario."""
-    header = ("controller", "score", "J", "IQM of J", f"J - J of {REFERENCE}", *map(heading, COLUMNS), "observes")
+    header = ("controller", "score", SAVED, "J", "IQM of J", *map(heading, COLUMNS), "observes")
     notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
+    saves = "" if summary.headroom_pct is None else f", {summary.headroom_pct:.1f} % of J saved"
     if isinstance(summary.hindsight, BestKnownCost):
-        notes.insert(0, f"Best known: J {summary.hindsight.J:.4f}. {IS_NO_BOUND}")
+        notes.insert(0, f"Best known: J {summary.hindsight.J:.4f}{saves}. {IS_NO_BOUND}")
     elif summary.hindsight:
+        j, optimum, gap_pct = summary.hindsight
         notes.insert(
             0,
-            "Hindsight: J {:.4f}; the linearised program's own optimum {:.4f} (largest gap of an episode {:.2f} % of J)"
-            ".".format(*summary.hindsight),
+            f"Hindsight: J {j:.4f}{saves}; the linearised program's own optimum {optimum:.4f} (largest gap of an "
+            f"episode {gap_pct:.2f} % of J).",
         )
     if summary.no_score:
         notes.insert(0, summary.no_score[0].upper() + summary.no_score[1:] + ".")
     title = f"{summary.scenario}: {summary.episodes} test episodes, means over episodes"
     return Table(title, header, tuple(_figures(row) for row in summary.rows), tuple(notes))
+
+
+def headroom_lines(costs: Published, j_reference: ArrayLike) -> list[str]:
+    """How much of the reference's J hindsight saves, and that the best known is not a bound."""
+    name = "the best known" if costs.is_best_known else "hindsight"
+    line = f"headroom: {name} saves {saved_pct(costs.J, j_reference):.1f} % of the J of {REFERENCE}"
+    return [line, IS_NO_BOUND] if costs.is_best_known else [line]
 
 
 def _figures(row: Summary) -> tuple[str, ...]:
@@ -135,13 +159,12 @@ def _figures(row: Summary) -> tuple[str, ...]:
         return (row.controller, _score_cell(row, True), *blank)
     iqm = NONE if row.interquartile_mean is None else f"{row.interquartile_mean:.4f}"
     cells = (metric.text(row.means[metric.name]) for metric in COLUMNS)
-    difference = _estimate(row.difference, "+.4f")
     return (
         row.controller,
         _score_cell(row, True),
+        _estimate(row.saved_pct, ".1f"),
         METRICS["J"].text(row.means["J"]),
         iqm,
-        difference,
         *cells,
         row.observes,
     )
@@ -159,6 +182,10 @@ def _estimate(estimate: Estimate | None, form: str) -> str:
     if estimate is None:
         return NONE
     return f"{estimate.value:{form}} ({estimate.low:{form}} to {estimate.high:{form}})"
+
+
+def _number(value: float | None) -> str:
+    return NONE if value is None else f"{value:.1f}"
 
 
 def _row(cells: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from dcgrid_env.baselines.benchmark import report
 from dcgrid_env.baselines.benchmark.benchmark_figures import draw, png, score_figure
-from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, scenario_table, score_table
+from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, saved_table, scenario_table, score_table
 from dcgrid_env.baselines.benchmark.gather import Results
 from dcgrid_env.core.files import write_json, write_text
 from dcgrid_env.core.work.unit import Place, Unit
@@ -27,7 +27,7 @@ def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]
         ],
     }
     write_json(out / "results.json", content)
-    tables = [score_table(summaries), *map(scenario_table, summaries)]
+    tables = [score_table(summaries), saved_table(summaries), *map(scenario_table, summaries)]
     head = f"# dcgrid benchmark\n\n    {meta['command']}\n\n" + "\n\n".join(LEGEND) + "\n"
     write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
 
@@ -42,5 +42,7 @@ def write_report(
     drawn = {unit.item.summary.scenario: (unit.item.worst, figures) for unit, figures in place.run(units, shared)}
     sections = [report.Section(scenario_table(s), s.scenario, *drawn.get(s.scenario, (None, None))) for s in summaries]
     scores = score_figure(summaries)
-    text = report.page(score_table(summaries), png(scores) if scores else None, sections, meta)
+    text = report.page(
+        (score_table(summaries), saved_table(summaries)), png(scores) if scores else None, sections, meta
+    )
     write_text(out / "report.html", text)

@@ -36,15 +36,18 @@ class Section:
     """None likewise."""
 
 
-def page(scores: Table, score_figure: bytes | None, sections: Sequence[Section], meta: Mapping[str, Any]) -> str:
+def page(
+    scores: Sequence[Table], score_figure: bytes | None, sections: Sequence[Section], meta: Mapping[str, Any]
+) -> str:
     """The whole file."""
     links = "".join(f'<a href="#{html.escape(s.name)}">{html.escape(s.name)}</a>' for s in sections)
     legend = "".join(f"<p class=note>{html.escape(text)}</p>" for text in LEGEND)
+    tables = "\n".join(f"<h2>{html.escape(table.title)}</h2>\n{table.html()}" for table in scores)
     plot = _image(score_figure, "Scores with their intervals") if score_figure else ""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>dcgrid benchmark</title>'
         f"<style>{STYLE}</style></head><body>\n<h1>dcgrid benchmark</h1>\n<nav>{links}</nav>\n"
-        f"<h2>Score</h2>\n{scores.html()}\n{legend}\n{plot}\n"
+        f"{tables}\n{legend}\n{plot}\n"
         + "\n".join(map(_section, sections))
         + f"\n<h2>How it was made</h2>\n{_about(meta)}\n</body></html>\n"
     )

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.baselines import Published
-from dcgrid_env.baselines.score import REFERENCE, Estimate, score
+from dcgrid_env.baselines.score import REFERENCE, Estimate, saved_pct, score
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,10 @@ class Summary:
     means: Mapping[str, float] | None = None
     """Mean over the episodes of each metric of a record."""
     interquartile_mean: float | None = None
-    """Mean of J over the middle half of the episodes; like the next two None where there are fewer than 2 episodes, and
-    they also without a reference."""
+    """Mean of J over the middle half of the episodes; like the next three None where there are fewer than 2 episodes,
+    and they also without a reference."""
+    saved_pct: Estimate | None = None
+    """Mean of J_reference - J in per cent of the mean of J_reference."""
     difference: Estimate | None = None
     """Mean of J - J_reference."""
     score: Estimate | None = None
@@ -33,7 +35,7 @@ class Summary:
         """The row as results.json holds it."""
         if self.failure is not None:
             return {"scenario": self.scenario, "controller": self.controller, "failure": self.failure}
-        estimates = {"score": self.score, "difference": self.difference}
+        estimates = {"score": self.score, "saved_pct": self.saved_pct, "difference": self.difference}
         return {
             "scenario": self.scenario,
             "controller": self.controller,
@@ -78,6 +80,12 @@ class ScenarioSummary:
     def working(self) -> list[Summary]:
         """Rows of the controllers that did not fail."""
         return [row for row in self.rows if row.failure is None]
+
+    @property
+    def headroom_pct(self) -> float | None:
+        """How much of the reference's J hindsight saves, %; None where either is not known."""
+        reference = next((row.means for row in self.working if row.controller == REFERENCE), None)
+        return saved_pct(self.hindsight.J, reference["J"]) if reference and self.hindsight else None
 
 
 def summarise(
@@ -130,6 +138,7 @@ def summarise(
             row = replace(
                 row,
                 interquartile_mean=scored.interquartile_mean,
+                saved_pct=None if droop is None else scored.saved_pct,
                 difference=None if droop is None else scored.difference,
                 score=None if reason else scored.score,
             )

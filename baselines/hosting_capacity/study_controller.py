@@ -7,7 +7,7 @@ from pathlib import Path
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.registry import TUNED, find_controller
-from dcgrid_env.baselines.tuning.search import TUNABLE
+from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX
 
 

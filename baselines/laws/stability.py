@@ -116,12 +116,36 @@ def placements(scenario: Scenario, n: int = PLACEMENTS) -> list[tuple[int | str,
     return list(zip(*(info[f"bus_{agent}"].tolist() for agent in scenario.agents), strict=True))
 
 
+class ClosedLoops:
+    """The linearised feeder of scenarios at the agents' buses, from which gains have their spectral radius.
+
+    Parameters
+    ----------
+    scenarios
+        Each is taken at its :func:`placements`; with random feeders, on the feeders of the first ``n`` seeds.
+    n
+        Seeds whose placements are looked at.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], n: int = PLACEMENTS):
+        members = [member for scenario in scenarios for member, _ in scenario.members(range(n))]
+        self._loops = [(member, *_at(member, placements(member, n), True)) for member in members]
+
+    def largest_radius(self, droop: Droop) -> float:
+        """Largest spectral radius of a droop's gains over scenarios and placements."""
+        gains = (droop.k_p_mw_per_pu, droop.k_q_mvar_per_pu_s, droop.alpha_per_s)
+        radii = []
+        for scenario, r, x in self._loops:
+            left_out = 0 if droop.datacenters else scenario.n_datacenters
+            acting = np.s_[:, left_out:, left_out:]
+            n_dc = scenario.n_datacenters - left_out
+            radii.append(_radii(r[acting], x[acting], n_dc, scenario.dt_s, *gains).max())
+        return float(max(radii))
+
+
 def worst_radius(scenario: Scenario, droop: Droop, n: int = PLACEMENTS) -> float:
     """Largest spectral radius of a droop's gains over :func:`placements`."""
-    r, x = _at(scenario, placements(scenario, n), droop.datacenters)
-    n_dc = scenario.n_datacenters if droop.datacenters else 0
-    gains = (droop.k_p_mw_per_pu, droop.k_q_mvar_per_pu_s, droop.alpha_per_s)
-    return float(_radii(r, x, n_dc, scenario.dt_s, *gains).max())
+    return ClosedLoops([scenario], n).largest_radius(droop)
 
 
 def is_stable(radius: float) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.tuning.lane_costs import lane_costs
-from dcgrid_env.baselines.tuning.search import TUNABLE, Parameters
+from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
 
 CANDIDATES, GENERATIONS, TRIALS = 24, 8, 100
 _FEWEST = 8

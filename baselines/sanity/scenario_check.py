@@ -31,6 +31,7 @@ from dcgrid_env.baselines.sanity.verdicts import (
     Verdict,
     verdicts,
 )
+from dcgrid_env.baselines.score import saved_pct
 from dcgrid_env.core.work.here import ONE_PROCESS
 from dcgrid_env.core.work.unit import Lost, Place, Unit
 
@@ -85,6 +86,9 @@ class ScenarioCheck:
         for metric in (METRICS[name] for name in ROWS):
             each = (OVER_EPISODES[metric.over_episodes](one.metrics[metric.name]) for one in shown.values())
             rows.append((metric.heading, *(metric.text(float(value)) for value in each)))
+        droop = shown[DROOP].metrics["J"]
+        saved = (saved_pct(one.metrics["J"], droop[: one.n]) for one in shown.values())
+        rows.append(("J below that of the best droop, %", *(f"{share:.1f}" for share in saved)))
         rows.append(("episodes", *(str(one.n) for one in shown.values())))
         title = f"{self.scenario.name}, {self.scenario.split} split, found in {self.seconds:.0f} s"
         return Table(title, ("mean over episodes", *shown), tuple(rows))

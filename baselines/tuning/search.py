@@ -4,54 +4,27 @@ Minimised is the mean J over episodes, on several scenarios together the mean of
 The search is COBYQA's (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without derivatives) from the
 middle of the bounds; laws of up to three parameters, and those whose cost has steps, are also searched by differential
 evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are
-scipy's. The same call finds the same parameters. On ieee33's ten constant shares COBYQA needed 93 trials to what took
-Powell's method 300.
+scipy's. The same call finds the same parameters.
+
+A droop must also be steady (``steadiness``): where the cheapest gains are not, the search is repeated with each set of
+gains drawn back to where the closed loop is stable, and the cheapest without a limit cycle is the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_bus, under_own_control
+from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
-from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.no_control import NoControl
-from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
-from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
-from dcgrid_env.baselines.laws.site_return import (
-    SLOWEST_PACE,
-    ReturnByHand,
-    StaggeredReturn,
-    has_return_channel,
-    return_rule,
-)
-from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
+from dcgrid_env.baselines.laws.stability import ClosedLoops, is_stable
 from dcgrid_env.baselines.rollout import rollout
-
-Parameters = dict[str, Any]
-_LOG_K_Q = (-2.0, 2.5)  # in episodes of _EPISODE_S at most, with steps of a second at most
-_EPISODE_S = 120.0
-_MEMBERS = 8  # episodes over whose feeders distances are taken where feeders are random
-
-
-@dataclass(frozen=True)
-class Tunable:
-    """A law and how it is searched: in numbers ``x`` within bounds, from which its parameters are made."""
-
-    law: Callable[..., Controller]
-    parameters: Callable[[np.ndarray, Sequence[Scenario]], Parameters]
-    """From x and the scenarios that share the parameters to the law's keyword arguments."""
-    bounds: Callable[[Sequence[Scenario]], list[tuple[float, float]]]
-    generations: int | None = None
-    """Generations of differential evolution; None for three where there are up to three parameters, else none."""
-    fits: Callable[[Scenario], bool] = lambda _: True
-    """Whether the law can drive a scenario at all."""
+from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle
+from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters, Tunable
 
 
 class Tuned(NamedTuple):
@@ -61,152 +34,15 @@ class Tuned(NamedTuple):
     score: float
     """Mean J, or over several scenarios the mean share of no control's."""
     trials: int
+    spectral_radius: float | None = None
+    """Of a droop's linearised closed loop, see :class:`laws.stability.ClosedLoops`; None for other laws."""
 
 
-def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
-    return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), "alpha_per_s": _power(x[2])}
+class Trial(NamedTuple):
+    """A set of parameters that was tried."""
 
-
-def _peak_shaving(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    return _droop(x[:3], scenarios) | {"v_hold_pu": _rounded(x[3]), "gain": _power(x[4])}
-
-
-def _routing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    return _droop(x[:3], scenarios) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
-
-
-def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
-    """Bounds of log10 k_q, an integral gain: the longer an episode, the slower it may be, and the longer a step, the
-    sooner it oscillates.
-    """
-    episode_s = max(_EPISODE_S, *(s.horizon * s.dt_s for s in scenarios))
-    step_s = max(1.0, min(s.dt_s for s in scenarios))
-    return _LOG_K_Q[0] - float(np.log10(episode_s / _EPISODE_S)), _LOG_K_Q[1] - float(np.log10(step_s))
-
-
-def _droop_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
-    return [(0.0, 20.0), _k_q_bounds(scenarios), (-3.0, 0.3)]
-
-
-def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    if len(scenarios) > 1:
-        return {"q_share": _rounded(x[0])}
-    gives = _gives_reactive_power(scenarios[0])
-    shares = np.zeros(len(gives))
-    # Data centres that are drawn anew in each episode are all alike beforehand.
-    shares[gives] = [*([x[0]] * (gives.sum() - len(x))), *x]
-    return {"q_share": tuple(map(_rounded, shares))}
-
-
-def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
-    if len(scenarios) > 1:
-        return [(-1.0, 1.0)]
-    scenario, n = scenarios[0], int(_gives_reactive_power(scenarios[0]).sum())
-    drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    return [(-1.0, 1.0)] * (n - scenario.n_datacenters + 1 if drawn else n)
-
-
-def _gives_reactive_power(scenario: Scenario) -> np.ndarray:
-    """Which agents that a law drives have reactive power, bool, (n_agent,)."""
-    return action_layout(under_own_control(scenario)).reactive >= 0
-
-
-def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    """sinh(x): the share at the agents' mean R_ii and X_ii, and its change over the range of each among them.
-
-    By sinh gentle rules are searched more finely than steep ones, which saturate at most agents.
-    """
-    own = np.concatenate([_distances(member) for s in scenarios for member, _ in s.members(range(_MEMBERS))])
-    middle, *changes = np.sinh(x)
-    slopes = changes / np.ptp(own, axis=0)
-    names = ("at_substation", "per_r_mw_per_pu", "per_x_mvar_per_pu")
-    return dict(zip(names, map(_rounded, (middle - slopes @ own.mean(axis=0), *slopes)), strict=True))
-
-
-def _distances(scenario: Scenario) -> np.ndarray:
-    """R_ii and X_ii wherever an agent may stand, (n, 2)."""
-    first, rows = 0, []
-    for device in scenario.devices:
-        buses = device.buses
-        if buses is None:
-            rows += [(first, bus) for bus in scenario.candidates.tolist()]
-        else:
-            rows += [(first + i, scenario.feeder.index(bus)) for i, bus in enumerate(buses)]
-        first += device.count
-    agents, at = np.array(rows).T
-    nodes = nodes_by_bus(scenario)[agents, at]
-    own = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in believed_sensitivity(scenario))
-    return np.stack(list(own), axis=-1)
-
-
-def _by_hand(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    """k_p and k_q of the droop, both times as shares of what ``ups_wait`` counts to, and the pace."""
-    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
-    times = {"return_delay_s": _rounded(x[2] * longest_s), "release_s": _rounded(x[3] * longest_s)}
-    return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), **times, "pace": _rounded(x[4])}
-
-
-def _staggered(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    """The same, and how far apart sites return as a share of what is left of that time."""
-    first = _by_hand(x, scenarios)
-    latest_s = max(*(return_rule(s).return_delay_s for s in scenarios), first["return_delay_s"], first["release_s"])
-    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
-    apart = max(1, *(s.n_datacenters - 1 for s in scenarios))
-    return first | {"stagger_s": _rounded(0.999 * x[5] * (longest_s - latest_s) / apart)}
-
-
-def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
-    return [(0.0, 5.0), _k_q_bounds(scenarios), (0.0, 1.0), (0.0, 1.0), (SLOWEST_PACE, 1.0)]
-
-
-def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
-    """Gains of the droop, the floor, and ramps between the slowest and the fastest, by factors."""
-    settings = [smoothing_of(s) for s in scenarios]
-    slowest = min(np.log10(own.slowest_share) for own in settings)
-    up, down = (min(getattr(own, f"ramp_{way}_w_per_s") for own in settings) for way in ("up", "down"))
-    return {
-        **_droop(x[:3], scenarios),
-        "floor_share": _rounded(x[3] * min(own.floor_share for own in settings)),
-        "ramp_up_w_per_s": _rounded(up * 10.0 ** (slowest * x[4])),
-        "ramp_down_w_per_s": _rounded(down * 10.0 ** (slowest * x[5])),
-    }
-
-
-TUNABLE: dict[str, Tunable] = {
-    "droop": Tunable(Droop, _droop, _droop_bounds),
-    "droop-q": Tunable(
-        Droop, lambda x, _: {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": _power(x[0])}, lambda s: [_k_q_bounds(s)]
-    ),
-    "deadband": Tunable(
-        DeadbandDroop,
-        lambda x, _: {"k_share_per_pu": _power(x[0]), "deadband_pu": _rounded(x[1])},
-        lambda _: [(0.0, 3.5), (0.0, 0.03)],
-    ),
-    "peak-shaving": Tunable(
-        PeakShaving,
-        _peak_shaving,
-        lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3), (0.9, 1.0), (-2.0, 0.5)],
-        fits=has_storages,
-    ),
-    "route-to-strongest": Tunable(
-        RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)], fits=has_routing
-    ),
-    # Trips make steps of the cost, in which a method that follows slopes stays where it begins.
-    "return-by-hand": Tunable(ReturnByHand, _by_hand, _return_bounds, 6, has_return_channel),
-    "staggered-return": Tunable(
-        StaggeredReturn, _staggered, lambda s: [*_return_bounds(s), (0.0, 1.0)], 6, has_return_channel
-    ),
-    "smoothing": Tunable(
-        FixedSmoothing,
-        _smoothing,
-        lambda s: [(0.0, 20.0), _k_q_bounds(s), (-3.0, 0.3), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0)],
-        fits=has_smoothing_channels,
-    ),
-    "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
-    # The cost has plateaus and several valleys: the rule saturates.
-    "placement": Tunable(PlacementRule, _placement, lambda _: [(-2.0, 2.0), (-3.5, 3.5), (-3.5, 3.5)], 12),
-}
-"""Laws that can be tuned, by the names of ``CONTROLLERS``."""
+    cost: float
+    parameters: Parameters
 
 
 def tune(
@@ -228,27 +64,58 @@ def tune(
     Raises
     ------
     ValueError
-        For a law that cannot be tuned, listing those that can, no scenario or fewer than one episode; a
+        For a law that cannot be tuned, listing those that can, no scenario or fewer than one episode, or a droop with a
+        limit cycle at all gains that were tried; a
         ``ControllerError`` where the law refuses a scenario or fails.
     """
-    from scipy.optimize import differential_evolution, minimize
-
     if name not in TUNABLE:
         raise ValueError(f"tune: {name!r} cannot be tuned; there are {', '.join(TUNABLE)}")
     if not scenarios or episodes < 1:
         raise ValueError(f"tune: {len(scenarios)} scenarios and {episodes} episodes; give at least one of each")
     law = TUNABLE[name]
+    trials = _search(law, scenarios, episodes, law.parameters, on_trial)
+    if law.law is not Droop:
+        best = min(trials, key=_cost)
+        return Tuned(best.parameters, best.cost, len(trials))
+    loops = ClosedLoops(scenarios)
+
+    def is_steady(trial: Trial) -> bool:
+        droop = Droop(**trial.parameters)
+        stable = is_stable(loops.largest_radius(droop))
+        return stable and not any(has_limit_cycle(s, droop, episodes) for s in scenarios)
+
+    found, tried = min(trials, key=_cost), len(trials)
+    if not is_steady(found):
+        trials = _search(law, scenarios, episodes, lambda x, on: drawn_back(loops, law.parameters(x, on)), on_trial)
+        tried += len(trials)
+        found = next((trial for trial in sorted(trials, key=_cost) if is_steady(trial)), None)
+        if found is None:
+            raise ValueError(f"tune: {name!r} has a limit cycle on {scenarios[0].name} at all {tried} sets of gains")
+    return Tuned(found.parameters, found.cost, tried, loops.largest_radius(Droop(**found.parameters)))
+
+
+def _search(
+    law: Tunable,
+    scenarios: Sequence[Scenario],
+    episodes: int,
+    parameters: Callable[[np.ndarray, Sequence[Scenario]], Parameters],
+    on_trial: Callable[[], None] | None,
+) -> list[Trial]:
+    """Every set of parameters that the search tries."""
+    from scipy.optimize import differential_evolution, minimize
+
     low, high = np.array(law.bounds(scenarios)).T
     alone = len(scenarios) == 1
     none = [1.0] if alone else [mean_cost(s, NoControl(), episodes) for s in scenarios]
-    tried: list[tuple[float, np.ndarray]] = []
+    tried: list[tuple[Trial, np.ndarray]] = []
 
     def score(share: np.ndarray) -> float:
         """Cost of parameters at these shares of the way from their lower to their upper bounds."""
         share = np.clip(share, 0.0, 1.0)  # methods overstep by rounding
-        controller = law.law(**law.parameters(low + share * (high - low), scenarios))
+        made = parameters(low + share * (high - low), scenarios)
+        controller = law.law(**made)
         cost = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, none, strict=True)]))
-        tried.append((cost, share))
+        tried.append((Trial(cost, made), share))
         if on_trial is not None:
             on_trial()
         return cost
@@ -264,23 +131,17 @@ def tune(
             if isinstance(error.__cause__, ValueError):  # which scipy hides behind words about its own arguments
                 raise error.__cause__ from None
             raise
-        starts.append(min(tried, key=lambda pair: pair[0])[1])
+        starts.append(min(tried, key=lambda pair: pair[0].cost)[1])
     budget = {"maxfev": 30 * n, "initial_tr_radius": 0.25, "final_tr_radius": 5e-4}
     for start in starts:
         minimize(score, start, method="COBYQA", bounds=[(0.0, 1.0)] * n, options=budget)
-    best, share = min(tried, key=lambda pair: pair[0])
-    return Tuned(law.parameters(low + share * (high - low), scenarios), best, len(tried))
+    return [trial for trial, _ in tried]
+
+
+def _cost(trial: Trial) -> float:
+    return trial.cost
 
 
 def mean_cost(scenario: Scenario, controller: Controller, episodes: int) -> float:
     """Mean J over the episodes of seeds 0, 1, .."""
     return float(rollout(scenario, controller, range(episodes)).costs().mean())
-
-
-def _rounded(value: float) -> float:
-    """To four significant digits: nobody sets a gain more finely, and what is printed is what was tried."""
-    return float(f"{round(float(value), 9):.4g}")
-
-
-def _power(exponent: float) -> float:
-    return _rounded(10.0**exponent)

@@ -26,7 +26,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
-from dcgrid_env.baselines.tuning.search import TUNABLE
+from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.core.work.worker import shared
 
 CARRIED = "tuned parameters"

@@ -190,7 +190,7 @@ def _run(
 def _write(cfg: Benchmark, results: Sequence[Results], place: Place, shared: dict[str, Any], console: Console) -> None:
     """The files, the records before the figures, and the scores on the terminal."""
     from dcgrid_env import scenario_hash
-    from dcgrid_env.baselines.benchmark.benchmark_tables import score_table
+    from dcgrid_env.baselines.benchmark.benchmark_tables import saved_table, score_table
     from dcgrid_env.baselines.benchmark.output import write_report, write_results
     from dcgrid_env.baselines.score import SPLIT
 
@@ -201,6 +201,7 @@ def _write(cfg: Benchmark, results: Sequence[Results], place: Place, shared: dic
         write_report(cfg.out, results, place, shared, about)
     summaries = [result.summary for result in results]
     console.print(score_table(summaries, interval=False).rich(console.width))
+    console.print(saved_table(summaries).rich(console.width))
     for note in score_table(summaries).notes:
         console.print(note)
     for row in (row for result in results for row in result.summary.rows if row.failure):

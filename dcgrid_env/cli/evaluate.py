@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines import Controller, Published
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-    from dcgrid_env.baselines.score import Estimate
+    from dcgrid_env.baselines.score import Score
     from dcgrid_env.core.work.unit import Place
 
 
@@ -77,7 +77,7 @@ class Evaluate(OverWorkers):
         """Run, print the table and what it says. ValueError for a setting that cannot be."""
         from dcgrid_env.agents import evaluate, find_controller
         from dcgrid_env.baselines import published
-        from dcgrid_env.baselines.benchmark.benchmark_tables import IS_NO_BOUND
+        from dcgrid_env.baselines.benchmark.benchmark_tables import headroom_lines
         from dcgrid_env.baselines.hindsight_costs import FOLDER
         from dcgrid_env.baselines.score import REFERENCE, STATIC
         from dcgrid_env.baselines.tuning.tuned import require_tuned
@@ -112,8 +112,8 @@ class Evaluate(OverWorkers):
         about = f"{self.episodes} episodes" + f", seeds from {self.seed}" * (self.seed > 0)
         console.print(table(evaluations, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
         said = [*([why] if why else []), *left_out, *remarks(self.policy, evaluations)]
-        if scores and (costs := published(scenario, FOLDER)) and costs.is_best_known:
-            said.append(IS_NO_BOUND)
+        if scores and (costs := published(scenario, FOLDER)):
+            said += headroom_lines(costs.of(seeds), evaluations[REFERENCE].J)
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
         shown = {name: controllers[name] for name in (self.policy, REFERENCE) if name in controllers}
@@ -199,7 +199,7 @@ def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
 
 def _scores(
     evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, place: Place, console: Console
-) -> tuple[dict[str, Estimate], str | None]:
+) -> tuple[dict[str, Score], str | None]:
     """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
     from dcgrid_env.baselines import published
     from dcgrid_env.baselines.hindsight_costs import FOLDER
@@ -217,7 +217,7 @@ def _scores(
         if missing:
             solve_missing({scenario.name: spec}, cfg.split, {scenario.name: missing}, FOLDER, place, console)
             costs = published(scenario, FOLDER)
-        return {name: evaluation.score(droop, costs).score for name, evaluation in evaluations.items()}, None
+        return {name: evaluation.score(droop, costs) for name, evaluation in evaluations.items()}, None
     except ValueError as error:
         text = str(error)
         return {}, text if text.startswith("no score") else f"no score: {text}"
@@ -251,15 +251,19 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Estimate], title: str) -> Table:
+def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], title: str) -> Table:
     """The controllers side by side."""
     from dcgrid_env import METRICS
-    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+    from dcgrid_env.baselines.benchmark.benchmark_tables import SAVED, Table
+    from dcgrid_env.baselines.score import REFERENCE, saved_pct
 
     rows = []
     if scores:
         for i, label in enumerate(("score", "95 % interval: from", "to")):
-            rows.append((label, *(f"{scores[name][i]:.3f}" for name in evaluations)))
+            rows.append((label, *(f"{scores[name].score[i]:.3f}" for name in evaluations)))
+    if REFERENCE in evaluations:
+        saved = (saved_pct(one.J, evaluations[REFERENCE].J) for one in evaluations.values())
+        rows.append((SAVED, *(f"{share:.1f}" for share in saved)))
     for metric in (METRICS[name] for name in ROWS):
         rows.append((metric.heading, *(metric.text(one.means[metric.name]) for one in evaluations.values())))
     return Table(title, ("mean over episodes", *evaluations), tuple(rows))

@@ -73,7 +73,7 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
 def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
     """Lines that say which tuned controllers have their gains from a file rather than from what ships."""
     from dcgrid_env.baselines import TUNED
-    from dcgrid_env.baselines.tuning.search import TUNABLE
+    from dcgrid_env.baselines.tuning.tunable import TUNABLE
     from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_parameters
 
     laws = {name: name.removesuffix(SUFFIX) for name in controllers if name in TUNED}

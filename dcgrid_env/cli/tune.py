@@ -34,6 +34,8 @@ class Tune(OverWorkers):
     The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
     same command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
 
+    A droop's gains are chosen among those whose closed loop is stable: spectral radius at most 1, no limit cycle.
+
     `dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json;
     with --tuned FILE the first three take them from another file.
     """
@@ -62,7 +64,7 @@ class Tune(OverWorkers):
 
     def run(self) -> None:
         """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
-        from dcgrid_env.baselines.tuning.search import TUNABLE
+        from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
         specs = scenario_specs(self.scenarios, self.set, SPLIT)
         laws = list(TUNABLE) if self.laws.strip() == "all" else split_names(self.laws)
@@ -114,7 +116,9 @@ def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
             kept.setdefault(search.law, {})[search.key] = entry
             _write(cfg.out, kept)
             values = ", ".join(f"{name} = {value}" for name, value in entry["parameters"].items())
-            console.print(f"{search.key} {search.law}: {values}; J {entry['J']:.4f}")
+            radius = entry.get("spectral_radius")
+            said = f"; spectral radius {radius:.3f}" if radius is not None else ""
+            console.print(f"{search.key} {search.law}: {values}; J {entry['J']:.4f}{said}")
             progress.advance(bar)
     console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}")
 
@@ -127,6 +131,7 @@ def _tuned(episodes: int, search: Search) -> dict[str, Any]:
         "parameters": best.parameters,
         "J": best.score,
         "trials": best.trials,
+        **({} if best.spectral_radius is None else {"spectral_radius": best.spectral_radius}),
         "command": _command(search, episodes),
         **_identity(search),
     }
@@ -170,7 +175,7 @@ def _kept(path: Path) -> Laws:
 def _write(path: Path, laws: Laws) -> None:
     """Laws in the order of ``TUNABLE``, scenarios in that of the presets; others behind them."""
     from dcgrid_env import PRESETS
-    from dcgrid_env.baselines.tuning.search import TUNABLE
+    from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
     ordered = {law: {key: laws[law][key] for key in _first(PRESETS, laws[law])} for law in _first(TUNABLE, laws)}
     write_json(path, {"versions": meta()["versions"], "laws": ordered})

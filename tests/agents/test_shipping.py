@@ -7,7 +7,7 @@ import pytest
 
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
-from dcgrid_env.agents.shipping import ship
+from dcgrid_env.agents.shipping import rescored, ship
 from dcgrid_env.baselines import make_controller
 
 
@@ -41,12 +41,19 @@ def test_the_best_on_validation_ships_with_the_scores_of_all(tmp_path):
     assert own.means["J"] == scored.J
     assert tuple(own.score(droop).score) == scored.score
     assert scored.seeds == (5, 6, 7)
-    assert scored.seed_scores[1] == scored.score[0]
+    assert scored.seed_scores[1] == pytest.approx(scored.score[0])
     assert len(set(scored.seed_scores)) == 3
     assert scored.over_seeds is not None
     mean, low, high = scored.over_seeds
+    assert low < mean < high
     assert mean == pytest.approx(np.mean(scored.seed_scores))
-    assert min(scored.seed_scores) <= low < mean < high <= max(scored.seed_scores)
+    assert scored.seed_validation_J == (0.4, 0.3, 0.5)  # by which anyone can check the selection
+    assert scored.seed_J is not None
+    assert (scored.droop_J, scored.seed_J[1]) == (droop.means["J"], scored.J)
+    assert rescored(card, policy) == card
+    halved = rescored(card, policy, episodes=2).scored
+    assert halved is not None
+    assert (halved.episodes, halved.seeds, halved.seed_validation_J, halved.over_seeds) == (2, (6,), None, None)
     assert card.inputs is not None
     assert set(card.inputs) == {"datacenter", "inverter"}
 

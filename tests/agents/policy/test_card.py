@@ -67,8 +67,8 @@ def test_a_card_of_the_first_format_loads(tmp_path):
     del old["inputs"], old["format"], old["scored"]["over_seeds"]
     path.write_text(json.dumps(old))
     assert Card.load(path) == dataclasses.replace(CARD, format=1)
-    path.write_text(json.dumps(old | {"format": 3}))
-    with pytest.raises(PolicyError, match="format is 3, this dcgrid reads 1 to 2; update it"):
+    path.write_text(json.dumps(old | {"format": 4}))
+    with pytest.raises(PolicyError, match="format is 4, this dcgrid reads 1 to 3; update it"):
         Card.load(path)
 
 

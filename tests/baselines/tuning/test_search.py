@@ -11,7 +11,8 @@ import pytest
 from dcgrid_env import PRESETS, make_scenario
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, Droop, NoControl, make_controller, rollout
 from dcgrid_env.baselines.rollout import ControllerError
-from dcgrid_env.baselines.tuning.search import TUNABLE, mean_cost, tune
+from dcgrid_env.baselines.tuning.search import mean_cost, tune
+from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 from helpers.three_phase import ieee13, ieee123
 
