@@ -1,8 +1,7 @@
 """What a folder of the leaderboard holds: submission.json, what it names, and verified.json once it was run again.
 
-Neither file is signed with a key. ``verified.json`` ends in a SHA-256 over all that it says, with the hashes of the
-submission and of the policy in it: whoever changes a file afterwards without running ``dcgrid verify`` is noticed.
-Anybody can write such a file, so it proves nothing of who wrote it; the proof of a figure is to run it again.
+``verified.json`` is a report of ``dcgrid verify``, with the hashes of the submission and of the policy in it. It ends
+in a signature over all that it says (``signing``), so that only reports of the verifier are listed.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -20,7 +19,7 @@ from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.baselines.score import SPLIT
 
 SUBMISSION, VERIFIED = "submission.json", "verified.json"
-FORMAT = 1
+FORMAT = 2
 """Version of both files' format."""
 Learned = Literal["train", "validation", "test", "nothing"]
 """Split that an entry was learned or tuned on."""
@@ -84,10 +83,8 @@ class Submission:
     """Seeds 0, 1, .. of the test split."""
     episodes_hash: str
     """SHA-256 over the hashes of those episodes."""
-    observes: str
-    """What the controller's interface is shown, as the command saw it."""
-    information: str
-    """What code of one's own uses, as its submitter declares it; empty for others."""
+    scope: str
+    """What the controller is sent (``scopes``): chosen for code of the submitter, measured for others."""
     learned_on: Learned
     """Split that it was learned or tuned on, as its submitter declares it."""
     versions: dict[str, str | None]
@@ -110,31 +107,25 @@ class Verified:
     """SHA-256 of the policy, as in the submission."""
     scenario_hash: str
     episodes_hash: str
-    observes: str
-    """What the controller's interface is shown, as it was found."""
+    scope: str
+    """What the controller was sent."""
     found: Figures
     """On the claimed episodes."""
     score: Score
-    is_equal_to_the_bit: bool
-    """Whether all figures are the claimed ones to the last bit."""
     fresh_seed: int
-    """Seed of the first fresh episode."""
+    """Seed of the first fresh episode, drawn for this report."""
     fresh_episodes: int
     fresh: Figures
-    """On test episodes that are not among the claimed ones."""
+    """On the fresh episodes."""
     versions: dict[str, str | None]
     machine: str
-    sha256: str = ""
-    """SHA-256 over all the above."""
-
-    def sealed(self) -> Verified:
-        """The record with its own hash at its end."""
-        return replace(self, sha256=self.own_sha256)
+    signature: str = ""
+    """Signature over all the above; empty where the verifier has no key."""
 
     @property
-    def own_sha256(self) -> str:
-        """SHA-256 over all but itself."""
-        return hashlib.sha256(json.dumps(plain(self) | {"sha256": ""}, sort_keys=True).encode()).hexdigest()
+    def signed_content(self) -> bytes:
+        """All but the signature, as it is signed."""
+        return json.dumps(plain(self) | {"signature": ""}, sort_keys=True).encode()
 
 
 def plain(record: Submission | Verified) -> dict[str, Any]:
@@ -196,7 +187,7 @@ def check_card(path: Path, submission: Submission) -> None:
 def check_contents(folder: Path, submission: Submission) -> None:
     """SubmissionError unless an entry's words fit into a table and its files are those that were submitted."""
     try:
-        check_words(name=submission.name, paper=submission.paper, information=submission.information)
+        check_words(name=submission.name, paper=submission.paper)
     except SubmissionError as error:
         raise SubmissionError(f"{folder / SUBMISSION}: {error}") from None
     _check_files(folder, submission.files)

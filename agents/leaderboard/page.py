@@ -17,9 +17,10 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     Verified,
     check_contents,
     read,
-    sha256_of,
 )
 from dcgrid_env.agents.leaderboard.running import episodes_hash, scenario_of
+from dcgrid_env.agents.leaderboard.scopes import LOCAL, SENSITIVITIES, Scope
+from dcgrid_env.agents.leaderboard.verifying import require_report
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_text
@@ -27,12 +28,11 @@ from dcgrid_env.core.files import write_text
 _NBSP = "\u00a0"
 BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
 """What stands before and behind the tables in the page."""
-EPISODES = 100
-"""Test episodes of an entry that stands on the page."""
-LOCAL = "local"
+LEAST_EPISODES = 32
+"""Fewest published, and fewest fresh, test episodes of an entry that is listed."""
 HEADER = (
-    "| scenario | entry | score (95 %) | J | saved of the droop's J | saved on fresh episodes | delay, s | observes | "
-    "learned on |"
+    "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
+    "sent | learned on |"
 )
 
 
@@ -59,15 +59,15 @@ def listed(folder: Path) -> Listed:
     """
     submission, record = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
     path = folder / VERIFIED
-    if record.own_sha256 != record.sha256:
-        raise SubmissionError(f"{path}: sha256 is not that of its contents; run dcgrid verify {folder}")
-    if record.submission != sha256_of(folder / SUBMISSION):
-        raise SubmissionError(f"{path}: submission is of another {SUBMISSION}; run dcgrid verify {folder}")
+    require_report(folder, record)
     check_contents(folder, submission)
-    if submission.episodes != EPISODES:
-        raise SubmissionError(f"{folder / SUBMISSION}: episodes is {submission.episodes}; the page takes {EPISODES}")
+    for path_, name, n in (
+        (folder / SUBMISSION, "episodes", submission.episodes), (path, "fresh_episodes", record.fresh_episodes),
+    ):  # fmt: skip
+        if n < LEAST_EPISODES:
+            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {LEAST_EPISODES}")
     scenario = scenario_of(submission.scenario)
-    now = (scenario_hash(scenario), episodes_hash(scenario, EPISODES))
+    now = (scenario_hash(scenario), episodes_hash(scenario, submission.episodes))
     if now != (record.scenario_hash, record.episodes_hash):
         raise SubmissionError(f"{path}: scenario_hash is {record.scenario_hash}, now {now[0]}; submit and verify again")
     _, inner = split_prefix(submission.policy)
@@ -102,11 +102,13 @@ def write_page(folders: Sequence[Path], page: Path) -> int:
 
 
 def tables(entries: Sequence[Listed]) -> str:
-    """The tables, as Markdown: one for each kind of information, what was learned on the test split apart."""
+    """The tables, as Markdown: by what entries are sent, what was learned on the test split apart."""
     groups = {
-        "Local observation alone": [e for e in entries if _group(e) == LOCAL],
-        "More information than local observation": [e for e in entries if _group(e) == "more"],
-        "Code of the submitter's own: what it uses is declared, not checked": [e for e in entries if _group(e) == CODE],
+        "Local measurements": [e for e in entries if _group(e) == str(Scope.of(LOCAL))],
+        "Local measurements and own sensitivities": [
+            e for e in entries if _group(e) == str(Scope.of(LOCAL, SENSITIVITIES))
+        ],
+        "More than that": [e for e in entries if _group(e) == "more"],
         "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
     }
     parts = [
@@ -118,18 +120,16 @@ def tables(entries: Sequence[Listed]) -> str:
 
 
 def _group(entry: Listed) -> str:
-    submission = entry.submission
-    if submission.learned_on == "test":
+    if entry.submission.learned_on == "test":
         return "test"
-    if submission.kind == CODE:
-        return CODE
-    return LOCAL if entry.verified.observes == LOCAL else "more"
+    scope = entry.verified.scope
+    return scope if scope in map(str, (Scope.of(LOCAL), Scope.of(LOCAL, SENSITIVITIES))) else "more"
 
 
 def _rows(entries: Sequence[Listed]) -> list[str]:
-    """A row for each entry, by scenario in the presets' order, the best score first."""
+    """A row for each entry, by scenario in the presets' order, the largest saving on fresh episodes first."""
     order = list(PRESETS)
-    placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.verified.score.value))
+    placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.verified.fresh.gain[0]))
     return [_row(entry) for entry in placed]
 
 
@@ -140,11 +140,11 @@ def _row(entry: Listed) -> str:
     if submission.paper:
         link = submission.paper.startswith(("https://", "http://")) and not set(submission.paper) & set(" ()<>|")
         name = f"[{name}]({submission.paper})" if link else f"{name} ({_cell(submission.paper)})"
-    observes = _cell(submission.information) if submission.kind == CODE else record.observes
+    code = " (code)" if submission.kind == CODE else ""
     cells = (
-        f"`{submission.scenario}`", name, f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
-        _gain(found.gain), _gain(record.fresh.gain) + " below" * entry.gains_less,
-        f"{found.delay_mean_s:.2f}", observes, submission.learned_on,
+        f"`{submission.scenario}`", name + code, _gain(record.fresh.gain) + " below" * entry.gains_less,
+        _gain(found.gain), f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
+        f"{found.delay_mean_s:.2f}", record.scope, submission.learned_on,
     )  # fmt: skip
     return f"| {' | '.join(cells)} |"
 

@@ -1,30 +1,41 @@
-"""Running an entry: its controller, the scenario it is scored on, and its figures beside the tuned droop's."""
+"""Running an entry: its processes, the scenario it is scored on, and its figures beside the tuned droop's."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env import PRESETS, Scenario
 from dcgrid_env.agents.leaderboard.entry_files import Figures, Score, SubmissionError
-from dcgrid_env.agents.policy.guard import GuardedPolicy
-from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.policy.trial_guard import TriedPolicy
+from dcgrid_env.agents.leaderboard.remote import remote
+from dcgrid_env.agents.leaderboard.scopes import Scope
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Controller, find_controller, published
-from dcgrid_env.baselines.benchmark.jobs import observed
+from dcgrid_env.baselines import Controller, find_controller, published, rollout
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, score
 
 TUNED = Path(str(files("dcgrid_env.baselines.data") / "tuned.json"))
 """Gains of tuned controllers: those that ship, whatever stands in the working directory."""
+
+
+class Runner(NamedTuple):
+    """What is run of an entry."""
+
+    spec: str
+    """What names its controller, see ``find_controller``."""
+    scope: Scope
+    """What it is sent."""
+    code: Path | None = None
+    """The submitter's file, where it is code."""
+    confined: bool = True
+    """Whether that code is confined."""
 
 
 class Run(NamedTuple):
@@ -47,17 +58,41 @@ def controller_of(spec: str, scenario: Scenario) -> Controller:
     return find_controller(spec, scenario, TUNED)
 
 
-def shown(controller: Controller, scenario: Scenario) -> str:
-    """What a controller's interface is shown: ``local``, where each agent has its own measurements and no more."""
-    inner: Any = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
-    words = observed(inner, scenario)
-    return f"{words}, of all agents together" if isinstance(inner, Policy) and inner.kind == "joint" else words
+def run(runner: Runner, scenario: Scenario, parts: Sequence[range], name: str) -> list[Run]:
+    """Run an entry and the tuned droop through parts of the test split.
+
+    All episodes are one batch in an order that is drawn, so that no position in it says which episode it is.
+
+    Parameters
+    ----------
+    runner
+        What is run.
+    scenario
+        The preset on its test split.
+    parts
+        Seeds of each part, the last of them secret or none.
+    name
+        What errors call the entry.
+
+    Raises
+    ------
+    ControllerError
+        A ValueError, where the entry fails.
+    """
+    seeds = [seed for part in parts for seed in part]
+    order = np.random.default_rng(seeds[-1]).permutation(len(seeds))
+    code = None if runner.code is None else runner.code.read_bytes()
+    with on_purpose(), remote(runner.spec, scenario, TUNED, runner.scope, code, runner.confined) as controller:
+        recorder = rollout(scenario, controller, [seeds[i] for i in order], name=name)
+    metrics = [recorder.lane(int(lane)).metrics() for lane in np.argsort(order)]
+    ends = np.cumsum([len(part) for part in parts])
+    return [_run(scenario, part, metrics[end - len(part) : end]) for part, end in zip(parts, ends, strict=True)]
 
 
-def run(controller: Controller, scenario: Scenario, seeds: Sequence[int], name: str) -> Run:
-    """Run a controller and the tuned droop through episodes; ControllerError, a ValueError, where it fails."""
-    with on_purpose():
-        own = evaluate(controller, scenario, seeds, name)
+def _run(scenario: Scenario, seeds: range, metrics: Sequence[Mapping[str, float]]) -> Run:
+    """Metrics of an entry on some episodes, beside the tuned droop's."""
+    means = {key: float(np.mean([of_episode[key] for of_episode in metrics])) for key in metrics[0]}
+    own = Evaluation(scenario, tuple(seeds), np.array([of_episode["J"] for of_episode in metrics]), means)
     droop = _droop(scenario, tuple(seeds))
     gain = score(own.J, droop.J, np.zeros(len(seeds))).score  # with a cost of 0 in hindsight's place, a share of J
     delays = own.means["delay_mean_s"], droop.means["delay_mean_s"]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import platform
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from dcgrid_env import scenario_hash
+from dcgrid_env import Scenario, scenario_hash
+from dcgrid_env.agents.leaderboard.confinement import version
 from dcgrid_env.agents.leaderboard.entry_files import (
     CARD,
     CODE,
@@ -24,7 +25,8 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     plain,
     sha256_of,
 )
-from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, run, scenario_of, scored, shown
+from dcgrid_env.agents.leaderboard.running import Runner, controller_of, episodes_hash, run, scenario_of, scored
+from dcgrid_env.agents.leaderboard.scopes import Scope, measured_scope
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
@@ -56,7 +58,7 @@ def machine() -> str:
 
 def submit(
     policy: str, name: str, out: Path, *, paper: str = "", scenario: str | None = None, episodes: int = 100,
-    learned_on: Learned = "train", information: str = "",
+    learned_on: Learned = "train", scope: str = "",
 ) -> Submission:  # fmt: skip
     """Run a controller on the test episodes of a preset, and write a folder that claims what it came to.
 
@@ -72,38 +74,39 @@ def submit(
         Preset on whose test split it is scored; the one that the policy was trained on unless given.
     episodes
         Seeds 0, 1, .. of the test split.
-    learned_on, information
-        Declarations: the split that it was learned or tuned on, and what code of one's own uses.
+    learned_on
+        Declaration of the split that it was learned or tuned on.
+    scope
+        What code of one's own is to be sent, see ``scopes``; that of others is measured.
 
     Raises
     ------
     ValueError
         For what cannot be entered or scored, before anything is written.
     """
-    check_words(name=name, paper=paper, information=information)
+    check_words(name=name, paper=paper)
     entry = _entry(policy)
-    if (entry.kind == CODE) != bool(information):
+    if (entry.kind == CODE) != bool(scope):
         raise SubmissionError(
-            f"information is {information!r}; "
+            f"scope is {scope!r}; "
             + (
-                "say what the code uses, which cannot be checked"
+                "say what the code is to be sent, such as local"
                 if entry.kind == CODE
-                else "leave it out: it is checked"
+                else "leave it out: it is measured"
             )
         )
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SubmissionError(f"out is {str(out)!r}, which is there and not empty; choose another folder")
     test = scenario_of(scenario or _trained_on(policy))
     of_episodes = episodes_hash(test, episodes)
-    controller = controller_of(policy, test)
-    driven = run(controller, test, range(episodes), name)
-    inner = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
+    runner, weights = runner_of(policy, test, scope, entry.files.get(CONTROLLER))
+    (driven,) = run(runner, test, [range(episodes)], name)
     claimed = Submission(
         format=FORMAT, name=name, paper=paper, kind=entry.kind, policy=entry.policy,  # pyright: ignore[reportArgumentType]
-        sha256=inner.sha256 if isinstance(inner, Policy) else "".join(map(sha256_of, entry.files.values())),
+        sha256="".join(map(sha256_of, entry.files.values())) if weights is None else weights.sha256,
         files={file: sha256_of(path) for file, path in entry.files.items()},
         scenario=test.name, scenario_hash=scenario_hash(test), episodes=episodes, episodes_hash=of_episodes,
-        observes=shown(controller, test), information=information, learned_on=learned_on,
+        scope=str(runner.scope), learned_on=learned_on,
         versions=installed(), machine=machine(), claimed=driven.figures, score=scored(driven),
     )  # fmt: skip
     if claimed.kind == FILE:
@@ -113,6 +116,36 @@ def submit(
             write_bytes(folder / file, path.read_bytes())
         write_json(folder / SUBMISSION, plain(claimed))
     return claimed
+
+
+def runner_of(
+    policy: str, scenario: Scenario, scope: str, code: Path | None, confined: bool | None = None
+) -> tuple[Runner, Policy | None]:
+    """What is run of an entry, and the policy in it; ValueError for what names no controller.
+
+    Parameters
+    ----------
+    policy
+        What names the controller.
+    scenario
+        The preset on its test split.
+    scope
+        What code is sent; that of others is measured.
+    code
+        The submitter's file, where it is code, which is not run here.
+    confined
+        Whether code is confined; wherever the system can, unless given.
+    """
+    if code is not None:
+        before, inner = split_prefix(policy)
+        reference = parse(inner)
+        assert reference is not None
+        spec = f"{before}{CONTROLLER}{inner[len(reference.where) :]}"
+        return Runner(spec, Scope.parse(scope), code, bool(version()) if confined is None else confined), None
+    inner: Any = controller_of(policy, scenario)
+    inner = inner.policy if isinstance(inner, GuardedPolicy | TriedPolicy) else inner
+    measured = measured_scope(lambda: controller_of(policy, scenario), scenario)
+    return Runner(policy, measured), inner if isinstance(inner, Policy) else None
 
 
 def _entry(policy: str) -> _Entry:

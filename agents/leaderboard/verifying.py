@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
+import secrets
+from dataclasses import replace
 from pathlib import Path
 
 from dcgrid_env import Scenario, scenario_hash
+from dcgrid_env.agents.leaderboard.confinement import version
 from dcgrid_env.agents.leaderboard.entry_files import (
     CARD,
     CODE,
@@ -28,12 +30,9 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     read,
     sha256_of,
 )
-from dcgrid_env.agents.leaderboard.running import controller_of, episodes_hash, run, scenario_of, scored, shown
-from dcgrid_env.agents.leaderboard.submitting import installed, machine
-from dcgrid_env.agents.policy.guard import GuardedPolicy
-from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.policy.trial_guard import TriedPolicy
-from dcgrid_env.baselines import Controller
+from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, run, scenario_of, scored
+from dcgrid_env.agents.leaderboard.signing import is_signed, sign
+from dcgrid_env.agents.leaderboard.submitting import installed, machine, runner_of
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.plugins import is_name
@@ -41,26 +40,30 @@ from dcgrid_env.core.plugins import is_name
 TOLERANCE = 1e-4
 """Largest difference between a claimed and a found cost, as a share of it: sums of products are rounded otherwise on
 another processor."""
-FIRST_FRESH, SPREAD = 1_000, 1_000_000
-"""Least seed of fresh episodes, and how many seeds they may begin at."""
+FIRST_FRESH, SEEDS = 1_000, 2**62
+"""Least seed of fresh episodes, and how many seeds they may begin at: too many to try them all."""
+
+
+def draw_seed() -> int:
+    """Seed of the first fresh episode, from the system's entropy."""
+    return FIRST_FRESH + secrets.randbelow(SEEDS)
 
 
 def verify(
-    folder: Path, *, trust: bool = False, fresh: int = 100, fresh_seed: int | None = None
+    folder: Path, seed: int | None = None, *, trust: bool = False, fresh: int = 100
 ) -> tuple[Submission, Verified]:
-    """Run an entry again and write verified.json into its folder.
+    """Run an entry again and write verified.json into its folder, signed where the verifier's key is there.
 
     Parameters
     ----------
     folder
         What ``submit`` wrote.
+    seed
+        Seed of the first fresh episode; drawn now unless given, for several folders, by ``draw_seed``.
     trust
         Whether code of the submitter's own may run.
     fresh
-        Number of further episodes of the test split.
-    fresh_seed
-        Seed of the first of them; by default one that follows from the hash of submission.json, so that nobody knows
-        the episodes before the policy is fixed.
+        Number of fresh episodes of the test split.
 
     Raises
     ------
@@ -68,31 +71,67 @@ def verify(
         Where a file, the scenario or the episodes are not those that were submitted, or a figure is not found again.
         A verified.json that was there stays.
     """
-    submission, claimed = read(folder / SUBMISSION, Submission), folder / SUBMISSION
-    controller, scenario = checked(folder, submission, trust)
-    first = _fresh_seed(claimed) if fresh_seed is None else fresh_seed
-    if fresh < 2 or first < submission.episodes:
-        raise SubmissionError(f"fresh is {fresh} from seed {first}; give at least 2 beyond the {submission.episodes}")
-    driven = run(controller, scenario, range(submission.episodes), submission.name)
-    reached = scored(driven)
-    require_found(claimed, submission, driven.figures, reached)
-    again = run(controller, scenario, range(first, first + fresh), submission.name)
-    record = Verified(
-        format=FORMAT, submission=sha256_of(claimed), policy=submission.sha256,
-        scenario_hash=submission.scenario_hash, episodes_hash=submission.episodes_hash,
-        observes=submission.observes, found=driven.figures, score=reached,
-        is_equal_to_the_bit=driven.figures == submission.claimed and reached == submission.score,
-        fresh_seed=first, fresh_episodes=fresh, fresh=again.figures,
-        versions=installed(), machine=machine(),
-    ).sealed()  # fmt: skip
+    if fresh < 2:
+        raise SubmissionError(f"fresh is {fresh}; give at least 2")
+    submission = read(folder / SUBMISSION, Submission)
+    runner, scenario = checked(folder, submission, trust)
+    record = _report(folder, submission, runner, scenario, draw_seed() if seed is None else seed, fresh)
+    record = replace(record, signature=sign(record.signed_content))
     write_json(folder / VERIFIED, plain(record))
     return submission, record
 
 
-def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controller, Scenario]:
-    """The controller and the scenario of an entry, all its hashes being right; SubmissionError naming one that is not.
+def verify_again(folder: Path, *, trust: bool = False) -> tuple[Submission, Verified, bool]:
+    """Run an entry on the seeds of its report, and compare; nothing is written.
 
-    Code of the submitter's own is imported, and refused without ``trust``.
+    Returns
+    -------
+    tuple
+        Submission and report, and whether all figures are those of the report to the last bit.
+
+    Raises
+    ------
+    SubmissionError
+        As ``verify``, and where a figure of the report is not found again.
+    """
+    submission, before = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
+    require_report(folder, before)
+    runner, scenario = checked(folder, submission, trust)
+    again = _report(folder, submission, runner, scenario, before.fresh_seed, before.fresh_episodes)
+    path, figures = folder / VERIFIED, ("found", "score", "fresh")
+    require_found(path, "found", before.found, before.score, again.found, again.score)
+    require_found(path, "fresh", before.fresh, before.score, again.fresh, again.score)
+    return submission, before, all(getattr(before, name) == getattr(again, name) for name in figures)
+
+
+def require_report(folder: Path, report: Verified) -> None:
+    """SubmissionError unless a report is of a folder's submission and signed by the verifier."""
+    path = folder / VERIFIED
+    if report.submission != sha256_of(folder / SUBMISSION):
+        raise SubmissionError(f"{path}: submission is of another {SUBMISSION}; the verifier must run dcgrid verify")
+    if not is_signed(report.signed_content, report.signature):
+        raise SubmissionError(f"{path}: signature is not the verifier's; the verifier must run dcgrid verify {folder}")
+
+
+def _report(
+    folder: Path, submission: Submission, runner: Runner, scenario: Scenario, first: int, fresh: int
+) -> Verified:
+    """Run an entry; SubmissionError where the claims are not found."""
+    own, new = run(runner, scenario, [range(submission.episodes), range(first, first + fresh)], submission.name)
+    reached = scored(own)
+    require_found(folder / SUBMISSION, "claimed", submission.claimed, submission.score, own.figures, reached)
+    return Verified(
+        format=FORMAT, submission=sha256_of(folder / SUBMISSION), policy=submission.sha256,
+        scenario_hash=submission.scenario_hash, episodes_hash=submission.episodes_hash, scope=submission.scope,
+        found=own.figures, score=reached, fresh_seed=first, fresh_episodes=fresh, fresh=new.figures,
+        versions=installed(), machine=machine(),
+    )  # fmt: skip
+
+
+def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, Scenario]:
+    """What is run of an entry and the scenario, all its hashes being right; SubmissionError naming one that is not.
+
+    Code of the submitter's own is refused without ``trust``, and where it cannot be confined. None of it runs here.
     """
     claimed = folder / SUBMISSION
     check_contents(folder, submission)
@@ -100,6 +139,11 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
         raise SubmissionError(
             f"{claimed}: policy is {submission.policy!r}, code of the submitter's own; verifying runs it: read it, and "
             "add --trust"
+        )
+    if submission.kind == CODE and not version():
+        raise SubmissionError(
+            f"{claimed}: policy is {submission.policy!r}, code, which this system cannot confine; verify on Linux 5.13 "
+            "or newer with Landlock"
         )
     scenario = scenario_of(submission.scenario)
     if (own := scenario_hash(scenario)) != submission.scenario_hash:
@@ -112,20 +156,18 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Controll
             f"{claimed}: episodes_hash is {submission.episodes_hash[:16]}.., that of the test seeds 0 to "
             f"{submission.episodes - 1} is {own[:16]}..; submit again"
         )
-    controller = controller_of(_spec(folder, submission), scenario)
-    inner = controller.policy if isinstance(controller, GuardedPolicy | TriedPolicy) else controller
-    if isinstance(inner, Policy) and inner.sha256 != submission.sha256:
+    code = folder / CONTROLLER if submission.kind == CODE else None
+    runner, policy = runner_of(_spec(folder, submission), scenario, submission.scope, code, confined=True)
+    if policy is not None and policy.sha256 != submission.sha256:
         raise SubmissionError(
             f"{claimed}: sha256 is {submission.sha256[:16]}.., that of the policy {submission.policy} is "
-            f"{inner.sha256[:16]}..; submit again"
+            f"{policy.sha256[:16]}..; submit again"
         )
     if submission.kind == FILE:
         check_card(folder / CARD, submission)
-    if (own := shown(controller, scenario)) != submission.observes:
-        raise SubmissionError(
-            f"{claimed}: observes is {submission.observes!r}, the controller's is {own!r}; submit again"
-        )
-    return controller, scenario
+    if (own := str(runner.scope)) != submission.scope:
+        raise SubmissionError(f"{claimed}: scope is {submission.scope!r}, found {own!r}; submit again")
+    return runner, scenario
 
 
 def _spec(folder: Path, submission: Submission) -> str:
@@ -146,29 +188,23 @@ def _spec(folder: Path, submission: Submission) -> str:
     return submission.policy if submission.kind == NAMED else f"{before}{folder / inner}"
 
 
-def _fresh_seed(claimed: Path) -> int:
-    digest = hashlib.sha256(claimed.read_bytes()).digest()
-    return FIRST_FRESH + int.from_bytes(digest[:8], "big") % SPREAD
-
-
-def require_found(claimed: Path, submission: Submission, found: Figures, reached: Score) -> None:
-    """SubmissionError, naming the first figure that is not found again within the tolerances."""
+def require_found(path: Path, part: str, said: Figures, score: Score, found: Figures, reached: Score) -> None:
+    """SubmissionError, naming the first figure of a part of a file that is not found again within the tolerances."""
     for name in ("J", "J_droop"):
-        one, other = getattr(submission.claimed, name), getattr(found, name)
+        one, other = getattr(said, name), getattr(found, name)
         if abs(one - other) > TOLERANCE * abs(other):
             raise SubmissionError(
-                f"{claimed}: claimed.{name} is {one:.6g}, found {other:.6g}, more than {TOLERANCE:g} of it "
-                "apart; submit what this version reaches"
+                f"{path}: {part}.{name} is {one:.6g}, found {other:.6g}, more than {TOLERANCE:g} of it apart; submit "
+                "what this version reaches"
             )
-    figures = [(f"score.{name}", one, getattr(reached, name)) for name, one in submission.score._asdict().items()]
+    figures = [(f"score.{name}", one, getattr(reached, name)) for name, one in score._asdict().items()]
     figures += [
-        (f"claimed.{name}", getattr(submission.claimed, name), getattr(found, name))
-        for name in ("delay_mean_s", "droop_delay_mean_s")
+        (f"{part}.{name}", getattr(said, name), getattr(found, name)) for name in ("delay_mean_s", "droop_delay_mean_s")
     ]
-    figures += [("claimed.gain", *pair) for pair in zip(submission.claimed.gain, found.gain, strict=True)]
+    figures += [(f"{part}.gain", *pair) for pair in zip(said.gain, found.gain, strict=True)]
     for name, one, other in figures:
         if abs(one - other) > SCORE_TOLERANCE * max(1.0, abs(other)):
             raise SubmissionError(
-                f"{claimed}: {name} is {one:.6g}, found {other:.6g}, which differ by more than {SCORE_TOLERANCE:g}; "
+                f"{path}: {name} is {one:.6g}, found {other:.6g}, which differ by more than {SCORE_TOLERANCE:g}; "
                 "submit what this version reaches"
             )

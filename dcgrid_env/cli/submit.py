@@ -30,11 +30,12 @@ class Submit(Command):
     scenario: str | None = None
     """Preset on whose test split it is scored; the one that the policy was trained on unless given."""
     episodes: int = 100
-    """Test episodes: seeds 0, 1, ... The page takes entries of 100."""
+    """Test episodes: seeds 0, 1, ... The page takes entries of at least 32."""
     learned_on: Literal["train", "validation", "test", "nothing"] = "train"
     """Split that the policy was learned, tuned or selected on, as you declare it: train means train and validation."""
-    information: str = ""
-    """What a class of your own uses of what it is given, as you declare it, for instance 'local of each agent'."""
+    scope: str = ""
+    """What a class of your own is to be sent: "local" or "joint", then any of "+ sensitivities", "+ totals",
+    "+ neighbours" or "+ voltages", and "+ model". That of others is measured."""
     out: Path | None = None
     """Folder to be made; by default one in results/submissions, named after --scenario and --name."""
 
@@ -48,11 +49,12 @@ class Submit(Command):
         with working(console, f"{self.episodes} episodes"):
             entry = submit(
                 self.policy, self.name, out, paper=self.paper, scenario=self.scenario, episodes=self.episodes,
-                learned_on=self.learned_on, information=self.information,
+                learned_on=self.learned_on, scope=self.scope,
             )  # fmt: skip
         value, low, high = entry.score
         say(
             console,
-            f"{entry.name} on {entry.scenario}: J {entry.claimed.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f})",
+            f"{entry.name} on {entry.scenario}: J {entry.claimed.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f}), "
+            f"sent: {entry.scope}",
         )
         say(console, f"wrote {out}; next: dcgrid verify {out}")

@@ -13,35 +13,45 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Verify(Command):
-    """Run an entry of the leaderboard again, on its own episodes and on fresh ones, and write what was found.
+    """Run entries of the leaderboard again, on their own episodes and on fresh ones, and write what was found.
 
-    What is found is verified.json in the folder, with a SHA-256 over itself and the hashes of what was run: a file that
-    is changed afterwards is noticed. It is no signature of a person; the proof of a figure is this command.
+    The report is verified.json in the folder of the entry. It is signed where the verifier's key is there, and only
+    signed reports are listed.
     """
 
-    folder: tyro.conf.Positional[Path]
-    """Folder that dcgrid submit wrote."""
+    folders: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders that dcgrid submit wrote."""
     trust: bool = False
-    """Whether code of the submitter's own may run."""
+    """Whether code of the submitters' own may run, in confined processes."""
     fresh: int = 100
-    """Number of fresh episodes: of the test split, not among the claimed ones. Hindsight is not known for them, so that
-    they are compared by how much of the tuned droop's J is saved."""
-    fresh_seed: int | None = None
-    """Seed of the first fresh episode; by default one that follows from the hash of submission.json, which nobody knows
-    before the policy is fixed."""
+    """Number of fresh episodes of the test split, of seeds that this command draws, the same for all folders. They have
+    no hindsight, so that what is compared is how much of the tuned droop's J is saved."""
+    again: bool = False
+    """Run on the seeds of the signed report instead, and compare with it. Nothing is written."""
 
     def run(self) -> None:
         """Check, run, write, print. ValueError for what does not hold; a verified.json that was there then stays."""
+        from dcgrid_env.agents.leaderboard.verifying import draw_seed
+
+        seed = draw_seed()
+        for folder in self.folders:
+            self._verify(folder, seed)
+
+    def _verify(self, folder: Path, seed: int) -> None:
         from dcgrid_env.agents.leaderboard.page import Listed
-        from dcgrid_env.agents.leaderboard.verifying import verify
+        from dcgrid_env.agents.leaderboard.signing import private_key_file
+        from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 
         console = plain_console()
-        with working(console, f"{self.folder}"):
-            entry, found = verify(self.folder, trust=self.trust, fresh=self.fresh, fresh_seed=self.fresh_seed)
-        equal = "to the last bit" if found.is_equal_to_the_bit else "within the tolerance"
+        with working(console, f"{folder}"):
+            if self.again:
+                entry, found, is_equal = verify_again(folder, trust=self.trust)
+            else:
+                entry, found = verify(folder, seed, trust=self.trust, fresh=self.fresh)
+                is_equal = False
         value, low, high = found.score
-        say(console, f"{entry.name} on {entry.scenario}: found as claimed, {equal}")
-        say(console, f"J {found.found.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f}), observes: {found.observes}")
+        say(console, f"{entry.name} on {entry.scenario}: found as claimed, sent: {found.scope}")
+        say(console, f"J {found.found.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f})")
         gains = [
             f"{100 * v:.1f} % ({100 * a:.1f} .. {100 * b:.1f})" for v, a, b in (found.found.gain, found.fresh.gain)
         ]
@@ -52,4 +62,11 @@ class Verify(Command):
         )
         if Listed(entry, found).gains_less:
             say(console, "on fresh episodes it saves less: was it learned or chosen on the test episodes?")
-        say(console, f"wrote {self.folder / 'verified.json'}")
+        if self.again:
+            equal = "to the last bit" if is_equal else "within the tolerance"
+            say(console, f"the same as the signed report, {equal}; nothing was written")
+        else:
+            signed = (
+                "signed" if found.signature else f"not signed (no key in {private_key_file()}), so not to be listed"
+            )
+            say(console, f"wrote {folder / 'verified.json'}, {signed}")

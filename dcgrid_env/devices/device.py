@@ -45,6 +45,8 @@ class Field(NamedTuple):
     of_band: bool = False
     """Whether it is a deviation of a voltage: figure and range are then divided by the scenario's band too, as those of
     ``v_deviation`` are."""
+    of_all_sites: bool = False
+    """Whether it takes a sum over all sites, which no site measures."""
 
 
 class CostTerm(NamedTuple):

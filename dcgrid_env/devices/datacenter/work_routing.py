@@ -91,8 +91,11 @@ class RoutedSites(PassesBy):
         idle_share = float((params.p_idle_kw / params.p_rated_kw).max(initial=0.0))
         most = (self.boost_share - idle_share) / (1.0 - idle_share)
         return (
-            Field("work_share", "share of the work at all sites", 0.0, 1.0, one),
-            Field("work_next_all", "share of all sites' dynamic power", 0.0, most, all_kw, of_preview=True),
+            Field("work_share", "share of the work at all sites", 0.0, 1.0, one, of_all_sites=True),
+            Field(
+                "work_next_all", "share of all sites' dynamic power", 0.0, most, all_kw,
+                of_preview=True, of_all_sites=True,
+            ),
         )
 
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:

@@ -1,0 +1,116 @@
+"""Confinement of a process that runs code of a submitter: Linux's Landlock, without capabilities, within limits.
+
+The process can read Python, its packages and a folder of its own, and write to that folder alone. It cannot open the
+files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, or connect by TCP. What remains is in
+decision 0029.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import struct
+import sys
+from pathlib import Path
+
+import dcgrid_env
+from dcgrid_env import agents, baselines, traces
+
+MEMORY_BYTES = 8 * 2**30
+"""Largest address space; torch alone reserves some GB."""
+CPU_S = 3600
+"""Most processor time."""
+FILE_BYTES = 2**28
+"""Largest file in its own folder."""
+_CREATE, _ADD, _RESTRICT = 444, 445, 446
+"""Numbers of Landlock's system calls, the same on all processors."""
+_VERSION_FLAG, _BENEATH = 1, 1
+_NO_NEW_PRIVILEGES, _CAPABILITY_VERSION = 38, 0x20080522
+_READ = 1 << 2 | 1 << 3
+"""Rights to read files and to list folders."""
+_FILES = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 5: (1 << 16) - 1}
+"""All rights over files that Landlock handles, from each version of its interface on."""
+_OF_A_FILE = 1 << 0 | 1 << 1 | 1 << 2 | 1 << 14 | 1 << 15
+"""Rights that a rule about a file, not a folder, may give."""
+_TCP, _SCOPES = 3, 3
+"""Bind and connect, from version 4 on; abstract sockets and signals, from version 6 on."""
+
+
+class ConfinementError(RuntimeError):
+    """A system that cannot confine a process."""
+
+
+def version() -> int:
+    """Version of Landlock's interface; 0 where there is none."""
+    if sys.platform != "linux":
+        return 0
+    return max(_libc().syscall(_CREATE, None, ctypes.c_size_t(0), _VERSION_FLAG), 0)
+
+
+def confine(folder: Path) -> None:
+    """Confine this process, which has one thread, and all that it starts.
+
+    Parameters
+    ----------
+    folder
+        The one folder that it may write to.
+
+    Raises
+    ------
+    ConfinementError
+        Where Landlock is not available or a call fails.
+    """
+    number = version()
+    if not number:
+        raise ConfinementError("there is no Landlock")
+    if len(os.listdir("/proc/self/task")) != 1:
+        raise ConfinementError("it has several threads")
+    limits = {
+        resource.RLIMIT_AS: MEMORY_BYTES, resource.RLIMIT_CPU: CPU_S, resource.RLIMIT_FSIZE: FILE_BYTES,
+        resource.RLIMIT_CORE: 0, resource.RLIMIT_NPROC: 0,
+    }  # fmt: skip
+    for limit, value in limits.items():
+        hard = resource.getrlimit(limit)[1]
+        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        resource.setrlimit(limit, (value, value))
+    libc = _libc()
+    handled = next(rights for least, rights in sorted(_FILES.items(), reverse=True) if least <= number)
+    network, scopes = _TCP * (number >= 4), _SCOPES * (number >= 6)
+    attributes = struct.pack("QQQ", handled, network, scopes)[: 8 * (1 + (number >= 4) + (number >= 6))]
+    rules = _require(libc.syscall(_CREATE, attributes, ctypes.c_size_t(len(attributes)), 0), "create")
+    for path in _readable():
+        _allow(libc, rules, path, _READ & handled)
+    _allow(libc, rules, folder, handled)
+    _require(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0), "no new privileges")
+    _require(libc.syscall(_RESTRICT, rules, 0), "restrict")
+    os.close(rules)
+    _require(libc.capset(struct.pack("II", _CAPABILITY_VERSION, 0), bytes(24)), "capabilities")
+
+
+def _readable() -> list[Path]:
+    """Python, what it imports from, and the libraries of the system."""
+    packages = [place for package in (dcgrid_env, agents, baselines, traces) for place in package.__path__]
+    system = ["/usr", "/lib", "/lib64", "/dev/null", "/dev/urandom"]
+    places = {sys.prefix, sys.base_prefix, *filter(None, sys.path), *packages, *system}
+    return [path for path in map(Path, sorted(places)) if path.exists()]
+
+
+def _allow(libc: ctypes.CDLL, rules: int, path: Path, rights: int) -> None:
+    """Give rights below a folder, or over a file."""
+    opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    try:
+        allowed = rights if path.is_dir() else rights & _OF_A_FILE
+        _require(libc.syscall(_ADD, rules, _BENEATH, struct.pack("=Qi", allowed, opened), 0), f"allow {path}")
+    finally:
+        os.close(opened)
+
+
+def _require(result: int, what: str) -> int:
+    if result < 0:
+        raise ConfinementError(f"Landlock refuses ({what}: {os.strerror(ctypes.get_errno())})")
+    return result
+
+
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)

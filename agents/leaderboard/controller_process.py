@@ -1,0 +1,179 @@
+"""The process of a controller: it receives observations over a socket and returns actions.
+
+``python -m dcgrid_env.agents.leaderboard.controller_process FD`` serves the other end of the socket FD, of
+``remote.ControllerProcess``. Neither seeds nor an environment are here. Each message is one byte that names it, the
+length of its content in 8 bytes, and the content.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import socket
+import struct
+import sys
+import time
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env import Scenario, action_layout
+from dcgrid_env.agents.leaderboard.confinement import confine
+from dcgrid_env.agents.leaderboard.entry_files import CONTROLLER
+from dcgrid_env.agents.policy.unseen import on_purpose
+from dcgrid_env.baselines import find_controller
+from dcgrid_env.baselines.rollout import action_of
+from dcgrid_env.baselines.user_code import described, one_line, place
+
+LOAD, RESET, PLACE, ACT, DONE, FAILED = b"L", b"R", b"P", b"A", b"=", b"!"
+HEADER = struct.Struct("<cQ")
+
+
+class Part(NamedTuple):
+    """What a process sees of the joint observation, and which of the joint action it gives."""
+
+    seen: np.ndarray
+    """Positions in the joint observation, (n_seen,)."""
+    n_observed: int
+    """Width of the joint observation; what is not seen is NaN."""
+    driven: np.ndarray
+    """Positions in the joint action, (n_driven,)."""
+
+
+class Code(NamedTuple):
+    """A submitter's file."""
+
+    content: bytes
+    folder: Path
+    """Folder of the process, where the file is to be."""
+    confined: bool
+
+
+class Loading(NamedTuple):
+    """What a process is to run."""
+
+    spec: str
+    """What names the controller, see ``find_controller``."""
+    scenario: bytes
+    """Pickle of the preset."""
+    tuned: Path
+    """File of tuned parameters."""
+    code: Code | None = None
+    """The submitter's file, where it is such."""
+
+
+def send(channel: socket.socket, name: bytes, content: bytes = b"") -> None:
+    """Send a message."""
+    channel.sendall(HEADER.pack(name, len(content)) + content)
+
+
+def receive(channel: socket.socket, most: int | None = None, limit_s: float | None = None) -> tuple[bytes, bytes]:
+    """Receive a message.
+
+    Parameters
+    ----------
+    channel
+        The socket.
+    most
+        Largest length of a content that is accepted.
+    limit_s
+        Most time for all of it.
+
+    Raises
+    ------
+    EOFError
+        Where the other end is closed.
+    TimeoutError
+        Where the message is not here in time.
+    ValueError
+        Where its content is too long.
+    """
+    end_s = None if limit_s is None else time.monotonic() + limit_s
+    name, length = HEADER.unpack(_exactly(channel, HEADER.size, end_s))
+    if most is not None and length > most:
+        raise ValueError(f"it sent {length} bytes")
+    return name, _exactly(channel, length, end_s)
+
+
+def _exactly(channel: socket.socket, n: int, end_s: float | None) -> bytes:
+    parts = bytearray()
+    while len(parts) < n:
+        channel.settimeout(None if end_s is None else max(end_s - time.monotonic(), 1e-3))
+        part = channel.recv(min(n - len(parts), 1 << 20))
+        if not part:
+            raise EOFError
+        parts += part
+    return bytes(parts)
+
+
+class _Server:
+    """Answers to messages."""
+
+    def load(self, content: bytes) -> bytes:
+        """Make the controller; a confined process is so before it sees the code."""
+        asked: Loading = pickle.loads(content)
+        if asked.code is not None:
+            os.chdir(asked.code.folder)
+            Path(CONTROLLER).write_bytes(asked.code.content)
+            if asked.code.confined:
+                confine(asked.code.folder)
+        self._controller = find_controller(asked.spec, _scenario(asked.scenario), asked.tuned)
+        return b""
+
+    def reset(self, content: bytes) -> bytes:
+        """Begin episodes of a scenario."""
+        scenario, self._part = pickle.loads(content)
+        self._scenario: Scenario = _scenario(scenario)
+        self._n_action = action_layout(self._scenario).n
+        self._controller.reset(self._scenario)
+        return b""
+
+    def place(self, content: bytes) -> bytes:
+        """Give the buses."""
+        self._controller.place(np.frombuffer(content, np.int64).reshape(-1, self._scenario.n_agents))  # pyright: ignore
+        return b""
+
+    def act(self, content: bytes) -> bytes:
+        """The action for an observation."""
+        part: Part = self._part
+        seen = np.frombuffer(content, np.float32).reshape(-1, len(part.seen))
+        joint = np.full((len(seen), part.n_observed), np.nan, np.float32)
+        joint[:, part.seen] = seen
+        with np.errstate(invalid="ignore"):
+            action = np.asarray(action_of(self._controller, joint), np.float64)
+        if action.shape != (len(seen), self._n_action):
+            raise ValueError(f"the action has shape {action.shape}; give {len(seen), self._n_action}")
+        return action[:, part.driven].tobytes()
+
+
+@lru_cache(maxsize=4)
+def _scenario(pickled: bytes) -> Scenario:
+    """One object for one scenario, with what was derived from it."""
+    return pickle.loads(pickled)
+
+
+def serve(channel: socket.socket) -> None:
+    """Answer messages until the other end is closed."""
+    server = _Server()
+    answers: dict[bytes, Any] = {LOAD: server.load, RESET: server.reset, PLACE: server.place, ACT: server.act}
+    while True:
+        try:
+            name, content = receive(channel)
+        except EOFError:
+            return
+        try:
+            with on_purpose():
+                answer = answers[name](content)
+        except BaseException as error:
+            refused = name == RESET and isinstance(error, ValueError)
+            text = one_line(error) if isinstance(error, ValueError) else described(error)
+            send(channel, FAILED, json.dumps({"refused": refused, "text": text + place(error)}).encode())
+        else:
+            send(channel, DONE, answer)
+
+
+if __name__ == "__main__":
+    serve(socket.socket(fileno=int(sys.argv[1])))

@@ -1,0 +1,245 @@
+"""Controllers of other processes: what a scope sends goes over a socket, actions come back."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env.agents.leaderboard.controller_process import (
+    ACT,
+    DONE,
+    FAILED,
+    LOAD,
+    PLACE,
+    RESET,
+    Code,
+    Loading,
+    Part,
+    receive,
+    send,
+)
+from dcgrid_env.agents.leaderboard.scopes import Scope
+from dcgrid_env.baselines import Controller
+
+START_S, STEP_S = 600.0, 60.0
+"""Most time for a controller to be loaded, reset or placed, and for a step, by the clock."""
+LONGEST_ERROR = 4000
+"""Most bytes of an error's text."""
+
+
+class ProcessError(RuntimeError):
+    """A controller's process that failed, took too long, or answered what is no answer."""
+
+
+class ControllerProcess:
+    """A process that runs one controller at a time.
+
+    Parameters
+    ----------
+    of_submitter
+        Whether it is to run code of a submitter, in a folder of its own and without this process's environment.
+    """
+
+    def __init__(self, of_submitter: bool = False):
+        self._folder = tempfile.TemporaryDirectory(prefix="dcgrid-entry-") if of_submitter else None
+        self._channel, other = socket.socketpair()
+        arguments = [
+            sys.executable,
+            "-I",
+            "-m",
+            "dcgrid_env.agents.leaderboard.controller_process",
+            str(other.fileno()),
+        ]
+        threads = ("OMP", "OPENBLAS", "MKL", "NUMBA", "DCGRID")
+        environment = {f"{name}_NUM_THREADS": "1" for name in threads}
+        if self._folder is None:
+            environment |= os.environ
+        else:
+            own = self._folder.name
+            environment |= {"PATH": os.defpath, "HOME": own, "TMPDIR": own, "NUMBA_CACHE_DIR": own}
+        with other:
+            self._process = subprocess.Popen(
+                arguments, pass_fds=[other.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, env=environment, cwd=None if self._folder is None else self._folder.name,
+                start_new_session=True,
+            )  # fmt: skip
+
+    def load(self, spec: str, scenario: Scenario, tuned: Path, code: bytes | None, confined: bool) -> None:
+        """Have it make a controller, see ``remote``."""
+        own = None if code is None or self._folder is None else Code(code, Path(self._folder.name), confined)
+        self.ask(LOAD, pickle.dumps(Loading(spec, pickle.dumps(scenario), tuned, own)))
+
+    def ask(self, name: bytes, content: bytes, n_bytes: int = 0) -> bytes:
+        """Send a message and give the answer, of so many bytes.
+
+        Raises
+        ------
+        ProcessError
+            Where there is no such answer in time.
+        ValueError
+            Where the controller refuses the scenario.
+        """
+        limit_s = STEP_S if name == ACT else START_S
+        try:
+            self._channel.settimeout(limit_s)
+            send(self._channel, name, content)
+            answer, content = receive(self._channel, max(n_bytes, LONGEST_ERROR), limit_s)
+        except TimeoutError:
+            self.close()
+            raise ProcessError(f"its process gave no answer within {limit_s:g} s") from None
+        except (OSError, EOFError):
+            raise ProcessError(f"its process ended ({self._ended()})") from None
+        except ValueError as error:
+            self.close()
+            raise ProcessError(f"its process gave no answer: {error}") from None
+        if answer == FAILED:
+            raise _told(content)
+        if answer != DONE or len(content) != n_bytes:
+            self.close()
+            raise ProcessError(f"its process sent {len(content)} bytes, expected {n_bytes}")
+        return content
+
+    def _ended(self) -> str:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=5.0)  # where it ended by itself, so that its own status is reported
+        self.close()
+        code = self._process.returncode
+        return f"signal {-code}" if code < 0 else f"exit status {code}"
+
+    @property
+    def runs(self) -> bool:
+        """Whether it can be asked."""
+        return self._process.poll() is None and self._channel.fileno() >= 0
+
+    def close(self) -> None:
+        """End the process and those of its group, and delete its folder."""
+        self._channel.close()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        if self._folder is not None:
+            self._folder.cleanup()
+
+
+def _told(content: bytes) -> ValueError | ProcessError:
+    """The error that a process reports, whatever it sent."""
+    try:
+        told = json.loads(content)
+        text = "".join(letter if letter.isprintable() else " " for letter in " ".join(told["text"].split()))
+        return ValueError(text) if told["refused"] is True else ProcessError(text)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return ProcessError("its process reported an error that cannot be read")
+
+
+class RemoteController:
+    """A controller whose agents are driven by processes.
+
+    Parameters
+    ----------
+    processes
+        Each has loaded the controller.
+    scope
+        What is sent.
+    groups
+        Agents that each process drives.
+    """
+
+    def __init__(self, processes: Sequence[ControllerProcess], scope: Scope, groups: Sequence[Sequence[str]]):
+        self.observe, self._scope = scope.observe, scope
+        self._processes, self._groups = processes, groups
+
+    def reset(self, env_info: Scenario) -> None:
+        """Begin new episodes."""
+        layout, pickled = action_layout(env_info), pickle.dumps(env_info)
+        self._n_action = layout.n
+        n_observed = sum(map(len, field_names(env_info).values()))
+        self._parts = []
+        for process, group in zip(self._processes, self._groups, strict=True):
+            driven = np.array([i for i, (agent, _) in enumerate(layout.names) if agent in group], np.int64)
+            part = Part(self._scope.columns(env_info, group), n_observed, driven)
+            process.ask(RESET, pickle.dumps((pickled, part)))
+            self._parts.append((process, part))
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """The joint action for joint observations, (lane, n_action)."""
+        action = np.empty((len(observations), self._n_action))
+        for process, part in self._parts:
+            seen = np.ascontiguousarray(observations[:, part.seen], np.float32)
+            own = process.ask(ACT, seen.tobytes(), 8 * len(seen) * len(part.driven))
+            action[:, part.driven] = np.frombuffer(own).reshape(len(seen), len(part.driven))
+        return action
+
+
+class PlacedRemoteController(RemoteController):
+    """A remote controller that is sent the agents' buses."""
+
+    def place(self, buses: np.ndarray) -> None:
+        """Send the buses to all processes."""
+        for process in self._processes:
+            process.ask(PLACE, np.ascontiguousarray(buses, np.int64).tobytes())
+
+
+@contextmanager
+def remote(
+    spec: str, scenario: Scenario, tuned: Path, scope: Scope, code: bytes | None = None, confined: bool = True
+) -> Iterator[Controller]:
+    """Run a controller in processes of its own for the block.
+
+    Code of a submitter has a process for each agent, or one for all agents under a joint scope. What comes with the
+    package, and weights, are run by the package's own code in one process.
+
+    Parameters
+    ----------
+    spec
+        What names the controller, see ``find_controller``; of code ``controller.py:Class``.
+    scenario
+        The preset.
+    tuned
+        File of tuned parameters.
+    scope
+        What is sent.
+    code
+        Content of the submitter's file.
+    confined
+        Whether that code is confined.
+
+    Raises
+    ------
+    ProcessError, ValueError
+        Where the controller cannot be made.
+    """
+    kind = PlacedRemoteController if scope.sends_model else RemoteController
+    with ExitStack() as stack:
+        if code is None:
+            processes, groups = [_of_package()], [scenario.agents]
+        else:
+            groups = scope.groups(scenario)
+            processes = [stack.enter_context(closing(ControllerProcess(of_submitter=True))) for _ in groups]
+        for process in processes:
+            process.load(spec, scenario, tuned, code, confined)
+        yield kind(processes, scope, groups)
+
+
+def _of_package() -> ControllerProcess:
+    """The process that runs the package's own code, one after the other."""
+    if not _shared or not _shared[-1].runs:
+        _shared.append(ControllerProcess())
+        atexit.register(_shared[-1].close)
+    return _shared[-1]
+
+
+_shared: list[ControllerProcess] = []

@@ -1,0 +1,77 @@
+"""Signatures of verification reports: Ed25519, which everybody can check and only the verifier can make.
+
+The public key is in ``verifier.pub`` beside this file. The private key is a file outside of the repository.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.resources import files
+from pathlib import Path
+from types import ModuleType
+
+from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
+from dcgrid_env.core.files import write_text
+
+PUBLIC = Path(str(files("dcgrid_env.agents.leaderboard") / "verifier.pub"))
+"""File of the verifier's public key, in hexadecimal digits."""
+KEY_VARIABLE = "DCGRID_VERIFIER_KEY"
+"""Environment variable with the path of the private key."""
+
+
+def private_key_file() -> Path:
+    """Path of the private key, whether it is there or not."""
+    return Path(os.environ.get(KEY_VARIABLE) or Path.home() / ".config" / "dcgrid" / "verifier.key")
+
+
+def make_keys(public: Path | None = None) -> Path:
+    """Make a private key unless there is one, and write its public key; the file of the private key."""
+    keys, path = _ed25519(), private_key_file()
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(keys.Ed25519PrivateKey.generate().private_bytes_raw().hex() + "\n")
+    private = keys.Ed25519PrivateKey.from_private_bytes(_read(path))
+    write_text(public or PUBLIC, private.public_key().public_bytes_raw().hex() + "\n")
+    return path
+
+
+def sign(content: bytes) -> str:
+    """Signature in hexadecimal digits; empty where there is no private key."""
+    path = private_key_file()
+    if not path.is_file():
+        return ""
+    return _ed25519().Ed25519PrivateKey.from_private_bytes(_read(path)).sign(content).hex()
+
+
+def is_signed(content: bytes, signature: str) -> bool:
+    """Whether the verifier signed this content."""
+    from cryptography.exceptions import InvalidSignature
+
+    key = _ed25519().Ed25519PublicKey.from_public_bytes(_read(PUBLIC))
+    try:
+        key.verify(bytes.fromhex(signature), content)
+    except (InvalidSignature, ValueError):
+        return False
+    return True
+
+
+def _read(path: Path) -> bytes:
+    """A key; SubmissionError, naming the file, for what is none."""
+    try:
+        key = bytes.fromhex(path.read_text(encoding="ascii"))
+    except (OSError, ValueError) as error:
+        raise SubmissionError(f"{path}: is no key ({error}); make one with python docs/leaderboard.py") from None
+    if len(key) != 32:
+        raise SubmissionError(f"{path}: has {len(key)} bytes, a key has 32; make one with python docs/leaderboard.py")
+    return key
+
+
+def _ed25519() -> ModuleType:
+    try:
+        from cryptography.hazmat.primitives.asymmetric import ed25519
+    except ImportError:
+        raise SubmissionError(
+            "signatures need the package cryptography; pip install 'dcgrid-env[leaderboard]'"
+        ) from None
+    return ed25519
