@@ -3,8 +3,9 @@
     P_{t+1} = clip(p_ref_{t+1} + k_p (V_t - 1) + alpha S_t, P_min, p_rated)      the clock whose ceiling is P
     Q_{t+1} = clip(Q_t - k_q (V_t - 1) dt, limits now)                           Q_t as dispatched, so no wind-up
 
-Equations 7 and 8 of the paper read as an injection law, its text as consumption. S is the backlog: ``cumulative`` is
-all work that waits; ``one_step``, the printed form, is p_ref - P of the last step, which may be negative and forgets.
+The paper's equation (5) for P and (7) for Q read as an injection law, its text as consumption. S is the backlog:
+``cumulative`` is all work that waits; ``one_step``, equation (6) as printed, is p_ref - P of the last step, which may
+be negative and forgets.
 The paper says in words that alpha may be larger where the backlog is large, without a formula. The form here is ours,
 alpha_t = alpha (1 + g max(S, 0) / p_rated): at 1/g seconds of work at the rating alpha has doubled; g = 0 is no change.
 The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.

@@ -8,33 +8,39 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from dcgrid_env import Scenario
 from dcgrid_env.baselines.reproduction.drawing import COLOURS, LABELS, LOOKS, band, line, new_figure, say
 from dcgrid_env.baselines.reproduction.levers import settled
 from dcgrid_env.baselines.reproduction.load_figures import all_sites
-from dcgrid_env.baselines.reproduction.load_step import SITE, STEP_LAWS, step_series
+from dcgrid_env.baselines.reproduction.load_step import CHANGES, SITE, STEP_AT, STEP_LAWS, step_series
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import BOTH, INVERTERS, NONE, Runs
 from dcgrid_env.baselines.reproduction.table1 import LAWS
 from dcgrid_env.rendering import INK, draw_feeder, positions
 
-BUSES = (13, 85, 4, 46)
-"""Buses of Fig. 6, those that the public code plots: two with a data centre and two without."""
+BUSES = {13: "data centre", 25: "data centre", 85: "load", 4: "inverter"}
+"""Buses of Fig. 6 as the paper has them."""
+FIGURE_6_SITES = (13, 25, 28, 37, 53)
+"""Data centres of Fig. 6: the two that it shows, the others from the public code."""
+FIGURE_6_INVERTERS = (4, 11, 40, 54, 87, 92, 103)
+"""Inverters of Fig. 6: those of the scenario, one moved from bus 2 to bus 4."""
 
 
 def step_figure(runs: Runs) -> Figure:
-    """Fig. 3: toy6, voltage at the data centre and its power under each law, load added at 20 s."""
+    """Fig. 3: toy6, voltage at the data centre under each law, its load coming, and its load going, at 20 s."""
     figure = new_figure(10.0, 4.2)
-    voltage, power = figure.subplots(1, 2)
-    for name, series in step_series(runs).items():
-        t = np.arange(len(series.v_pu)) * series.scenario.dt_s
-        label = LABELS[name] + (f" (k_p = {STEP_LAWS[name].k_p_mw_per_pu:g} MW/p.u.)" if name == "both" else "")
-        voltage.plot(t, series.v_pu[:, series.scenario.feeder.index(SITE)], label=label, **line(name))
-        power.step(t[1:], series.p_kw[:, 0], where="pre", **line(name))
-    band(voltage)
-    say(voltage, "time (s)", "voltage (p.u.)", f"bus {SITE}, the data centre: more load, lower voltage")
-    say(power, "time (s)", "power (kW)", "the data centre's draw")
-    voltage.set_ylim(0.945, 1.01)
-    figure.legend(*voltage.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, change in zip(axes, CHANGES, strict=True):
+        for name, series in step_series(runs, change).items():
+            t = np.arange(len(series.v_pu)) * series.scenario.dt_s
+            label = LABELS[name] + (f" (k_p = {STEP_LAWS[name].k_p_mw_per_pu:g} MW/p.u.)" if name == "both" else "")
+            ax.plot(t, series.v_pu[:, series.scenario.feeder.index(SITE)], label=label, **line(name))
+        band(ax)
+        ax.axvline(STEP_AT, color="black", linewidth=0.5, alpha=0.5)
+        say(ax, "time (s)", "", f"2.5 MW at bus {SITE} {'come on' if change == 'comes' else 'go off'} at {STEP_AT} s")
+    axes[0].set_ylabel("voltage at the data centre (p.u.)")
+    axes[0].set_ylim(0.945, 1.01)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -88,19 +94,24 @@ def against_number(runs: Runs) -> Figure:
     return figure
 
 
+def figure_six(runs: Runs) -> Scenario:
+    """The scenario of Fig. 6."""
+    return runs.setting.pinned(FIGURE_6_SITES, inverter_buses=FIGURE_6_INVERTERS)
+
+
 def four_buses(runs: Runs, seed: int) -> Figure:
     """Fig. 6: four buses over two minutes under no control, inverters only and both axes."""
-    scenario = all_sites(runs)
+    scenario = figure_six(runs)
     figure = new_figure(10.0, 6.0)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    for name, law in (("none", NONE), ("inverters", INVERTERS), ("both", BOTH)):
+    for name, law in (("none", NONE), ("inverters", INVERTERS), ("both", BOTH._replace(k_p_mw_per_pu=10.0))):
         series = runs.series(scenario, law, seed)
         t = np.arange(len(series.v_pu)) * scenario.dt_s
         for ax, bus in zip(axes.ravel(), BUSES, strict=True):
             ax.plot(t, series.v_pu[:, scenario.feeder.index(bus)], label=LABELS[name], **line(name))
-    for ax, bus in zip(axes.ravel(), BUSES, strict=True):
+    for ax, (bus, what) in zip(axes.ravel(), BUSES.items(), strict=True):
         band(ax, scenario.band_pu)
-        say(ax, "", "", f"bus {bus}" + (", data centre" if bus in PUBLISHED_BUSES else ""))
+        say(ax, "", "", f"bus {bus}, {what}")
     for ax in axes[1]:
         ax.set_xlabel("time (s)")
     for ax in axes[:, 0]:

@@ -22,6 +22,11 @@ class Load(NamedTuple):
     fields: dict[str, Any]
     """The scenario's fields that say so."""
 
+    def trace(self) -> PowerTrace:
+        """The recording as a whole, or ten minutes of the generator."""
+        source = self.fields["trace"]
+        return TRACE_SOURCES[source].generate(600.0, 0) if isinstance(source, str) else source[0]
+
 
 def choose_load(choice: str) -> Load:
     """The load that a user asks for.

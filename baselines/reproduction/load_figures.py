@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import Scenario, forecast
 from dcgrid_env.baselines.reproduction.drawing import COLOURS, line, new_figure, say
+from dcgrid_env.baselines.reproduction.load_swings import MODELS
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import NONE, Law, Runs
 from dcgrid_env.baselines.reproduction.table1 import LAWS
@@ -17,7 +18,6 @@ SITE = 85
 PANELS = (1.0, 20.0)
 """k_p of Fig. 7, MW/p.u."""
 FORMS = {"both": "after, cumulative backlog", "both-one-step": "after, printed one-step backlog"}
-TASKS = ("llama3-70b", "llama3-405b", "mixtral-8x22b", "deepseek-v3")
 
 
 def training_and_inference(runs: Runs) -> Figure:
@@ -43,8 +43,8 @@ def _busiest(name: str, length_s: float, dt_s: float) -> np.ndarray:
 def four_models(runs: Runs) -> Figure:
     """Fig. 2: four models under the same waves of queries, generated, as a share of the rating."""
     figure = new_figure(9.0, 7.0)
-    axes = figure.subplots(len(TASKS), 1, sharex=True, sharey=True)
-    for ax, name, colour in zip(axes, TASKS, COLOURS, strict=True):
+    axes = figure.subplots(len(MODELS), 1, sharex=True, sharey=True)
+    for ax, name, colour in zip(axes, MODELS, COLOURS, strict=True):
         share = TRACE_SOURCES[name].generate(300.0, 0).resample(1.0)
         ax.step(np.arange(len(share)), share, where="post", color=colour, linewidth=1.1)
         say(ax, "", "share of rating", f"generated: {name}")
@@ -59,9 +59,10 @@ def all_sites(runs: Runs) -> Scenario:
     return runs.setting.published(len(PUBLISHED_BUSES))
 
 
-def episode_with_a_burst(runs: Runs) -> int:
-    """Seed of :func:`all_sites` in whose episode the load at the site of Fig. 7 moves most."""
-    scenario, site = all_sites(runs), PUBLISHED_BUSES.index(SITE)
+def episode_with_a_burst(runs: Runs, scenario: Scenario, bus: int) -> int:
+    """Seed of the scenario in whose episode the load of the data centre at ``bus`` moves most."""
+    assert scenario.datacenter_buses is not None
+    site = scenario.datacenter_buses.index(str(bus))
     spread = [forecast(scenario, seed).p_ref_kw[:, site].std() for seed in range(runs.setting.episodes)]
     return int(np.argmax(spread))
 

@@ -10,7 +10,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dcgrid_env.baselines.reproduction.bus13 import BUS
-from dcgrid_env.baselines.reproduction.feeder_figures import BUSES, against_number, four_buses, map_figure, step_figure
+from dcgrid_env.baselines.reproduction.feeder_figures import (
+    BUSES,
+    FIGURE_6_SITES,
+    against_number,
+    figure_six,
+    four_buses,
+    map_figure,
+    step_figure,
+)
 from dcgrid_env.baselines.reproduction.load_figures import (
     SITE,
     all_sites,
@@ -20,7 +28,6 @@ from dcgrid_env.baselines.reproduction.load_figures import (
     panel_laws,
     training_and_inference,
 )
-from dcgrid_env.baselines.reproduction.load_step import step_response
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import BOTH, Runs
 from dcgrid_env.baselines.reproduction.table1 import gains
@@ -28,32 +35,30 @@ from dcgrid_env.core.files import write_figure
 
 FOLDER = "images"
 DPI = 90
+BUSIEST = 25
+"""Data centre whose load chooses the episode of Fig. 6."""
 LEAST_VISIBLE_PCT = 0.5
 """A gain of less lies within the line of another law in Fig. 5, %."""
 
 
 def captions(runs: Runs, seed: int) -> dict[int, str]:
-    """What each figure shows, ``seed`` the episode of Figs. 6 and 7."""
+    """What each figure shows, ``seed`` the episode of Fig. 7."""
     return {
         1: "Training and inference power. The paper's recordings are not published; these are the generators' "
         "counterparts, of eight seeds each the one that moves most.",
         2: "Four models under the same waves of queries. The paper's recordings are not published; these are "
         "generated.",
-        3: f"toy6: 2.5 MW come on at 20 s. {_step(runs)}",
+        3: "toy6: the voltage at the data centre when its 2.5 MW come on, and when they go off. The paper does not say "
+        "which of the two its figure shows.",
         4: "IEEE 123-bus equivalent with the inverters and the eight data-centre buses of the public code, at base "
         "load with every site at its rating and no control.",
         5: f"Deviation against the number of data centres. {_split(runs)}",
-        6: f"Buses {', '.join(map(str, BUSES[:-1]))} and {BUSES[-1]} over two minutes with all eight published data "
-        f"centres. Dashed: the band. Of the episodes the one in which the load at bus {SITE} moves most.",
+        6: f"The paper's buses over two minutes: {', '.join(f'{bus} ({what})' for bus, what in BUSES.items())}; both "
+        f"axes at k_p = 10. Data centres at {', '.join(map(str, FIGURE_6_SITES))}. Dashed: the band. Of the episodes "
+        f"the one in which the load at bus {BUSIEST} moves most.",
         7: f"Load at bus {SITE}, near the end of the feeder, before and after control in the same episode, and the "
         f"work that waits. {_near_the_substation(runs, seed)}",
     }
-
-
-def _step(runs: Runs) -> str:
-    none = next(row for row in step_response(runs) if row["law"] == "none")
-    here = "a sign error; here it falls" if none["after_pu"] < none["before_pu"] else "as here"
-    return f"In the paper the voltage rises when load is added, {here}."
 
 
 def _split(runs: Runs) -> str:
@@ -79,14 +84,14 @@ def _near_the_substation(runs: Runs, seed: int) -> str:
 
 def draw_all(runs: Runs, folder: Path) -> list[dict[str, Any]]:
     """Write the figures into ``folder``/images; number, file and caption of each."""
-    seed = episode_with_a_burst(runs)
+    seed = episode_with_a_burst(runs, all_sites(runs), SITE)
     makers: dict[int, Callable[[], Figure]] = {
         1: lambda: training_and_inference(runs),
         2: lambda: four_models(runs),
         3: lambda: step_figure(runs),
         4: lambda: map_figure(runs),
         5: lambda: against_number(runs),
-        6: lambda: four_buses(runs, seed),
+        6: lambda: four_buses(runs, episode_with_a_burst(runs, figure_six(runs), BUSIEST)),
         7: lambda: before_and_after(runs, seed),
     }
     records = []

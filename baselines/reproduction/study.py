@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
-from dcgrid_env.baselines.reproduction import bus13, levers, load_step, table1
+from dcgrid_env.baselines.reproduction import bus13, levers, load_step, load_swings, table1
 from dcgrid_env.baselines.reproduction.claims import claims
+from dcgrid_env.baselines.reproduction.guess import guesses
 from dcgrid_env.baselines.reproduction.paper import CITATION
 from dcgrid_env.baselines.reproduction.study_runs import Run, Runs, Setting
 from dcgrid_env.core.work.here import ONE_PROCESS
@@ -24,6 +25,10 @@ PARTS: dict[str, Callable[[Runs], Any]] = {
     "bus_thirteen": bus13.bus_thirteen,
     "intervals": levers.intervals,
     "step": load_step.step_response,
+    "dips": load_swings.dips,
+    "ramps": load_swings.ramps,
+    "models": load_swings.models,
+    "guesses": guesses,
 }
 """Parts of the study in the order in which they are run; the claims are made of them."""
 _RUNS = "runs of the paper's study"

@@ -29,15 +29,21 @@ class Law(NamedTuple):
     k_q_mvar_per_pu_s: float = 0.5
     memory: Memory = "cumulative"
     hold_steps: int = 1
+    alpha_per_s: float = 0.3
 
     def controller(self) -> Controller:
         """A fresh controller."""
         if self.acts == "nobody":
             return NoControl()
-        gains: dict[str, Any] = {"k_p_mw_per_pu": self.k_p_mw_per_pu, "k_q_mvar_per_pu_s": self.k_q_mvar_per_pu_s}
+        gains: dict[str, Any] = {
+            "k_p_mw_per_pu": self.k_p_mw_per_pu,
+            "k_q_mvar_per_pu_s": self.k_q_mvar_per_pu_s,
+            "alpha_per_s": self.alpha_per_s,
+            "memory": self.memory,
+        }
         if self.hold_steps > 1:
-            return SampledDroop(**gains, memory=self.memory, hold_steps=self.hold_steps)
-        return Droop(**gains, memory=self.memory, datacenters=self.acts == "all")
+            return SampledDroop(**gains, hold_steps=self.hold_steps)
+        return Droop(**gains, datacenters=self.acts == "all")
 
 
 NONE = Law("nobody")
@@ -158,8 +164,11 @@ def _more(lane: Series) -> dict[str, float]:
     """
     s = lane.scenario
     v = lane.v_pu[1:, s.feeder.load_slice]
+    squared = np.abs(v**2 - 1.0)
     figures = {
-        "squared_deviation_mean_pu": float(np.abs(v**2 - 1.0).mean()),
+        "squared_deviation_mean_pu": float(squared.mean()),
+        "squared_deviation_std_pu": float(squared.std()),
+        "squared_outside_buses_pct": float(100.0 * (squared > s.band_pu).any(axis=0).mean()),
         "above_1pu_pct": float(100.0 * (v > 1.0).mean()),
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
     }

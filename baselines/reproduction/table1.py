@@ -28,6 +28,7 @@ def figures(run: Run) -> dict[str, float]:
         "deviation_mean_pu": run.deviation_pu,
         "deviation_std_pu": run.mean("voltage_deviation_std_pu"),
         "squared_deviation_mean_pu": run.mean("squared_deviation_mean_pu"),
+        "squared_deviation_std_pu": run.mean("squared_deviation_std_pu"),
         "buses_inside_pct": 100.0 - run.mean("outside_buses_pct"),
         "voltage_min_pu": float(run.each("voltage_min_pu").min()),
         "delay_mean_s": run.mean("delay_mean_s"),

@@ -19,6 +19,7 @@ from dcgrid_env.cli.command import Command, Group
 from dcgrid_env.cli.curves import Curves
 from dcgrid_env.cli.dataset import Dataset
 from dcgrid_env.cli.evaluate import Evaluate
+from dcgrid_env.cli.fit_paper import FitPaper
 from dcgrid_env.cli.generalise import Generalise
 from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
@@ -67,6 +68,7 @@ DEV = Group(
         "gradient-cosine": GradientCosine,
         "random-feeders": RandomFeederTable,
         "leaderboard": Leaderboard,
+        "fit-paper": FitPaper,
         "unit-overhead": UnitOverhead,
     },
     moved={"tune": "dcgrid tune"},

@@ -82,6 +82,7 @@ ELSEWHERE = {
     "dcgrid dev sags": "tests/agents/studies",
     "dcgrid replay results/run": "tests/dcgrid_env/cli/test_replay.py",  # there of a run that the shell began
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
+    "dcgrid dev fit-paper": "tests/dcgrid_env/cli/test_reproduce.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",

@@ -59,7 +59,7 @@ def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.n
 
 @dataclass(frozen=True)
 class LinearDvfs:
-    """Speed and dynamic power both proportional to the clock (arXiv 2507.06416, eq. 4)."""
+    """Speed and dynamic power both proportional to the clock (arXiv 2507.06416, eq. (4))."""
 
     work_classes: ClassVar[int] = 1
 

@@ -88,10 +88,10 @@ def test_records_are_whole_and_the_same_for_each_form(records):
     forms = records["cases"]
     assert list(forms) == ["balanced", "phases", "fixed", "acting"]
     claims = [[row["claim"] for row in form["claims"]] for form in forms.values()]
-    assert len(claims[0]) == 10
+    assert len(claims[0]) == 13
     assert all(own == claims[0] for own in claims)
     assert not set(LEFT_OUT) & set(claims[0])
-    assert len(claims[0]) + len(LEFT_OUT) == 13
+    assert len(claims[0]) + len(LEFT_OUT) == 19
     assert set(PARTS) < set(ALL_PARTS)
     assert not re.search("NaN|Infinity", json.dumps(records))
     assert [(o["case"], o["rows"], o["by"]) for o in records["orders"]] == list(

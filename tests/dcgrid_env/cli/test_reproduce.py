@@ -8,6 +8,7 @@ import pytest
 
 from dcgrid_env.baselines.reproduction.feeder_comparison_markdown import render_comparison
 from dcgrid_env.baselines.reproduction.markdown import render
+from dcgrid_env.baselines.reproduction.paper import TABLE_ONE
 from dcgrid_env.baselines.reproduction.verdict import VERDICTS
 from dcgrid_env.cli.main import main
 
@@ -56,7 +57,7 @@ def numbers(value):
 
 
 def check_claims(claims):
-    assert len(claims) == 13
+    assert len(claims) == 19
     for row in claims:
         assert all(row[key].strip() for key in ("claim", "paper", "ours", "verdict", "reason"))
         assert row["verdict"] in VERDICTS
@@ -67,7 +68,7 @@ def check_claims(claims):
         assert figure in paper
     verdicts = {row["claim"]: row["verdict"] for row in claims}
     assert verdicts["delay rises with k_p"] == "holds"
-    assert verdicts["Fig. 3: voltage after load is added"] == "does not"
+    assert verdicts["tap changers are too slow for dips of a second or less"] == "holds"
 
 
 def check_markdown(text, records):
@@ -81,6 +82,11 @@ def check_markdown(text, records):
             assert mean == pytest.approx(r["deviation_mean_pu"], abs=5.1e-5)
             assert std == pytest.approx(r["deviation_std_pu"], abs=5.1e-5)
             assert delay == pytest.approx(r["delay_mean_s"], abs=5.1e-3)
+    pair, delays = r" (\S+) ± (\S+) \|", r" (\S+) \| (\S+) \| (\S+) \|$"
+    beside = r"^\| (\d) \| (\d+) \|" + 3 * pair + delays
+    numbers = {(int(m[1]), float(m[2])): [float(x) for x in m.groups()[2:]] for m in re.finditer(beside, text, re.M)}
+    assert {cell: (row[0], row[1], row[6]) for cell, row in numbers.items()} == TABLE_ONE
+    assert [cells[cell][0] for cell in TABLE_ONE] == [row[2] for row in numbers.values()]
     for row in records["claims"]:
         assert f"| {row['claim']} | {row['paper']} | {row['ours']} | {row['verdict']} | {row['reason']} |" in text
 
@@ -94,6 +100,19 @@ def check_figures(folder, text, figures):
         assert f"]({figure['file']})" in text
         assert figure["caption"] in text
     assert text.count("not published") == 2
+
+
+def test_the_search_is_printed_and_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    words = ["--tries", "2", "--episodes", "2", "--trace", "generated", "--workers", "1"]
+    main(["dev", "fit-paper", "--out", str(tmp_path), *words])
+    assert "substation (p.u.)" in capsys.readouterr().out
+    records = json.loads((tmp_path / "fit-paper.json").read_text(encoding="utf-8"))
+    first, second = records["trials"]
+    assert (first["squared"], second["squared"]) == (False, True)
+    assert first["delay_s"] == second["delay_s"]
+    assert first["total"] > second["total"]
+    assert records["load"].startswith("generator")
 
 
 def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):

@@ -10,6 +10,8 @@ SHARED_THREE_PHASE = ROOT.parent / "shared" / "feeders3"
 SHARED_TRACES = ROOT.parent / "shared" / "traces"
 GPU_RECORDING = SHARED_TRACES / "chen_zhang_2025_gpu_inference.csv"
 
+PAPER_SOURCE = ROOT.parent / "shared" / "paper" / "chen-zhang-2025.tex"
+
 
 def lacks(path):
     """Why a test that needs a published file or folder is skipped."""
@@ -24,3 +26,4 @@ def require(path):
 
 
 needs_gpu_recording = pytest.mark.skipif(not GPU_RECORDING.exists(), reason=lacks(GPU_RECORDING))
+needs_paper_source = pytest.mark.skipif(not PAPER_SOURCE.exists(), reason=lacks(PAPER_SOURCE))

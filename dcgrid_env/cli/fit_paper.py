@@ -1,0 +1,61 @@
+"""The command ``dcgrid dev fit-paper``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import at_least, check_folder
+from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.files import write_json
+from dcgrid_env.core.versions import meta
+
+SHOWN = 10
+"""Settings that are printed; the file has all."""
+
+
+@dataclass(frozen=True)
+class FitPaper(OverWorkers):
+    """Search for values of what the paper does not state, so that the study comes close to its Table I.
+
+    A setting takes some 1.5 s of CPU time at 20 episodes. docs/reproduction.md shows the best of the search beside the
+    settings of the study.
+    """
+
+    tries: int = 231
+    """How many settings are tried."""
+    episodes: int = 20
+    """Episodes for each cell, at least 2."""
+    trace: str = "auto"
+    """Load, as that of dcgrid reproduce."""
+    out: Path = Path("results/fit-paper")
+    """Folder for fit-paper.json, all settings in the order of the search."""
+
+    def run(self) -> None:
+        """Search, print the best, write all. ValueError for a setting that cannot be."""
+        from rich import box
+        from rich.table import Table
+
+        from dcgrid_env.baselines.reproduction.fit import search
+        from dcgrid_env.baselines.reproduction.guess import LABELS, VALUES
+        from dcgrid_env.baselines.reproduction.load import choose_load
+        from dcgrid_env.baselines.reproduction.study_runs import Setting
+
+        at_least(self, tries=1)
+        setting = Setting(choose_load(self.trace), self.episodes)
+        check_folder(self.out)
+        place, console = self.place, plain_console()
+        with progress_bar(console) as progress:
+            bar = progress.add_task("settings", total=self.tries)
+            trials = search(setting, self.tries, lambda trial: progress.update(bar, advance=1), place)
+        rows = [trial.guess._asdict() | trial.distance._asdict() for trial in trials]
+        write_json(self.out / "fit-paper.json", {"meta": meta(), "load": setting.load.description, "trials": rows})
+        names = (*VALUES, "deviation_pu", "delay_s", "total")
+        head = [LABELS.get(name, name) for name in names]
+        table = Table(*head, header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        for row in sorted(rows, key=lambda row: row["total"])[:SHOWN]:
+            table.add_row(*(f"{row[name]:.4g}" if isinstance(row[name], float) else str(row[name]) for name in names))
+        console.print(table)
+        say(console, f"wrote {self.out / 'fit-paper.json'}")

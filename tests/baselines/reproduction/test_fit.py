@@ -1,0 +1,65 @@
+"""The search for settings that come close to Table I."""
+
+import pytest
+
+from dcgrid_env.baselines.reproduction import fit
+from dcgrid_env.baselines.reproduction.guess import COLUMNS, VALUES, Distance, Guess, cells, distance
+from dcgrid_env.baselines.reproduction.paper import TABLE_ONE
+from dcgrid_env.baselines.reproduction.study_runs import Law, Runs
+from dcgrid_env.baselines.reproduction.table1 import figures
+
+GOAL = Guess(squared=True, v0_pu=1.02, q_max_share=0.1, k_p_scale=0.6, memory="one_step")
+
+
+def hops(guess):
+    """How many settings differ from the goal, as a distance."""
+    return Distance(0.0, 0.0, float(sum(one != other for one, other in zip(guess, GOAL, strict=True))))
+
+
+def test_the_search_finds_a_goal_and_tries_each_guess_once(few, monkeypatch):
+    monkeypatch.setattr(fit, "_try", hops)
+    seen = []
+    trials = fit.search(few.setting, 150, seen.append)
+    assert seen == trials
+    assert len({trial.guess for trial in trials}) == len(trials) == 150
+    assert trials[0].guess == Guess()
+    # One pass over the settings reaches it; a second finds nothing better, and the search begins anew.
+    first = next(i for i, trial in enumerate(trials) if trial.guess == GOAL)
+    assert first < sum(len(values) for values in VALUES.values())
+    assert trials == fit.search(few.setting, 150)
+    assert [trial.guess for trial in fit.search(few.setting, 3)] == [trial.guess for trial in trials[:3]]
+
+
+def test_the_default_guess_is_the_study(few):
+    for row in cells(few, Guess()):
+        run = few.of(few.setting.scenario(row["n_datacenters"]), Law(k_p_mw_per_pu=row["k_p"]))
+        assert row["deviation_pu"] == figures(run)["deviation_mean_pu"]
+        assert row["delay_s"] == figures(run)["delay_mean_s"]
+
+
+def test_each_setting_of_a_guess_is_heeded(few):
+    def figures_of(guess):
+        row = cells(Runs(few.setting), guess)[-1]
+        return row["deviation_pu"], row["delay_s"]
+
+    own = figures_of(Guess())
+    for name, values in VALUES.items():
+        other = next(value for value in values if value != getattr(Guess(), name))
+        assert figures_of(Guess(**{name: other})) != own, name
+
+
+def test_distance_is_the_mean_absolute_error():
+    rows = [
+        {"n_datacenters": n, "k_p": k_p, "deviation_pu": cell.deviation_pu + 0.001, "delay_s": cell.delay_s - 0.5}
+        for (n, k_p), cell in TABLE_ONE.items()
+    ]
+    found = distance(rows)
+    assert found.deviation_pu == pytest.approx(0.001)
+    assert found.delay_s == pytest.approx(0.5)
+    means = [sum(cell[i] for cell in TABLE_ONE.values()) / 15 for i in (0, 2)]
+    assert found.total == pytest.approx(0.001 / means[0] + 0.5 / means[1])
+
+
+def test_what_was_found_lies_in_what_was_searched():
+    assert all(getattr(COLUMNS["found"], name) in values for name, values in VALUES.items())
+    assert COLUMNS["found"].site_kw == Guess().site_kw
