@@ -32,7 +32,7 @@ LEAST_EPISODES = 32
 """Fewest published, and fewest fresh, test episodes of an entry that is listed."""
 HEADER = (
     "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
-    "sent | learned on |"
+    "episodes | sent | learned on |"
 )
 
 
@@ -112,7 +112,7 @@ def tables(entries: Sequence[Listed]) -> str:
         "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
     }
     parts = [
-        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 5 + "|---" * 2 + "|", *_rows(own)])
+        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 6 + "|---" * 2 + "|", *_rows(own)])
         for title, own in groups.items()
         if own
     ]
@@ -144,7 +144,8 @@ def _row(entry: Listed) -> str:
     cells = (
         f"`{submission.scenario}`", name + code, _gain(record.fresh.gain) + " below" * entry.gains_less,
         _gain(found.gain), f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
-        f"{found.delay_mean_s:.2f}", record.scope, submission.learned_on,
+        f"{found.delay_mean_s:.2f}", f"{submission.episodes}, {record.fresh_episodes}", record.scope,
+        submission.learned_on,
     )  # fmt: skip
     return f"| {' | '.join(cells)} |"
 
