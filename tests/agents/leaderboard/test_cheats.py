@@ -1,20 +1,19 @@
-"""Attempts to cheat: each of them worked, or would work, where a check of the leaderboard is left out."""
+"""Attempts to cheat that the leaderboard refuses."""
 
 import json
 import os
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dcgrid_env.agents.leaderboard import confinement, remote, verifying
-from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, plain, read
+from dcgrid_env.agents.leaderboard.entry_files import SubmissionError, Verified, plain, read
 from dcgrid_env.agents.leaderboard.page import listed
 from dcgrid_env.agents.leaderboard.running import TUNED, scenario_of
 from dcgrid_env.agents.leaderboard.scopes import Scope
-from dcgrid_env.agents.leaderboard.signing import make_keys
+from dcgrid_env.agents.leaderboard.signing import make_keys, sign
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import verify
 
@@ -57,7 +56,7 @@ class Own:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _keys(tmp_path_factory):
+def keys(tmp_path_factory):
     folder = tmp_path_factory.mktemp("keys")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DCGRID_VERIFIER_KEY", str(folder / "verifier.key"))
@@ -95,7 +94,9 @@ def test_no_field_of_a_submission_chooses_the_fresh_seeds(whole, monkeypatch):
     assert max(drawn) > 2**56  # more than can be tried for the observations of an episode
     first = read(whole / "verified.json", Verified).fresh_seed
     seeds = []
-    monkeypatch.setattr(verifying, "_report", lambda *given: seeds.append(given[4]) or read(whole / "verified.json", Verified))
+    monkeypatch.setattr(
+        verifying, "_report", lambda *given: seeds.append(given[4]) or read(whole / "verified.json", Verified)
+    )
     monkeypatch.setattr(verifying, "write_json", lambda *_: None)
     for _ in range(2):
         verify(whole)
@@ -107,8 +108,6 @@ def test_a_report_that_was_written_by_hand_is_not_listed(whole, tmp_path, monkey
     forged = replace(honest, score=honest.score._replace(value=0.999))
     monkeypatch.setenv("DCGRID_VERIFIER_KEY", str(tmp_path / "mine.key"))
     make_keys(tmp_path / "mine.pub")  # the forger's keys
-    from dcgrid_env.agents.leaderboard.signing import sign
-
     for signature in ("", honest.signature, sign(forged.signed_content)):
         (whole / "verified.json").write_text(json.dumps(plain(replace(forged, signature=signature))))
         with pytest.raises(SubmissionError, match="signature is not the verifier's"):
@@ -127,18 +126,19 @@ def test_a_verifier_without_a_key_writes_no_report_that_is_listed(whole, tmp_pat
     (whole / "verified.json").write_text(before)
 
 
-def test_an_agent_under_a_local_scope_sees_its_own_measurements_alone():
-    body = "seen[:] = [i for i in range(23) if observations[0, i] == i]\n        return np.full((len(observations), 4), sum(2.0**i for i in seen))"
-    code, scenario = ACTING.format(body=body).encode(), scenario_of("toy6")
-    own = {"local": [[0, 1, 2, 3, 4, 7, 8], [9, 10, 11, 12, 13], [16, 17, 18, 19, 20]]}
-    own["local + sensitivities"] = [list(range(9)), list(range(9, 16)), list(range(16, 23))]
-    for scope, of_agents in own.items():
-        sent = [sum(2.0**i for i in columns) for columns in of_agents]
-        want = [sent[0], sent[0], sent[1], sent[2]]  # clock and q of the site, q of the inverters
-        assert acted(body, scope).tolist() == [want] * 2
-    assert acted(body, "joint + sensitivities").tolist() == [[sum(2.0**i for i in range(23))] * 4] * 2
-    assert code
-    assert scenario.n_agents == 3
+@pytest.mark.parametrize(
+    ("scope", "columns"),
+    [
+        ("local", [[0, 1, 2, 3, 4, 7, 8], [9, 10, 11, 12, 13], [16, 17, 18, 19, 20]]),
+        ("local + sensitivities", [list(range(9)), list(range(9, 16)), list(range(16, 23))]),
+        ("joint + sensitivities", [list(range(23))] * 3),
+    ],
+)
+def test_an_agent_sees_what_the_scope_sends_alone(scope, columns):
+    body = """seen = np.flatnonzero(observations[0] == np.arange(23))
+        return np.full((len(observations), 4), (2.0**seen).sum())"""
+    site, *inverters = [sum(2.0**i for i in of_agent) for of_agent in columns]
+    assert acted(body, scope).tolist() == [[site, site, *inverters]] * 2  # clock and q of the site, q of the inverters
 
 
 def test_agents_under_a_local_scope_share_no_memory():
@@ -159,15 +159,23 @@ def test_agents_under_a_local_scope_share_no_memory():
         "__import__('os').listdir('{here}')",
         "__import__('os').kill({pid}, 0)",
         "__import__('subprocess').run(['/bin/true'], check=True)",
-        "__import__('socket').create_connection(('127.0.0.1', 9))",
-        "__import__('ctypes').CDLL(None, use_errno=True).ptrace(16, {pid}, 0, 0) == 0 or 1 / 0",
+        "__import__('socket').socket(__import__('socket').AF_INET, __import__('socket').SOCK_DGRAM)",
+        "__import__('os').fork()",
+        "__import__('ctypes').CDLL(None).ptrace(16, {pid}, 0, 0) == 0 or 1 / 0",
+        "__import__('ctypes').CDLL(None).shmget(7, 4096, 0o1666) >= 0 or 1 / 0",
+        "__import__('fcntl').flock(open(__import__('os').__file__), 2)",
     ],
 )
-def test_confined_code_reaches_nothing_of_the_verifier(body, _keys, tmp_path):
-    body = body.format(key=_keys / "verifier.key", pid=os.getpid(), here=tmp_path)
+def test_confined_code_reaches_nothing_of_the_verifier(body, keys, tmp_path):
+    body = body.format(key=keys / "verifier.key", pid=os.getpid(), here=tmp_path)
     with pytest.raises(remote.ProcessError, match=r"PermissionError|ZeroDivisionError"):
         acted(body, confined=True)
-    assert acted("open('own', 'w').write('x'); import scipy.linalg", confined=True).shape == (2, 4)
+
+
+@confines
+def test_confined_code_may_use_its_own_folder_libraries_and_threads():
+    body = "open('own', 'w').write('x'); import scipy.linalg, threading; t = threading.Thread(); t.start(); t.join()"
+    assert acted(body, confined=True).shape == (2, 4)
 
 
 def test_code_sees_nothing_of_the_verifier_s_environment():
@@ -183,10 +191,13 @@ def test_code_sees_nothing_of_the_verifier_s_environment():
         ("import time; time.sleep(60)", "gave no answer within 1 s"),
         ("import os, sys; os.write(int(sys.argv[1]), b'x'); import time; time.sleep(60)", "gave no answer within 1 s"),
         ("import os, sys; os.write(int(sys.argv[1]), b'=' + (2**40).to_bytes(8, 'little'))", "it sent 1099511627776 b"),
-        ("import os, sys; os.write(int(sys.argv[1]), b'=' + bytes(8)); import time; time.sleep(60)", "sent 0 bytes, expected 64"),
+        (
+            "import os, sys; os.write(int(sys.argv[1]), b'=' + bytes(8)); import time; time.sleep(60)",
+            "sent 0 bytes, expected 64",
+        ),
         ("import os, sys; os.write(int(sys.argv[1]), b'!' + bytes([3]) + bytes(7) + b'[[[')", "cannot be read"),
         ("return np.zeros(3)", r"the action has shape \(3,\); give \(2, 4\)"),
-        ("raise SystemExit('\\x1b[2J\\n' + 'x' * 9000)", r"^SystemExit: \[2J x{100,}"),
+        ("raise SystemExit('\\x1b[2J\\n' + 'x' * 9000)", r"^SystemExit:  \[2J x{100,}"),
         ("raise KeyError", "KeyError"),
     ],
 )

@@ -98,7 +98,7 @@ def stopped(capsys, *arguments):
 
 def test_an_entry_is_found_as_claimed(entry):
     claimed, found = read(entry / "submission.json", Submission), read(entry / "verified.json", Verified)
-    assert found.found.J == pytest.approx(claimed.claimed.J, rel=1e-6)
+    assert pytest.approx(claimed.claimed.J, rel=1e-6) == found.found.J
     assert (claimed.kind, claimed.scope, claimed.learned_on) == ("file", "local + sensitivities", "train")
     assert set(claimed.files) == {"policy.safetensors", "policy.json"} == {p.name for p in entry.iterdir()} - {
         "submission.json", "verified.json",
@@ -258,7 +258,7 @@ def test_a_policy_under_guard_is_entered_too(tmp_path):
     entry = submit(f"guarded:{POLICY}", "guarded", tmp_path / "entry", episodes=2)
     assert (entry.kind, entry.policy, entry.scope) == ("file", "guarded:policy.safetensors", "local + sensitivities")
     _, found = verify(tmp_path / "entry", fresh=2)
-    assert found.found.J == pytest.approx(entry.claimed.J, rel=1e-6)
+    assert pytest.approx(entry.claimed.J, rel=1e-6) == found.found.J
 
 
 def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
