@@ -11,11 +11,12 @@ import sys
 from pathlib import Path
 
 from dcgrid_env import PRESETS
-from dcgrid_env.agents.leaderboard.page import LEAST_EPISODES, write_page
+from dcgrid_env.agents.leaderboard.page import write_page
 from dcgrid_env.agents.leaderboard.signing import make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import draw_seed, verify
 from dcgrid_env.agents.policy.policy import SHIPPED
+from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 
 FOLDER, PAGE = Path("docs/leaderboard"), Path("docs/leaderboard.md")
 ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
@@ -36,7 +37,7 @@ def submitted(scenario):
         folder = FOLDER / f"{scenario}-{name}"
         shutil.rmtree(folder, ignore_errors=True)
         try:
-            submit(policy, name, folder, scenario=scenario, episodes=LEAST_EPISODES, learned_on=learned_on)
+            submit(policy, name, folder, scenario=scenario, episodes=PUBLISHED_EPISODES, learned_on=learned_on)
         except ValueError as error:  # a controller that is not made for the preset's devices
             print(f"{scenario}, {name}: not entered: {error}", flush=True)
             continue
@@ -50,7 +51,7 @@ if __name__ == "__main__":
     seed = draw_seed()
     for folders in made.values():
         for folder in folders:
-            _, found = verify(folder, seed, fresh=LEAST_EPISODES)
+            _, found = verify(folder, seed, fresh=PUBLISHED_EPISODES)
             print(f"{folder}: score {found.score.value:.3f}, J {found.found.J:.4f}", flush=True)
     folders = sorted(path.parent for path in FOLDER.glob("*/submission.json"))
     print(f"wrote {PAGE}: {write_page(folders, PAGE)} entries")

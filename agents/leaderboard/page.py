@@ -23,13 +23,12 @@ from dcgrid_env.agents.leaderboard.scopes import LOCAL, SENSITIVITIES, Scope
 from dcgrid_env.agents.leaderboard.verifying import require_report
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 from dcgrid_env.core.files import write_text
 
 _NBSP = "\u00a0"
 BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
 """What stands before and behind the tables in the page."""
-LEAST_EPISODES = 32
-"""Fewest published, and fewest fresh, test episodes of an entry that is listed."""
 HEADER = (
     "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
     "episodes | sent | learned on |"
@@ -64,8 +63,8 @@ def listed(folder: Path) -> Listed:
     for path_, name, n in (
         (folder / SUBMISSION, "episodes", submission.episodes), (path, "fresh_episodes", record.fresh_episodes),
     ):  # fmt: skip
-        if n < LEAST_EPISODES:
-            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {LEAST_EPISODES}")
+        if n < PUBLISHED_EPISODES:
+            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {PUBLISHED_EPISODES}")
     scenario = scenario_of(submission.scenario)
     now = (scenario_hash(scenario), episodes_hash(scenario, submission.episodes))
     if now != (record.scenario_hash, record.episodes_hash):
