@@ -1,8 +1,8 @@
-"""Confinement of a process that runs code of a submitter: Linux's Landlock, without capabilities, within limits.
+"""Confinement of a process that runs code of a submitter: Landlock and seccomp of Linux, no capabilities, and limits.
 
 The process can read Python, its packages and a folder of its own, and write to that folder alone. It cannot open the
-files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, or connect by TCP. What remains is in
-decision 0029.
+files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, start programs or open sockets. What
+remains is in decision 0029.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import dcgrid_env
 from dcgrid_env import agents, baselines, traces
+from dcgrid_env.agents.leaderboard.system_calls import is_supported, refuse_system_calls
 
 MEMORY_BYTES = 8 * 2**30
 """Largest address space; torch alone reserves some GB."""
@@ -33,8 +34,6 @@ _FILES = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 5: (1 << 16) - 1
 """All rights over files that Landlock handles, from each version of its interface on."""
 _OF_A_FILE = 1 << 0 | 1 << 1 | 1 << 2 | 1 << 14 | 1 << 15
 """Rights that a rule about a file, not a folder, may give."""
-_TCP, _SCOPES = 3, 3
-"""Bind and connect, from version 4 on; abstract sockets and signals, from version 6 on."""
 
 
 class ConfinementError(RuntimeError):
@@ -42,8 +41,8 @@ class ConfinementError(RuntimeError):
 
 
 def version() -> int:
-    """Version of Landlock's interface; 0 where there is none."""
-    if sys.platform != "linux":
+    """Version of Landlock's interface; 0 where a process cannot be confined."""
+    if sys.platform != "linux" or not is_supported():
         return 0
     return max(_libc().syscall(_CREATE, None, ctypes.c_size_t(0), _VERSION_FLAG), 0)
 
@@ -63,7 +62,7 @@ def confine(folder: Path) -> None:
     """
     number = version()
     if not number:
-        raise ConfinementError("there is no Landlock")
+        raise ConfinementError("this system has no Landlock, or its processor is not x86-64")
     if len(os.listdir("/proc/self/task")) != 1:
         raise ConfinementError("it has several threads")
     limits = {
@@ -76,16 +75,16 @@ def confine(folder: Path) -> None:
         resource.setrlimit(limit, (value, value))
     libc = _libc()
     handled = next(rights for least, rights in sorted(_FILES.items(), reverse=True) if least <= number)
-    network, scopes = _TCP * (number >= 4), _SCOPES * (number >= 6)
-    attributes = struct.pack("QQQ", handled, network, scopes)[: 8 * (1 + (number >= 4) + (number >= 6))]
-    rules = _require(libc.syscall(_CREATE, attributes, ctypes.c_size_t(len(attributes)), 0), "create")
+    rules = _require(libc.syscall(_CREATE, struct.pack("Q", handled), ctypes.c_size_t(8), 0), "create")
     for path in _readable():
         _allow(libc, rules, path, _READ & handled)
     _allow(libc, rules, folder, handled)
     _require(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0), "no new privileges")
     _require(libc.syscall(_RESTRICT, rules, 0), "restrict")
     os.close(rules)
-    _require(libc.capset(struct.pack("II", _CAPABILITY_VERSION, 0), bytes(24)), "capabilities")
+    header = ctypes.create_string_buffer(struct.pack("II", _CAPABILITY_VERSION, 0))
+    _require(libc.capset(header, bytes(24)), "capabilities")
+    _require(refuse_system_calls(libc), "filter system calls")
 
 
 def _readable() -> list[Path]:

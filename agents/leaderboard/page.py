@@ -23,16 +23,15 @@ from dcgrid_env.agents.leaderboard.scopes import LOCAL, SENSITIVITIES, Scope
 from dcgrid_env.agents.leaderboard.verifying import require_report
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 from dcgrid_env.core.files import write_text
 
 _NBSP = "\u00a0"
 BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
 """What stands before and behind the tables in the page."""
-LEAST_EPISODES = 32
-"""Fewest published, and fewest fresh, test episodes of an entry that is listed."""
 HEADER = (
     "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
-    "sent | learned on |"
+    "episodes | sent | learned on |"
 )
 
 
@@ -64,8 +63,8 @@ def listed(folder: Path) -> Listed:
     for path_, name, n in (
         (folder / SUBMISSION, "episodes", submission.episodes), (path, "fresh_episodes", record.fresh_episodes),
     ):  # fmt: skip
-        if n < LEAST_EPISODES:
-            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {LEAST_EPISODES}")
+        if n < PUBLISHED_EPISODES:
+            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {PUBLISHED_EPISODES}")
     scenario = scenario_of(submission.scenario)
     now = (scenario_hash(scenario), episodes_hash(scenario, submission.episodes))
     if now != (record.scenario_hash, record.episodes_hash):
@@ -112,7 +111,7 @@ def tables(entries: Sequence[Listed]) -> str:
         "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
     }
     parts = [
-        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 5 + "|---" * 2 + "|", *_rows(own)])
+        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 6 + "|---" * 2 + "|", *_rows(own)])
         for title, own in groups.items()
         if own
     ]
@@ -144,7 +143,8 @@ def _row(entry: Listed) -> str:
     cells = (
         f"`{submission.scenario}`", name + code, _gain(record.fresh.gain) + " below" * entry.gains_less,
         _gain(found.gain), f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
-        f"{found.delay_mean_s:.2f}", record.scope, submission.learned_on,
+        f"{found.delay_mean_s:.2f}", f"{submission.episodes}, {record.fresh_episodes}", record.scope,
+        submission.learned_on,
     )  # fmt: skip
     return f"| {' | '.join(cells)} |"
 

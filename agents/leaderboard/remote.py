@@ -36,7 +36,7 @@ from dcgrid_env.agents.leaderboard.scopes import Scope
 from dcgrid_env.baselines import Controller
 
 START_S, STEP_S = 600.0, 60.0
-"""Most time for a controller to be loaded, reset or placed, and for a step, by the clock."""
+"""Most time for an answer, and for a step of code of a submitter, by the clock."""
 LONGEST_ERROR = 4000
 """Most bytes of an error's text."""
 
@@ -93,7 +93,7 @@ class ControllerProcess:
         ValueError
             Where the controller refuses the scenario.
         """
-        limit_s = STEP_S if name == ACT else START_S
+        limit_s = STEP_S if name == ACT and self._folder is not None else START_S
         try:
             self._channel.settimeout(limit_s)
             send(self._channel, name, content)

@@ -94,7 +94,7 @@ def totals(scenario: Scenario) -> set[str]:
     }
 
 
-def measured_scope(make: Callable[[], Controller], scenario: Scenario) -> Scope:
+def measured_scope(make: Callable[[], Controller], scenario: Scenario, name: str) -> Scope:
     """Find the narrowest scope under which a controller of the package acts as it does on everything.
 
     An episode of the validation split is driven. Of its observations fresh controllers see a part each, with NaN in
@@ -106,6 +106,8 @@ def measured_scope(make: Callable[[], Controller], scenario: Scenario) -> Scope:
         Makes a fresh controller.
     scenario
         The preset.
+    name
+        What errors call the controller.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def measured_scope(make: Callable[[], Controller], scenario: Scenario) -> Scope:
     on = as_driven(scenario.replace(split="validation").member([0]), whole)
     trial = (_PlacedTrial if isinstance(whole, Placed) else _Trial)(whole, make)
     with on_purpose():
-        steps = transitions(on, trial, [0])
+        steps = transitions(on, trial, [0], name)
         for _ in range(min(STEPS, on.horizon)):
             next(steps)
         steps.close()

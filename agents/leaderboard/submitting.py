@@ -144,7 +144,7 @@ def runner_of(
         return Runner(spec, Scope.parse(scope), code, bool(version()) if confined is None else confined), None
     inner: Any = controller_of(policy, scenario)
     inner = inner.policy if isinstance(inner, GuardedPolicy | TriedPolicy) else inner
-    measured = measured_scope(lambda: controller_of(policy, scenario), scenario)
+    measured = measured_scope(lambda: controller_of(policy, scenario), scenario, policy)
     return Runner(policy, measured), inner if isinstance(inner, Policy) else None
 
 

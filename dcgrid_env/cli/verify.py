@@ -23,9 +23,9 @@ class Verify(Command):
     """Folders that dcgrid submit wrote."""
     trust: bool = False
     """Whether code of the submitters' own may run, in confined processes."""
-    fresh: int = 100
-    """Number of fresh episodes of the test split, of seeds that this command draws, the same for all folders. They have
-    no hindsight, so that what is compared is how much of the tuned droop's J is saved."""
+    fresh: int | None = None
+    """Number of fresh episodes of the test split (default: 100). This command draws their seeds, the same for all
+    folders. They have no hindsight, so the share of the tuned droop's J that is saved is compared."""
     again: bool = False
     """Run on the seeds of the signed report instead, and compare with it. Nothing is written."""
 
@@ -33,6 +33,10 @@ class Verify(Command):
         """Check, run, write, print. ValueError for what does not hold; a verified.json that was there then stays."""
         from dcgrid_env.agents.leaderboard.verifying import draw_seed
 
+        if not self.folders:
+            raise ValueError("folders is empty; give folders that dcgrid submit wrote")
+        if self.again and self.fresh is not None:
+            raise ValueError(f"fresh is {self.fresh}; leave it out with --again, which takes the report's episodes")
         seed = draw_seed()
         for folder in self.folders:
             self._verify(folder, seed)
@@ -47,7 +51,7 @@ class Verify(Command):
             if self.again:
                 entry, found, is_equal = verify_again(folder, trust=self.trust)
             else:
-                entry, found = verify(folder, seed, trust=self.trust, fresh=self.fresh)
+                entry, found = verify(folder, seed, trust=self.trust, fresh=100 if self.fresh is None else self.fresh)
                 is_equal = False
         value, low, high = found.score
         say(console, f"{entry.name} on {entry.scenario}: found as claimed, sent: {found.scope}")

@@ -12,11 +12,10 @@ from dcgrid_env import PRESETS
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read, sha256_of
 from dcgrid_env.agents.leaderboard.page import BEGIN, END, Listed, listed, tables, write_page
-from dcgrid_env.agents.leaderboard.running import scenario_of, shown
+from dcgrid_env.agents.leaderboard.signing import PUBLIC, make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
-from dcgrid_env.agents.leaderboard.verifying import verify
+from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 from dcgrid_env.agents.policy.policy import FOLDER
-from dcgrid_env.baselines import make_controller
 from dcgrid_env.cli.main import main
 from helpers.places import ROOT
 
@@ -32,6 +31,17 @@ class Own:
     def act(self, observations):
         return [[1.0, self.q, self.q, self.q]] * len(observations)
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _keys(tmp_path_factory):
+    """A verifier's keys for these tests."""
+    folder = tmp_path_factory.mktemp("keys")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DCGRID_VERIFIER_KEY", str(folder / "verifier.key"))
+        patch.setattr("dcgrid_env.agents.leaderboard.signing.PUBLIC", folder / "verifier.pub")
+        make_keys()
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +60,10 @@ def copied(entry, tmp_path):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A verified folder of all published episodes, of a policy that ships."""
+    """A verified folder that can be listed, of a policy that ships."""
     folder = tmp_path_factory.mktemp("whole") / "entry"
-    submit("toy6-analytic", "analytic", folder)
-    verify(folder, fresh=2)
+    submit("toy6-analytic", "analytic", folder, episodes=32)
+    verify(folder, fresh=32)
     return folder
 
 
@@ -86,28 +96,27 @@ def stopped(capsys, *arguments):
     return said
 
 
-def test_an_entry_is_found_as_claimed_to_the_last_bit(entry):
+def test_an_entry_is_found_as_claimed(entry):
     claimed, found = read(entry / "submission.json", Submission), read(entry / "verified.json", Verified)
-    assert found.is_equal_to_the_bit
-    assert (found.found, found.score) == (claimed.claimed, claimed.score)
-    assert (claimed.kind, claimed.observes, claimed.learned_on) == ("file", "local", "train")
+    assert pytest.approx(claimed.claimed.J, rel=1e-6) == found.found.J
+    assert (claimed.kind, claimed.scope, claimed.learned_on) == ("file", "local + sensitivities", "train")
     assert set(claimed.files) == {"policy.safetensors", "policy.json"} == {p.name for p in entry.iterdir()} - {
         "submission.json", "verified.json",
     }  # fmt: skip
-    assert found.sha256 == found.own_sha256
     assert found.fresh.J != found.found.J
-    assert found.fresh_seed >= 1000
     assert claimed.claimed.gain[0] == pytest.approx(1 - claimed.claimed.J / claimed.claimed.J_droop, rel=1e-9)
 
 
-def test_fresh_episodes_are_the_same_again_unless_others_are_asked_for(copied):
+def test_the_episodes_of_a_report_give_the_same_again_to_the_last_bit(copied, capsys):
     before = (copied / "verified.json").read_bytes()
-    verify(copied, fresh=4)
+    _, report, is_equal = verify_again(copied)
+    assert is_equal
+    assert report.fresh_seed >= 1000
+    main(["verify", str(copied), "--again"])
+    assert "the same as the signed report, to the last bit" in capsys.readouterr().out
     assert (copied / "verified.json").read_bytes() == before
-    _, found = verify(copied, fresh=2, fresh_seed=50)
-    assert (found.fresh_seed, found.fresh_episodes) == (50, 2)
-    with pytest.raises(SubmissionError, match="fresh is 4 from seed 3; give at least 2 beyond the 4"):
-        verify(copied, fresh=4, fresh_seed=3)
+    with pytest.raises(SubmissionError, match="fresh is 1; give at least 2"):
+        verify(copied, fresh=1)
 
 
 @pytest.mark.parametrize(
@@ -126,11 +135,11 @@ def test_fresh_episodes_are_the_same_again_unless_others_are_asked_for(copied):
         ({"episodes": 5}, "that of the test seeds 0 to 4 is "),
         ({"episodes": 101}, "episodes is 101; toy6 has 100 published ones"),
         ({"sha256": "0" * 64}, "sha256 is 0000000000000000.., that of the policy policy.safetensors is "),
-        ({"observes": "feeder"}, "observes is 'feeder', the controller's is 'local'"),
+        ({"scope": "local"}, "scope is 'local', found 'local + sensitivities'"),
         ({"files": {}}, "policy is 'policy.safetensors', which is none of kind file"),
         ({"kind": "named"}, "policy is 'policy.safetensors', which is none of kind named"),
         ({"files": {"../policy.json": "0"}}, "files: '../policy.json' is outside the folder"),
-        ({"format": 7}, "format is 7, this dcgrid reads 1"),
+        ({"format": 7}, "format is 7, this dcgrid reads 2"),
         ({"learned_on": "luck"}, "learned_on: "),
         ({"more": 1}, "more: "),
     ],
@@ -188,18 +197,21 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)
     base = ("submit", "own.py:Own(q=0.1)", "--name", "own", "--scenario", PRESET, "--episodes", "2", "--out", "made")
-    assert "information is ''; say what the code uses" in stopped(capsys, *base)
+    assert "scope is ''; say what the code is to be sent" in stopped(capsys, *base)
+    assert "scope is 'all'; give local or joint" in stopped(capsys, *base, "--scope", "all")
     assert not Path("made").exists()
-    main([*base, "--information", "nothing"])
+    main([*base, "--scope", "joint"])
     assert {path.name for path in Path("made").iterdir()} == {"controller.py", "submission.json"}
     assert "verifying runs it: read it, and add --trust" in stopped(capsys, "verify", "made")
     main(["verify", "made", "--trust", "--fresh", "2"])
-    assert "found as claimed, to the last bit" in capsys.readouterr().out
+    assert "found as claimed, sent: joint" in capsys.readouterr().out
     assert read(Path("made/submission.json"), Submission).policy == "controller.py:Own(q=0.1)"
+    monkeypatch.setattr("dcgrid_env.agents.leaderboard.verifying.version", lambda: 0)
+    assert "code, which this system cannot confine" in stopped(capsys, "verify", "made", "--trust")
     with Path("made/controller.py").open("a") as file:
         file.write("print('more')\n")
     assert "controller.py: sha256 is " in stopped(capsys, "verify", "made", "--trust")
-    assert "which is there and not empty" in stopped(capsys, *base, "--information", "nothing")
+    assert "which is there and not empty" in stopped(capsys, *base, "--scope", "joint")
 
 
 @pytest.mark.parametrize(
@@ -231,7 +243,7 @@ def test_no_code_runs_under_another_kind_s_name(kind, policy, copied, capsys, tm
         (("model.zip", "--name", "x", "--scenario", PRESET), "which is pickle"),
         (("toy6-analytic", "--name", "a\nb"), "name is 'a\\nb'; give one line"),
         (("toy6-analytic", "--name", "x", "--episodes", "1"), "episodes is 1; toy6 has 100 published ones"),
-        (("toy6-analytic", "--name", "x", "--information", "all"), "information is 'all'; leave it out"),
+        (("toy6-analytic", "--name", "x", "--scope", "local"), "scope is 'local'; leave it out"),
         (("toy6-analytic", "--name", "x", "--scenario", "mine.toml"), "scenario is 'mine.toml'; the leaderboard is"),
     ],
 )
@@ -244,18 +256,9 @@ def test_what_cannot_be_entered_is_one_line(arguments, said, tmp_path, capsys, m
 
 def test_a_policy_under_guard_is_entered_too(tmp_path):
     entry = submit(f"guarded:{POLICY}", "guarded", tmp_path / "entry", episodes=2)
-    assert (entry.kind, entry.policy, entry.observes) == ("file", "guarded:policy.safetensors", "local")
+    assert (entry.kind, entry.policy, entry.scope) == ("file", "guarded:policy.safetensors", "local + sensitivities")
     _, found = verify(tmp_path / "entry", fresh=2)
-    assert found.is_equal_to_the_bit
-
-
-def test_what_a_controller_is_shown():
-    scenario = scenario_of(PRESET)
-    joint = Policy({"joint": Network([([[0.0] * 4] * 23, [0.0] * 4)])})
-    assert shown(joint, scenario) == "local, of all agents together"
-    assert shown(Policy.load("toy6-analytic"), scenario) == "local"
-    assert shown(make_controller("model-aided"), scenario) == "local, model-aided"
-    assert shown(make_controller("mpc"), scenario) == "feeder, feeder's model"
+    assert pytest.approx(entry.claimed.J, rel=1e-6) == found.found.J
 
 
 def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
@@ -263,7 +266,7 @@ def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
     page.write_text(f"# Page\n{BEGIN}\nold\n{END}\nbehind\n")
     main(["dev", "leaderboard", str(whole), "--page", str(page)])
     text = page.read_text()
-    assert text.startswith(f"# Page\n{BEGIN}\n\n### Local observation alone\n")
+    assert text.startswith(f"# Page\n{BEGIN}\n\n### Local measurements and own sensitivities\n")
     assert text.endswith(f"{END}\nbehind\n")
     assert "| `toy6` | analytic | " in text
     assert "old" not in text
@@ -278,7 +281,10 @@ def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("file", "fields", "said"),
     [
-        ("verified.json", {"score__value": 0.99}, "sha256 is not that of its contents"),
+        ("verified.json", {"score__value": 0.99}, "signature is not the verifier's"),
+        ("verified.json", {"fresh_seed": 1000}, "signature is not the verifier's"),
+        ("verified.json", {"signature": ""}, "signature is not the verifier's"),
+        ("verified.json", {"signature": "no digits"}, "signature is not the verifier's"),
         ("submission.json", {"name": "other"}, "submission is of another submission.json"),
         ("submission.json", {"learned_on": "nothing"}, "submission is of another submission.json"),
     ],
@@ -291,7 +297,7 @@ def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said
 
 
 def test_what_was_not_verified_or_has_few_episodes_is_not_listed(copied, monkeypatch, whole):
-    with pytest.raises(SubmissionError, match="episodes is 4; the page takes 100"):
+    with pytest.raises(SubmissionError, match="episodes is 4; the page takes at least 32"):
         listed(copied)
     (copied / "verified.json").unlink()
     with pytest.raises(SubmissionError, match="run dcgrid verify on the folder"):
@@ -308,25 +314,27 @@ def test_groups_and_texts_of_the_tables(whole):
     def of(**fields):
         return Listed(replace(entry.submission, **fields), entry.verified)
 
-    aided = replace(entry.verified, observes="local, model-aided")
+    aided, own = replace(entry.verified, scope="local + model"), replace(entry.verified, scope="local")
     worse = entry.verified.found._replace(gain=(0.01, 0.0, 0.011))
     text = tables(
         [
             of(name="a|b", paper="https://example.org/x"),
             Listed(entry.submission, aided),
-            of(kind="code", information="all of it"),
+            Listed(replace(entry.submission, kind="code"), own),
             of(learned_on="test"),
             Listed(entry.submission, replace(entry.verified, fresh=worse)),
         ]
     )
     titles = [line for line in text.splitlines() if line.startswith("### ")]
-    assert [title.split()[1] for title in titles] == ["Local", "More", "Code", "Learned"]
+    assert [title.split()[-1] for title in titles] == ["measurements", "sensitivities", "that", "declared"]
     assert "[a\\|b](https://example.org/x)" in text
-    assert "| all of it | train |" in text
+    assert "| analytic (code) | " in text
+    assert "| local + model | train |" in text
     assert "1.0 % (0.0 .. 1.1) below |" in text.replace("\u00a0", " ")
 
 
-def test_our_page_is_made_of_our_folders(tmp_path):
+def test_our_page_is_made_of_our_folders(tmp_path, monkeypatch):
+    monkeypatch.setattr("dcgrid_env.agents.leaderboard.signing.PUBLIC", PUBLIC)
     folders = sorted(path.parent for path in (ROOT / "docs" / "leaderboard").glob("*/submission.json"))
     page = ROOT / "docs" / "leaderboard.md"
     made = Path(shutil.copy(page, tmp_path))
