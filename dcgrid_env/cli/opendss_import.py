@@ -41,7 +41,7 @@ class ImportOpenDss(Command):
 
     def run(self) -> None:
         """Read, compile, solve, say what became of each element, and write; nothing is written on an error."""
-        from dcgrid_env import ThreePhaseFeeder
+        from dcgrid_env import ThreePhaseFeeder, rating_coverage
         from dcgrid_env.core.files import whole_folder
         from dcgrid_env.grid.formats.opendss import read_opendss
 
@@ -56,7 +56,7 @@ class ImportOpenDss(Command):
             feeder.to_csv(folder)
         console = plain_console()
         console.print(findings_table(imported.findings))
-        for line in said:
+        for line in (*said, str(rating_coverage(feeder))):
             say(console, line)
         say(console, f"wrote {self.out}: {feeder.n_bus} buses, {feeder.n_node} nodes, {feeder.n_regulator} regulators")
 

@@ -11,6 +11,7 @@ several of them are taken feeder by feeder.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +19,14 @@ from numpy.typing import NDArray
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part, positive_sqrt, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.grid import AnyFeeder, Feeder
+from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+
+_NO_VOLTAGE = 1e-12
+"""Voltage that keeps a ratio finite where there is none, p.u."""
+_SHOWN = 12
+"""Names of a list that a text gives."""
 
 
 def has_ratings(feeder: Any) -> bool:
@@ -46,6 +52,16 @@ class RatingCoverage(NamedTuple):
     not_checked: tuple[str, ...]
     """Names of the branches without a rating, as in ``"line 650-632"``."""
 
+    def __str__(self) -> str:
+        said = f"ratings known for {self.known} of {self.of} elements"
+        return f"{said}; not checked: {first_of(self.not_checked)}" if self.not_checked else said
+
+
+def first_of(names: Sequence[str]) -> str:
+    """The first names of a list as text, and how many there are beyond."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"{', '.join(names[:_SHOWN])}{more}"
+
 
 def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
     """Count the branches whose rating is known, on all phases, and name the others."""
@@ -67,10 +83,9 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
             flows = (solution.v_pu[lanes], solution.p_branch_kw[lanes], solution.q_branch_kvar[lanes])
             loading[lanes] = branch_loading(member, _Flows(*flows))
         return loading
-    per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
     if not isinstance(feeder, Feeder):
-        squared = solution.i_re_a * solution.i_re_a + solution.i_im_a * solution.i_im_a
-        return positive_sqrt(squared) * per_a * _larger_side(feeder, solution.v_pu)
+        return _three_phase_loading(feeder, solution)
+    per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
     xp, p, q = namespace(solution.v_pu), solution.p_branch_kw, solution.q_branch_kvar
     v_pu = solution.v_pu
     if feeder.voltage_ratio is not None:
@@ -80,12 +95,34 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
     return xp.concat((0.0 * v_pu[..., :1], loading), axis=-1)
 
 
-def _larger_side(feeder: Any, v_pu: Array) -> Array:
-    """The larger current of both sides of what feeds each node, as a share of that at the node, (..., n_node)."""
-    xp, regulated = namespace(v_pu), as_like(_regulated(feeder), v_pu)
-    before = take_last(v_pu, _node_parents(feeder, xp, v_pu.device))
-    raised = positive_part(v_pu / xp.where(before > 0.0, before, v_pu + 1.0) - 1.0)
-    return 1.0 + regulated * raised
+def _three_phase_loading(feeder: ThreePhaseFeeder, solution: Any) -> Array:
+    """Of the rated nodes alone, which may be few, put among zeros."""
+    v_pu = solution.v_pu
+    xp = namespace(v_pu)
+    rated, regulated, before, place = _rated_places(feeder, xp, v_pu.device)
+    i_re, i_im = take_last(solution.i_re_a, rated), take_last(solution.i_im_a, rated)
+    loading = positive_sqrt(i_re * i_re + i_im * i_im) * as_like(_inverse_ratings(feeder), v_pu)[rated]
+    plain = len(rated) - len(regulated)
+    parts = [loading[..., :plain], 0.0 * v_pu[..., :1]]
+    if len(regulated):
+        ratio = take_last(v_pu, regulated) / (take_last(v_pu, before) + _NO_VOLTAGE)
+        parts.insert(1, loading[..., plain:] * (1.0 + positive_part(ratio - 1.0)))
+    return take_last(xp.concat(parts, axis=-1), place)
+
+
+@cached_on_owner
+def _rated_places(feeder: ThreePhaseFeeder, xp: Any, device: Any) -> tuple[Array, ...]:
+    """Rated nodes, the regulated ones last; these, and the nodes before them; the place of each node in that order.
+
+    A node without a rating has the place behind all of them.
+    """
+    rated = rated_nodes(feeder)
+    regulated = rated[np.isin(rated, feeder.regulated)]
+    rated = np.concatenate((np.setdiff1d(rated, regulated), regulated))
+    place = np.full(feeder.n_node, len(rated))
+    place[rated] = np.arange(len(rated))
+    places = (rated, regulated, feeder.node_parent[regulated], place)
+    return places if xp is np else tuple(xp.asarray(np.array(p, np.int64), device=device) for p in places)
 
 
 class _Flows(NamedTuple):
@@ -110,19 +147,6 @@ def _ratings_a(feeder: AnyFeeder) -> NDArray[np.float64]:
 def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
     ratings = _ratings_a(feeder)
     return np.where(np.isnan(ratings), 0.0, 1.0 / ratings)
-
-
-@cached_on_owner
-def _regulated(feeder: Any) -> NDArray[np.float64]:
-    """1 at the nodes that a regulator feeds, 0 at others."""
-    return np.isin(np.arange(feeder.n_node), feeder.regulated).astype(np.float64)
-
-
-@cached_on_owner
-def _node_parents(feeder: Any, xp: Any, device: Any) -> Array:
-    """Node before each, the source's nodes before themselves, as an index of the array's kind."""
-    parents = np.where(feeder.node_parent < 0, np.arange(feeder.n_node), feeder.node_parent)
-    return parents if xp is np else xp.asarray(parents, device=device)
 
 
 @cached_on_owner

@@ -159,7 +159,7 @@ def test_the_schema_lists_every_published_field():
     later |= {"ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"}
     later |= {"datacenter_ride_through", "inverter_ride_through", "sags", "datacenter_storage"}
     later |= {"datacenter_routing", "datacenter_batching", "datacenter_service"}
-    later |= {"datacenter_smoothing", "datacenter_cooling", "observe_loading"}
+    later |= {"datacenter_smoothing", "datacenter_cooling", "observe_loading", "full_load_s", "trace_scale"}
     assert listed | later == own | set(FLAT)
     later_of_feeder = {"shunt_kw", "shunt_kvar", "voltage_ratio", "bus_base_kv", "rating_a"}
     listed_of_feeder = set(fingerprint.SCHEMA_1[Feeder].fields)
