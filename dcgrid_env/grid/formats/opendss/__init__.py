@@ -1,6 +1,7 @@
 """Three-phase grids from OpenDSS's files, one component a file; the parsing is OpenDSS's own."""
 
 from dcgrid_env.grid.formats.import_report import Finding
-from dcgrid_env.grid.formats.opendss.reading import Imported, read_opendss
+from dcgrid_env.grid.formats.opendss.circuit_process import read_opendss
+from dcgrid_env.grid.formats.opendss.reading import Imported
 
 __all__ = ["Finding", "Imported", "read_opendss"]

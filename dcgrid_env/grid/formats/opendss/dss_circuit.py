@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.grid.formats.opendss.script_counts import Counts
 from dcgrid_env.grid.formats.opendss.script_reader import Script
 from dcgrid_env.grid.topology import FeederError
 
@@ -179,7 +180,9 @@ def script_of(engine: Any, master: Path) -> Script:
     executive = engine.Executive
     commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
     options = [executive.Option(k + 1) for k in range(executive.NumOptions())]
-    return Script(master, commands, options, engine.Basic.Classes())
+    ffi = engine.dss_ffi
+    schema = ffi.string(engine.dss_lib.DSS_ExtractSchema(ffi.NULL, False)).decode()
+    return Script(master, commands, options, engine.Basic.Classes(), Counts(schema))
 
 
 def run_command(engine: Any, command: str, where: str) -> None:

@@ -57,25 +57,8 @@ class Imported:
     v_pu: dict[str, complex]
 
 
-def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool = False) -> Imported:
-    """Read a three-phase radial circuit; needs OpenDSSDirect.py, of the extra ``opendss``.
-
-    Parameters
-    ----------
-    master
-        File that defines the circuit, by itself or by what it redirects to.
-    allow
-        Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
-    trust
-        Let OpenDSS run the script as it is. Otherwise it is looked at first: what goes beyond a model's definition,
-        or reads files that are not beneath the master file's folder, is refused.
-
-    Raises
-    ------
-    FeederError
-        For a command that is refused, naming file and line; for elements that cannot be represented, or that are lost
-        and not allowed, naming them; where OpenDSSDirect.py is missing.
-    """
+def read_circuit(master: str | Path, *, allow: Collection[str] = (), trust: bool = False) -> Imported:
+    """Read a circuit in this process, which OpenDSS may end: see ``read_opendss``, which has a child do it."""
     unknown = [kind for kind in allow if kind.lower() not in ALLOWABLE]
     if unknown:
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(ALLOWABLE)}")

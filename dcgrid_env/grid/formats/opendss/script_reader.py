@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from dcgrid_env.grid.formats.opendss import script_rules as rules
 from dcgrid_env.grid.formats.opendss.dss_words import CLOSING, Word, words_of
+from dcgrid_env.grid.formats.opendss.script_counts import Counts
 from dcgrid_env.grid.formats.opendss.script_files import file_beneath, text_of
 from dcgrid_env.grid.topology import FeederError
 
@@ -38,12 +39,15 @@ class Script:
         The file.
     commands, options, classes
         Names that the OpenDSS at hand knows, by which abbreviations are resolved.
+    counts
+        The properties that are whole numbers.
     """
 
     master: Path
     commands: Sequence[str]
     options: Sequence[str]
     classes: Sequence[str]
+    counts: Counts
     _root: Path = field(init=False)
     _kind: str | None = field(init=False, default=None)
     """Class of the element that ``~`` goes on with."""
@@ -125,6 +129,7 @@ class Script:
         elif self._kind is None:
             raise ValueError("it goes on with no New or Edit before it")
         kind = self._kind or ""
+        self.counts.check(kind, words)
         leading = next((k for k, word in enumerate(words) if word.name), len(words))
         first = [k < min(leading, rules.HARMLESS_POSITIONS) for k in range(len(words))]
         pairs = zip(words, first, strict=True)

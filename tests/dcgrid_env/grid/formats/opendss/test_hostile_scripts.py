@@ -5,7 +5,7 @@ import os
 import pytest
 
 from dcgrid_env import FeederError
-from dcgrid_env.grid.formats.opendss import read_opendss
+from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.grid.formats.opendss.script_rules import _DANGEROUS, _SUSPECT, BY_POSITION, HARMLESS_POSITIONS
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
@@ -24,7 +24,7 @@ GENERATOR = "New Generator.g bus1=n kv=12.47 kw=1 kvar=0"
 def test_commands_and_options_that_are_refused(master, line):
     path = master(line)
     with pytest.raises(FeederError, match=rf"Master.dss, line 9: '{line.split()[0].replace('?', '.')}' is refused"):
-        read_opendss(path)
+        read_circuit(path)
 
 
 @pytest.mark.parametrize("line", [
@@ -43,7 +43,7 @@ def test_commands_and_options_that_are_refused(master, line):
 ])  # fmt: skip
 def test_properties_that_are_refused(master, line):
     with pytest.raises(FeederError, match=r"Master.dss, line (9|1\d): '[^']+' is refused: .*--trust"):
-        read_opendss(master(line))
+        read_circuit(master(line))
 
 
 @pytest.mark.parametrize("line", [
@@ -60,9 +60,9 @@ def test_files_beyond_the_masters_folder_are_refused(tmp_path, master, line):
     os.mkfifo(home / "pipe")
     path = master(line).rename(home / "Master.dss")
     with pytest.raises(FeederError, match=r"Master.dss, line 9: .* is refused"):
-        read_opendss(path)
+        read_circuit(path)
     if "outside" in line and ".." in line and "BusCoords" not in line and "\\" not in line:
-        assert "x" in read_opendss(path, trust=True).network.phase_load.name
+        assert "x" in read_circuit(path, trust=True).network.phase_load.name
 
 
 NEEDS = {"regcontrol": "transformer=t winding=2", "capcontrol": "capacitor=c element=line.l1 type=voltage"}
@@ -89,28 +89,28 @@ def test_no_property_of_opendss_that_may_stand_by_position_names_a_file_or_acts(
 
 def test_scripts_that_redirect_to_themselves_end(tmp_path, master):
     with pytest.raises(FeederError, match="redirect deeper than 32"):
-        read_opendss(master("Redirect Master.dss"))
+        read_circuit(master("Redirect Master.dss"))
 
 
 def test_a_refusal_in_a_redirected_file_names_that_file(tmp_path, master):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "loads.dss").write_text("! loads\nExport voltages\n")
     with pytest.raises(FeederError, match=r"loads.dss, line 2: 'Export' is refused: 'export' is not part of"):
-        read_opendss(master("Redirect sub/loads.dss"))
+        read_circuit(master("Redirect sub/loads.dss"))
 
 
 def test_nothing_is_written_and_the_folder_stays(tmp_path, master, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    read_opendss(master("Solve"))
+    read_circuit(master("Solve"))
     assert [path.name for path in tmp_path.iterdir()] == ["Master.dss"]
     with pytest.raises(FeederError, match="is refused"):
-        read_opendss(master("Export voltages"))
+        read_circuit(master("Export voltages"))
     assert [path.name for path in tmp_path.iterdir()] == ["Master.dss"]
 
 
 def test_trust_runs_the_script_as_it_is(tmp_path, master, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    read_opendss(master("Solve\nExport voltages out.csv"), trust=True)
+    read_circuit(master("Solve\nExport voltages out.csv"), trust=True)
     assert any(path.name.endswith("out.csv") for path in tmp_path.iterdir())
 
 
@@ -121,13 +121,13 @@ def test_files_of_figures_beneath_the_folder_are_read(tmp_path, master):
         f"{SHAPE} mult=(file=day.CSV)\nNew LoadShape.t npts=2 interval=1 csvfile=day.csv\nLoad.d.daily=s\n"
     )
     (tmp_path / "xy.csv").write_text("src, 1, 2\nm 3 4\n")
-    found = read_opendss(master('Redirect "sub folder\\more.dss"', end="\nSet voltageb=12.47\ncalcv\nbusc xy.csv\n"))
+    found = read_circuit(master('Redirect "sub folder\\more.dss"', end="\nSet voltageb=12.47\ncalcv\nbusc xy.csv\n"))
     assert any("course over time" in row.text for row in found.findings)
     assert dict(zip(found.network.node.bus, found.network.node.x, strict=True))["m"] == 3.0
 
 
 def test_block_comments_abbreviations_and_case_count_as_in_opendss(master):
-    found = read_opendss(master("/* Export voltages\nShow */\nBATCHED Load..* kw=200\nLoad.d.kvar=50\nsolve\n"))
+    found = read_circuit(master("/* Export voltages\nShow */\nBATCHED Load..* kw=200\nLoad.d.kvar=50\nsolve\n"))
     assert (
         found.network.phase_load.p_kw == ((200 / 3,) * 3,) or abs(found.network.phase_load.p_kw[0][0] - 200 / 3) < 1e-9
     )

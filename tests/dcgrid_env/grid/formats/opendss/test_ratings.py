@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import ThreePhaseFeeder, branch_loading, scenario_hash
-from dcgrid_env.grid.formats.opendss import read_opendss
+from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.powerflow import solve_unbalanced
 from helpers.three_phase import ieee13
 
@@ -46,7 +46,7 @@ WAYS = {
 def lines(master, ways, more=""):
     rows = [f"New Line.w{k} bus1=b{k} bus2=b{k + 1} {way}" for k, way in enumerate(ways)]
     script = CODES + "\n".join(["New Line.w bus1=m bus2=b0 linecode=plain", *rows, more, ""])
-    return read_opendss(master(script))
+    return read_circuit(master(script))
 
 
 def rating(network, name):
@@ -78,7 +78,7 @@ Line.w2.normamps=400
 
 def test_a_script_that_is_only_run_on_trust_keeps_every_rating_and_says_so(master, tmp_path):
     refused = "set datapath=" + str(tmp_path)
-    imported = read_opendss(master(CODES + f"New Line.w0 bus1=m bus2=b linecode=plain\n{refused}\n"), trust=True)
+    imported = read_circuit(master(CODES + f"New Line.w0 bus1=m bus2=b linecode=plain\n{refused}\n"), trust=True)
     assert rating(imported.network, "w0") == 400.0
     assert any("w0" in row.names and "cannot be told" in row.text for row in imported.findings)
 
@@ -91,7 +91,7 @@ New Line.s bus1=b.2 bus2=d.2 r1=1 x1=1 r0=1 x0=1 c1=0 c0=0 phases=1 length=1 nor
 New Line.t bus1=m bus2=e linecode=c3 length=1 units=km normamps=300
 New Line.u bus1=m bus2=e linecode=c3 length=1 units=km
 """
-    network = read_opendss(master(script)).network
+    network = read_circuit(master(script)).network
     assert rating(network, "p+q") == pytest.approx(400.0)  # half of the current each
     assert rating(network, "r+s") == 60.0
     assert rating(network, "t+u") is None
@@ -125,7 +125,7 @@ RATED = {"sub": (69.0, 12.47, 4500.0), "low": (12.47, 0.48, 500.0), "own": (12.4
 def test_loadings_are_opendss_currents_over_the_ratings(master):
     dss = pytest.importorskip("opendssdirect").dss.NewContext()
     path = master("", circuit=CIRCUIT, end=VOLTAGES)
-    imported = read_opendss(path)
+    imported = read_circuit(path)
     feeder = ThreePhaseFeeder.from_network(imported.network)
     ours = branch_loading(feeder, solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar))
 
@@ -161,7 +161,7 @@ def test_loadings_are_opendss_currents_over_the_ratings(master):
 
 
 def test_ratings_are_written_and_read_again(master, tmp_path):
-    feeder = ThreePhaseFeeder.from_network(read_opendss(master("", circuit=CIRCUIT, end=VOLTAGES)).network)
+    feeder = ThreePhaseFeeder.from_network(read_circuit(master("", circuit=CIRCUIT, end=VOLTAGES)).network)
     feeder.to_csv(tmp_path / "folder")
     again = ThreePhaseFeeder.from_csv(tmp_path / "folder")
     for table in ("phase_line", "switch", "transformer", "regulator"):

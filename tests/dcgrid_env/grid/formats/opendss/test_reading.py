@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import ThreePhaseFeeder, load_feeder
-from dcgrid_env.grid.formats.opendss import read_opendss
+from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from helpers.opendss_imports import apart_pu, fates, voltages
 from helpers.opendss_text import rows, script_of
 
@@ -20,7 +20,7 @@ def shipped(request, tmp_path_factory):
     feeder = load_feeder(request.param)
     path = tmp_path_factory.mktemp(request.param) / "Master.dss"
     path.write_text("\n".join(script_of(feeder.network)))
-    return feeder, read_opendss(path)
+    return feeder, read_circuit(path)
 
 
 def test_the_tables_of_a_shipped_feeder_come_back(shipped):
@@ -90,7 +90,7 @@ Set LoadMult=1.1
 
 @pytest.fixture
 def many(master):
-    return read_opendss(master(MANY))
+    return read_circuit(master(MANY))
 
 
 def test_every_kind_of_element_at_once_has_the_voltages_of_opendss(many):
@@ -133,7 +133,7 @@ LEGS = [("wye", "n", 3, 4.16), ("wye", "n.1.3", 2, 4.16), ("wye", "n.2", 1, 2.4)
 
 def small(master, load, pu):
     circuit = f"New Circuit.m basekv=4.16 pu={pu} bus1=s\nNew Line.l bus1=s bus2=n r1=0.05 x1=0.1 r0=0.1 x0=0.2\n"
-    return read_opendss(master(load, circuit), allow=["load"])
+    return read_circuit(master(load, circuit), allow=["load"])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -158,10 +158,10 @@ def test_exponents_and_motors_within_their_limits(master, law, limit):
 
 def test_lines_and_switches_of_single_phases_side_by_side_are_one(master):
     more = "New Line.p1 phases=1 bus1=n.1 bus2=p.1 switch=yes\nNew Line.p2 phases=1 bus1=p.2 bus2=n.2 switch=yes\n"
-    two = read_opendss(master(more))
+    two = read_circuit(master(more))
     assert (two.network.switch.name, two.network.switch.phases) == (("p1+p2",), ("ab",))
     load = "New Load.p bus1=p kv=12.47 kw=90"
-    three = read_opendss(master(f"{more}New Line.p3 phases=1 bus1=n.3 bus2=p.3 r1=1 x1=2 c1=3 length=2\n{load}"))
+    three = read_circuit(master(f"{more}New Line.p3 phases=1 bus1=n.3 bus2=p.3 r1=1 x1=2 c1=3 length=2\n{load}"))
     assert (three.network.phase_line.name[-1], len(three.network.switch)) == ("p1+p2+p3", 0)
     assert three.network.phase_line.x_ohm[-1][2] == pytest.approx((0.0, 0.0, 4.0))
     assert apart_pu(two) < 1e-8
@@ -177,7 +177,7 @@ def test_what_stands_in_parallel_or_is_a_series_reactor_is_taken(master):
         "New Transformer.t2 phases=3 buses=[z w] conns=[delta wye] kvs=[12.47 0.48] kvas=[90 90] xhl=4\n"
         "New Load.w bus1=w kv=0.48 kw=90 kvar=30\n"
     )
-    found = read_opendss(master(more))
+    found = read_circuit(master(more))
     assert found.network.phase_line.name == ("l1", "l2+l3", "sa+sb", "x")
     assert (found.network.transformer.name, found.network.transformer.kva) == (("t1+t2",), (140.0,))
     assert {("reactor", "x", "taken"), ("transformer", "t1 and t2", "nothing lost")} <= fates(found)
@@ -211,7 +211,7 @@ New Capacitor.off bus1=a kv=11 kvar=60 states=0
 
 
 def test_fifty_hertz_geometries_and_regulators_defined_from_their_far_side(master):
-    found = read_opendss(master(circuit=ODD, end="Set VoltageBases=[11 0.4]\nCalcVoltageBases\n"))
+    found = read_circuit(master(circuit=ODD, end="Set VoltageBases=[11 0.4]\nCalcVoltageBases\n"))
     assert apart_pu(found) < 1e-8
     assert found.network.frequency_hz == 50.0
     assert (found.network.regulator.from_bus, found.network.regulator.tap) == (("a", "a"), (10, -6))
@@ -222,7 +222,7 @@ def test_fifty_hertz_geometries_and_regulators_defined_from_their_far_side(maste
 @pytest.mark.parametrize(("first", "second"), [*itertools.product(["src", "n"], repeat=2)])
 def test_lines_may_be_defined_from_either_end(master, first, second):
     more = f"New Line.a bus1={first} bus2=p linecode=c3\nNew Line.b bus1=q bus2={second} linecode=c3"
-    assert apart_pu(read_opendss(master(more))) < 1e-8
+    assert apart_pu(read_circuit(master(more))) < 1e-8
 
 
 REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
@@ -231,7 +231,7 @@ REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 
 def test_taps_are_those_that_the_script_leaves(master):
     solved = master(f"{REGULATOR} winding=2 vreg=122 band=1 ptratio=60\nNew Load.r bus1=r.1 phases=1 kv=7.2 kw=90\n",
                     end="Set VoltageBases=[12.47]\nCalcVoltageBases\nSolve\n")  # fmt: skip
-    found = read_opendss(solved)
+    found = read_circuit(solved)
     [tap] = found.network.regulator.tap
     assert tap not in (0, 16)
     relay_v = abs(voltages(ThreePhaseFeeder.from_network(found.network))["r.a"]) * 12470 / math.sqrt(3) / 60

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from dcgrid_env import FeederError, ThreePhaseFeeder
-from dcgrid_env.grid.formats.opendss import read_opendss
+from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from helpers.opendss_imports import apart_pu, fates
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
@@ -45,7 +45,7 @@ dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not insta
 ])  # fmt: skip
 def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
     with pytest.raises(FeederError, match=said):
-        read_opendss(master(more))
+        read_circuit(master(more))
 
 
 REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
@@ -70,29 +70,29 @@ LOST = {
 def test_what_would_be_lost_must_be_allowed(master, more):
     kind, path = LOST[more], master(more)
     with pytest.raises(FeederError, match=f"would be lost: .*{kind} .*--allow {kind} accepts") as refused:
-        read_opendss(path)
+        read_circuit(path)
     assert "\n" not in str(refused.value)
-    found = read_opendss(path, allow=[kind.upper()])
+    found = read_circuit(path, allow=[kind.upper()])
     assert [row.kind for row in found.findings if row.fate == "lost"] == [kind]
     ThreePhaseFeeder.from_network(found.network)
 
 
 def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
-    found = read_opendss(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
+    found = read_circuit(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
     assert apart_pu(found) > 1e-4
 
 
 def test_several_kinds_are_asked_for_at_once(master):
     more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
     with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
-        read_opendss(master(more), allow=["fuse"])
+        read_circuit(master(more), allow=["fuse"])
     with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among capcontrol"):
-        read_opendss(master(more), allow=["fuses"])
+        read_circuit(master(more), allow=["fuses"])
 
 
 def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
     more = "New Load.off bus1=n kv=12.47 kw=9\nDisable Load.off\nNew Line.s bus1=n bus2=far switch=yes\nOpen Line.s 1"
-    found = read_opendss(master(more))
+    found = read_circuit(master(more))
     assert {("load", "off", "nothing lost"), ("isolated", "line s", "nothing lost")} <= fates(found)
     assert "far" not in found.network.node.bus
     assert apart_pu(found) < 1e-8
@@ -100,24 +100,24 @@ def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
 
 def test_a_circuit_without_base_voltages_is_refused(master):
     with pytest.raises(FeederError, match="has no base voltage; add Set VoltageBases"):
-        read_opendss(master(end=""))
+        read_circuit(master(end=""))
 
 
 def test_what_opendss_refuses_names_file_and_line(master):
     with pytest.raises(FeederError, match=r"Master.dss, line 9: OpenDSS refuses the command: .*nowhere") as refused:
-        read_opendss(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
+        read_circuit(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
     assert "\n" not in str(refused.value)
     with pytest.raises(FeederError, match="there is no file"):
-        read_opendss("nowhere.dss")
+        read_circuit("nowhere.dss")
     with pytest.raises(FeederError, match="defines 0 circuits"):
-        read_opendss(master(circuit="", end=""))
+        read_circuit(master(circuit="", end=""))
 
 
 def test_a_circuit_that_opendss_cannot_solve_has_no_voltages(master):
-    assert read_opendss(master("Edit Load.d kw=1e6 vminpu=0.002 vlowpu=0.001")).v_pu == {}
+    assert read_circuit(master("Edit Load.d kw=1e6 vminpu=0.002 vlowpu=0.001")).v_pu == {}
 
 
 def test_without_opendssdirect_the_extra_is_named(master, monkeypatch):
     monkeypatch.setitem(sys.modules, "opendssdirect", None)
     with pytest.raises(FeederError, match=r"OpenDSSDirect.py.*\[opendss\]"):
-        read_opendss(master())
+        read_circuit(master())

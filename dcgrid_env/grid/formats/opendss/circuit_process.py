@@ -1,0 +1,158 @@
+"""OpenDSS circuits, read in a child process: OpenDSS crashes on some files, and some take all time and memory.
+
+The child imports this package, reads the circuit and writes tables as JSON; none of its failures is the caller's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Collection
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from dcgrid_env.core.work.worker import THREADS
+from dcgrid_env.grid.formats.import_report import Finding
+from dcgrid_env.grid.formats.opendss.reading import Imported, read_circuit
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.topology import FeederError
+
+LONGEST_S = 300.0
+"""Time that reading may take, s; the largest public circuits take some seconds."""
+LARGEST_MEMORY_BYTES = 4 * 2**30
+"""Address space of the child, where the operating system limits it; the largest public circuits take 0.5 GiB."""
+_UNLIMITED = "if you trust the file, --trust reads it without limits of time and memory"
+_WATCH_S = 0.5
+
+
+def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool = False) -> Imported:
+    """Read a three-phase radial circuit; needs OpenDSSDirect.py, of the extra ``opendss``.
+
+    Parameters
+    ----------
+    master
+        File that defines the circuit, by itself or by what it redirects to.
+    allow
+        Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
+    trust
+        Let OpenDSS run the script as it is, without limits of time and memory. Otherwise it is looked at first: what
+        goes beyond a model's definition, or reads files that are not beneath the master file's folder, is refused.
+
+    Raises
+    ------
+    FeederError
+        For a command that is refused, naming file and line; for elements that cannot be represented, or that are lost
+        and not allowed, naming them; where OpenDSS crashes, or takes more than ``LONGEST_S`` or
+        ``LARGEST_MEMORY_BYTES``; where OpenDSSDirect.py is missing.
+    """
+    # The child finds modules where this process does.
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
+    asked = json.dumps([str(master), list(allow), trust, os.getpid()])
+    child = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | dict.fromkeys(THREADS, "1"),
+    )
+    try:
+        said, errors = child.communicate(asked.encode(), None if trust else LONGEST_S)
+    except subprocess.TimeoutExpired:
+        raise FeederError(f"{master}: reading it took more than {LONGEST_S:g} s; {_UNLIMITED}") from None
+    finally:  # on Ctrl-C and SIGTERM too
+        child.kill()
+        child.wait()
+        for pipe in (child.stdout, child.stderr):
+            if pipe:
+                pipe.close()
+    if child.returncode:
+        raise FeederError(_crashed(str(master), child.returncode, errors.decode(errors="replace")))
+    answer = json.loads(said)
+    if "error" in answer:
+        failed = FeederError(answer["error"])
+        failed.add_note(answer["trace"])
+        raise failed
+    return _imported(answer)
+
+
+def _crashed(master: str, code: int, errors: str) -> str:
+    how = f"ended with exit code {code}"
+    if code < 0:
+        with contextlib.suppress(ValueError):
+            how = f"crashed with {signal.Signals(-code).name}"
+    said = f" ({errors.strip().splitlines()[-1]})" if errors.strip() else ""
+    return (
+        f"{master}: OpenDSS {how} while it read the circuit{said}; leave elements out to find the one that it cannot "
+        "read"
+    )
+
+
+def _imported(answer: dict[str, Any]) -> Imported:
+    kinds = get_type_hints(Network)
+    tables = {
+        name: kinds[name](**{column: _tuples(values) for column, values in value.items()})
+        if isinstance(value, dict)
+        else value
+        for name, value in answer["network"].items()
+    }
+    findings = tuple(Finding(**row | {"names": tuple(row["names"])}) for row in answer["findings"])
+    return Imported(Network(**tables), findings, {node: complex(*v) for node, v in answer["v_pu"].items()})
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
+
+
+def main() -> None:
+    """Read the circuit that standard input names, and write it, or what is wrong, to standard output."""
+    master, allow, trust, parent = json.load(sys.stdin)
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
+        for stream in (1, 2):  # what OpenDSS prints is nobody's
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        longest_s = math.inf if trust else LONGEST_S
+        threading.Thread(target=_end_without, args=(parent, longest_s), daemon=True).start()
+        if not trust:
+            _limit_memory()
+        json.dump(_answer(master, allow, trust), out)
+
+
+def _answer(master: str, allow: list[str], trust: bool) -> dict[str, Any]:
+    try:
+        found = read_circuit(master, allow=allow, trust=trust)
+    except FeederError as error:
+        said = str(error)
+    except MemoryError:
+        said = f"{master}: reading it takes more than {LARGEST_MEMORY_BYTES // 2**30} GiB; {_UNLIMITED}"
+    except Exception as error:
+        said = f"{master}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
+    else:
+        return asdict(found) | {"v_pu": {node: (v.real, v.imag) for node, v in found.v_pu.items()}}
+    return {"error": said, "trace": traceback.format_exc()}
+
+
+def _end_without(parent: int, longest_s: float) -> None:
+    """End this process once its parent was killed, or its time is up where that cannot be seen (Windows)."""
+    end = time.monotonic() + longest_s
+    while os.getppid() == parent and time.monotonic() < end:
+        time.sleep(_WATCH_S)
+    os._exit(1)
+
+
+def _limit_memory() -> None:
+    """Limit the address space where the operating system can, and leave no memory image behind."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    for limit, value in ((resource.RLIMIT_AS, LARGEST_MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
+        with contextlib.suppress(ValueError, OSError):  # above a limit that is set, or not known to the system
+            resource.setrlimit(limit, (value, value))
