@@ -3,21 +3,59 @@
 import sys
 from pathlib import Path
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
-from headroom import headroom
+from headroom import controllers, hindsight, saved
+
+from dcgrid_env.agents import Card
+from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.baselines.score import REFERENCE
 
 SHOWN = ("ieee123", "ieee33-weak", "mixed", "ieee34-3ph", "smoothing", "routing")
+BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
+LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic"}
+
+
+def by_model(preset: str, name: str) -> str:
+    """Score of a controller with its interval over episodes, and J saved."""
+    figures = controllers(preset)
+    if name not in figures:
+        return "–"
+    j, score = figures[name]
+    value, low, high = (float(figure) for figure in score.strip("()").replace("(", "").split() if figure != "to")
+    return cell((value, low, high), saved(j, figures[REFERENCE][0]))
+
+
+def learned(preset: str, algorithm: str) -> str:
+    """Mean score over the training seeds with its interval over seeds and episodes, and J saved in the mean."""
+    path = FOLDER / f"{preset}-{algorithm}.json"
+    if not path.exists():
+        return "–"
+    scored = Card.load(path).scored
+    assert scored is not None, path
+    assert scored.droop_J is not None, path
+    assert scored.seed_J is not None, path
+    share = saved(float(np.mean(scored.seed_J)), scored.droop_J)
+    return cell(scored.over_seeds or scored.score, share) + ("" if scored.over_seeds else ", one seed")
+
+
+def cell(score: tuple[float, float, float], share: str) -> str:
+    """A score with its interval, and J saved."""
+    value, low, high = score
+    return f"{value:.2f} ({low:.2f} to {high:.2f}); {share} %"
 
 
 def table() -> str:
     """The table, as Markdown."""
-    lines = ["| scenario | no control | tuned droop | best policy that ships | hindsight |", "|---|---|---|---|---|"]
+    heads = ["scenario", "tuned droop: J", "headroom", *BY_MODEL.values(), *LEARNED.values()]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for preset in SHOWN:
-        rows = {row.what: row for row in headroom(preset).rows}
-        policy = next(row for what, row in rows.items() if what.startswith(f"`{preset}-"))
-        best = rows.get("hindsight") or rows["best known"]
-        cells = [f"`{preset}`", rows["`none`"].j, rows["`droop-tuned`"].j, f"{policy.j} ({policy.score.split()[0]})"]
-        lines.append("| " + " | ".join([*cells, best.j if "hindsight" in rows else f"{best.j} (best known)"]) + " |")
+        droop = controllers(preset)[REFERENCE][0]
+        is_best_known, best = hindsight(preset)
+        cells = [f"`{preset}`", f"{droop:.4f}", f"{saved(best, droop)} %" + " (best known)" * is_best_known]
+        cells += [by_model(preset, name) for name in BY_MODEL] + [learned(preset, name) for name in LEARNED]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

@@ -28,6 +28,7 @@ from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.utils import set_random_seed
 
+from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
@@ -39,7 +40,9 @@ class Ppo(sb3.Config):
     """Train a policy with PPO."""
 
     outputs: Outputs = "setpoint"
-    """Whether the networks give setpoints, changes of what holds all as it is, or corrections of the tuned droop."""
+    """Whether the networks give setpoints, changes of what holds all as it is, or corrections of a droop."""
+    gains: tuple[float, float, float] | None = None
+    """Gains of that droop: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s. Those of the tuned droop by default."""
     steps: int = 10_000_000
     """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
     gae_lambda: float = 0.8
@@ -263,7 +266,10 @@ def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
     if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
         raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
-    with sb3.begin(cfg, cfg.outputs) as (run, vec_env):
+    if cfg.gains is not None and (cfg.outputs != "droop" or min(cfg.gains) < 0.0):
+        raise ValueError(f"gains is {cfg.gains}; give three of at least 0, with outputs = 'droop'")
+    gains = None if cfg.gains is None else Gains(*cfg.gains)
+    with sb3.begin(cfg, cfg.outputs, gains) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(
             cfg, run, vec_env, model,

@@ -20,7 +20,7 @@ from gymnasium import spaces
 
 from dcgrid_env import Scenario, action_layout, field_names, under_own_control
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
-from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs, in_hand
 from dcgrid_env.agents.training.config import Act
 from dcgrid_env.baselines.equipment_agents import at_rest
@@ -31,7 +31,7 @@ class AgentVecEnv(JointVecEnv):
 
     Parameters
     ----------
-    scenario, n_envs, act, outputs, render_mode
+    scenario, n_envs, act, outputs, gains, render_mode
         Settings of the batch, see :class:`JointVecEnv`.
     nameplate
         Whether the nameplate figures are observed.
@@ -45,6 +45,7 @@ class AgentVecEnv(JointVecEnv):
         n_envs: int,
         act: Act = "both",
         outputs: Outputs = "setpoint",
+        gains: Gains | None = None,
         nameplate: bool = False,
         render_mode: str | None = None,
     ):
@@ -63,7 +64,7 @@ class AgentVecEnv(JointVecEnv):
         self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
         for i, kind in enumerate(self.kinds[1:]):
             self._kind[self.members.get(kind, []), i] = 1.0
-        super().__init__(scenario, n_envs, act, outputs, render_mode)
+        super().__init__(scenario, n_envs, act, outputs, gains, render_mode)
 
     @property
     def lanes_per_env(self) -> int:

@@ -55,7 +55,9 @@ class JointVecEnv(VecEnv):
         What a policy has in hand: both, or the clock or the reactive power alone, the other being held at the top clock
         or at no reactive power.
     outputs
-        Whether actions are setpoints, changes, or corrections of the tuned droop.
+        Whether actions are setpoints, changes, or corrections of a droop.
+    gains
+        Gains of that droop; those of the tuned droop by default.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     """
@@ -68,10 +70,11 @@ class JointVecEnv(VecEnv):
         n_envs: int,
         act: Act = "both",
         outputs: Outputs = "setpoint",
+        gains: Gains | None = None,
         render_mode: str | None = None,
     ):
         self.outputs: Outputs = outputs
-        self.gains = droop_gains(scenario) if outputs == "droop" else None
+        self.gains = (gains or droop_gains(scenario)) if outputs == "droop" else None
         self._interface = PolicyInterface(scenario, self.kind, act=act, outputs=outputs, gains=self.gains)
         self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs

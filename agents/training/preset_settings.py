@@ -17,7 +17,8 @@ def settings(algorithm: str, scenario: str, view: str = VIEW) -> dict[str, Any]:
 
     Empty where nothing was found: for another view, several scenarios, or one that is no preset.
     """
-    return dict(_all().get(algorithm, {}).get(scenario, {})) if view == VIEW else {}
+    found = _all().get(algorithm, {}).get(scenario, {}) if view == VIEW else {}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
 
 
 @cache

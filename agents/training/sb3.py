@@ -20,6 +20,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env import Scenario, under_own_control
+from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
@@ -85,12 +86,12 @@ class OffPolicy(Config):
 
 
 @contextmanager
-def begin(cfg: Config, outputs: Outputs = "setpoint") -> Iterator[tuple[Run, JointVecEnv]]:
+def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> Iterator[tuple[Run, JointVecEnv]]:
     """The run's folder, held for the block, and the vector environment of the training split.
 
     ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
     """
-    vec_env = vec_env_for(cfg, outputs)
+    vec_env = vec_env_for(cfg, outputs, gains)
     with run_of(cfg) as run:
         yield run, vec_env
 
@@ -101,7 +102,7 @@ def run_of(cfg: Training) -> AbstractContextManager[Run]:
     return open_run(cfg.folder, cfg, cfg.resume, [judged_on])
 
 
-def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
+def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
     """The vector environment of the training split; ValueError for a setting that cannot be."""
     check(cfg, "steps", "learning_rate", "wait", *(field for field in ABOVE_0 if hasattr(cfg, field)))
     if not 0.0 < cfg.gamma <= 1.0:
@@ -113,10 +114,10 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint") -> JointVecEnv:
     scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
-        vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs)
+        vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs, gains)
     else:
         n_envs = max(1, cfg.num_envs // scenario.n_agents)
-        vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, cfg.nameplate)
+        vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, gains, cfg.nameplate)
     vec_env.end_as_it_arises = True
     return vec_env
 

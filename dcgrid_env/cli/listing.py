@@ -68,6 +68,7 @@ def described(registry: Registry) -> dict[str, str]:
 def card_line(card: Card) -> str:
     """A policy's card on one line."""
     from dcgrid_env import METRICS
+    from dcgrid_env.baselines.score import saved_pct
 
     line = f"{card.algorithm} trained on {card.scenario}, {card.n_parameters} figures"
     if card.scored is None:
@@ -77,6 +78,8 @@ def card_line(card: Card) -> str:
     value, low, high = scored.score
     where = "" if scored.scenario == card.scenario else f" on {scored.scenario}"
     line += f"; score{where} {value:.3f} ({low:.3f} to {high:.3f}), delay {delay_s} s"
+    if scored.droop_J is not None:
+        line += f", {saved_pct(scored.J, scored.droop_J):.1f} % of J saved"
     if n < 2:
         return line
     if scored.over_seeds is not None:

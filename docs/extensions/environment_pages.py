@@ -136,13 +136,14 @@ def source_of(feeder: Any) -> str:
 
 
 def headroom_table(preset: str) -> str:
-    """What each controller reaches, and where that stands."""
+    """Costs and scores of controllers on a preset."""
     found = headroom(preset)
-    rows = [(row.what, row.meaning, row.j, row.score) for row in found.rows]
+    rows = [(row.what, row.meaning, row.j, row.saved, row.score) for row in found.rows]
     return (
-        table(("controller", "what it is", "J", "score (95 % interval)"), rows)
-        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; the score is 0 for the tuned "
-        f"droop and 1 for hindsight ([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has "
+        table(("controller", "what it is", "J", "J saved, %", "score (95 % interval)"), rows)
+        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; J saved is "
+        "relative to the tuned droop, and the score is 0 for it and 1 for hindsight "
+        f"([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has "
         "every controller.\n\n"
         f"    dcgrid benchmark --scenarios {preset} --controllers all --out results/benchmark"
     )
@@ -224,8 +225,8 @@ def gallery() -> str:
     parts = [
         "# All environments",
         "Every preset is a Gymnasium id, a PettingZoo environment, a native batch and a tensor environment. J is the "
-        "cost of a mean test episode, lower is better; the last column says how much of the way from the tuned droop "
-        "to hindsight the best policy that ships goes.",
+        "mean cost of a test episode, lower is better. The headroom is what hindsight saves of the tuned droop's J; "
+        "the score is 0 for the tuned droop and 1 for hindsight.",
     ]
     for family in FAMILIES:
         rows = []
@@ -233,7 +234,7 @@ def gallery() -> str:
             found = {row.what.strip("`"): row for row in headroom(preset).rows}
             best = next((row for name, row in found.items() if name.startswith(f"{preset}-")), None)
             top = found.get("hindsight") or found["best known"]
-            shown = best.score.split()[0] if best else "none ships"
+            shown = (best.saved, best.score.split()[0]) if best else ("", "none ships")
             rows.append(
                 (
                     f"[{preset}]({preset}{SUFFIX})",
@@ -241,10 +242,14 @@ def gallery() -> str:
                     found["none"].j,
                     found["droop-tuned"].j,
                     top.j,
-                    shown,
+                    top.saved,
+                    *shown,
                 )
             )
-        head = ("preset", "what it is", "J: none", "J: droop-tuned", "J: hindsight", "best policy's score")
+        head = (
+            "preset", "what it is", "J: none", "J: droop-tuned", "J: hindsight", "headroom, %",
+            "best policy: J saved, %", "its score",
+        )  # fmt: skip
         parts += [f"## {family.title}", family.about, table(head, rows)]
         parts.append(":::{toctree}\n:hidden:\n\n" + "\n".join(family.presets) + "\n:::")
     return "\n\n".join(parts) + "\n"
