@@ -82,7 +82,7 @@ class Submission:
     episodes: int
     """Seeds 0, 1, .. of the test split."""
     episodes_hash: str
-    """SHA-256 over the hashes of those episodes."""
+    """SHA-256 over the hashes of those episodes and their published costs."""
     scope: str
     """What the controller is sent (``scopes``): chosen for code of the submitter, measured for others."""
     learned_on: Learned
@@ -107,6 +107,8 @@ class Verified:
     """SHA-256 of the policy, as in the submission."""
     scenario_hash: str
     episodes_hash: str
+    reference: str
+    """The controller of score 0 with its parameters."""
     scope: str
     """What the controller was sent."""
     found: Figures
@@ -187,7 +189,7 @@ def check_card(path: Path, submission: Submission) -> None:
 def check_contents(folder: Path, submission: Submission) -> None:
     """SubmissionError unless an entry's words fit into a table and its files are those that were submitted."""
     try:
-        check_words(name=submission.name, paper=submission.paper)
+        check_words(name=submission.name, paper=submission.paper, scope=submission.scope)
     except SubmissionError as error:
         raise SubmissionError(f"{folder / SUBMISSION}: {error}") from None
     _check_files(folder, submission.files)

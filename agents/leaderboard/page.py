@@ -18,7 +18,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     check_contents,
     read,
 )
-from dcgrid_env.agents.leaderboard.running import episodes_hash, scenario_of
+from dcgrid_env.agents.leaderboard.running import episodes_hash, reference, scenario_of
 from dcgrid_env.agents.leaderboard.scopes import LOCAL, SENSITIVITIES, Scope
 from dcgrid_env.agents.leaderboard.verifying import require_report
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
@@ -66,9 +66,13 @@ def listed(folder: Path) -> Listed:
         if n < PUBLISHED_EPISODES:
             raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {PUBLISHED_EPISODES}")
     scenario = scenario_of(submission.scenario)
-    now = (scenario_hash(scenario), episodes_hash(scenario, submission.episodes))
-    if now != (record.scenario_hash, record.episodes_hash):
-        raise SubmissionError(f"{path}: scenario_hash is {record.scenario_hash}, now {now[0]}; submit and verify again")
+    now = {
+        "scenario_hash": scenario_hash(scenario), "episodes_hash": episodes_hash(scenario, submission.episodes),
+        "reference": reference(scenario),
+    }  # fmt: skip
+    for name, value in now.items():
+        if (said := getattr(record, name)) != value:
+            raise SubmissionError(f"{path}: {name} is {said}, now {value}; submit and verify again")
     _, inner = split_prefix(submission.policy)
     if submission.kind == NAMED and inner not in CONTROLLER_REGISTRY:
         raise SubmissionError(f"{path}: policy is {inner!r}, which no longer ships; delete the folder")

@@ -109,10 +109,16 @@ def scored(run: Run) -> Score:
     return Score(*run.evaluation.score(run.droop).score)
 
 
+def reference(scenario: Scenario) -> str:
+    """The controller of score 0 with its parameters, as a report names it."""
+    return repr(controller_of(REFERENCE, scenario))
+
+
 def episodes_hash(scenario: Scenario, episodes: int) -> str:
-    """SHA-256 over the hashes of the published test episodes 0, 1, ..; SubmissionError beyond those."""
+    """SHA-256 over hashes and published costs of the test episodes 0, 1, ..; SubmissionError beyond those."""
     costs = published(scenario)
     n = 0 if costs is None else len(costs.seeds)
     if costs is None or not 2 <= episodes <= n or costs.missing(range(episodes)):
         raise SubmissionError(f"episodes is {episodes}; {scenario.name} has {n} published ones, give 2 to {n}")
-    return hashlib.sha256(" ".join(costs.of(range(episodes)).episode_hashes).encode()).hexdigest()
+    own = costs.of(range(episodes))
+    return hashlib.sha256(f"{own.episode_hashes}{own.J.tolist()}".encode()).hexdigest()

@@ -139,7 +139,8 @@ def runner_of(
     if code is not None:
         before, inner = split_prefix(policy)
         reference = parse(inner)
-        assert reference is not None
+        if reference is None:
+            raise SubmissionError(f"policy is {policy!r}, which names no class; give {CONTROLLER}:Class")
         spec = f"{before}{CONTROLLER}{inner[len(reference.where) :]}"
         return Runner(spec, Scope.parse(scope), code, bool(version()) if confined is None else confined), None
     inner: Any = controller_of(policy, scenario)

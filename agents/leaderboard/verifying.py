@@ -30,7 +30,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     read,
     sha256_of,
 )
-from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, run, scenario_of, scored
+from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, reference, run, scenario_of, scored
 from dcgrid_env.agents.leaderboard.signing import is_signed, sign
 from dcgrid_env.agents.leaderboard.submitting import installed, machine, runner_of
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
@@ -122,7 +122,8 @@ def _report(
     require_found(folder / SUBMISSION, "claimed", submission.claimed, submission.score, own.figures, reached)
     return Verified(
         format=FORMAT, submission=sha256_of(folder / SUBMISSION), policy=submission.sha256,
-        scenario_hash=submission.scenario_hash, episodes_hash=submission.episodes_hash, scope=submission.scope,
+        scenario_hash=submission.scenario_hash, episodes_hash=submission.episodes_hash,
+        reference=reference(scenario), scope=submission.scope,
         found=own.figures, score=reached, fresh_seed=first, fresh_episodes=fresh, fresh=new.figures,
         versions=installed(), machine=machine(),
     )  # fmt: skip

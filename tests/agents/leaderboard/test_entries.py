@@ -12,10 +12,12 @@ from dcgrid_env import PRESETS
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read, sha256_of
 from dcgrid_env.agents.leaderboard.page import BEGIN, END, Listed, listed, tables, write_page
+from dcgrid_env.agents.leaderboard.running import scenario_of
 from dcgrid_env.agents.leaderboard.signing import PUBLIC, make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
 from helpers.places import ROOT
 
@@ -206,6 +208,12 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
     main(["verify", "made", "--trust", "--fresh", "2"])
     assert "found as claimed, sent: joint" in capsys.readouterr().out
     assert read(Path("made/submission.json"), Submission).policy == "controller.py:Own(q=0.1)"
+    text = Path("made/submission.json").read_text()
+    changed(Path("made/submission.json"), policy="controller.py")
+    assert "made/controller.py', which names no class; give controller.py:Class" in stopped(
+        capsys, "verify", "made", "--trust"
+    )
+    Path("made/submission.json").write_text(text)
     monkeypatch.setattr("dcgrid_env.agents.leaderboard.verifying.version", lambda: 0)
     assert "code, which this system cannot confine" in stopped(capsys, "verify", "made", "--trust")
     with Path("made/controller.py").open("a") as file:
@@ -294,6 +302,20 @@ def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said
     changed(folder / file, **fields)
     with pytest.raises(SubmissionError, match=said):
         listed(folder)
+
+
+def test_a_report_against_another_reference_or_other_hindsight_is_not_listed(whole, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("dcgrid_env.agents.leaderboard.page.reference", lambda _: "Droop(k_p_mw_per_pu=9.0)")
+        with pytest.raises(
+            SubmissionError, match=r"reference is Droop\(.*, now Droop\(k_p_mw_per_pu=9.0\); submit and"
+        ):
+            listed(whole)
+    best = published(scenario_of(PRESET))
+    assert best is not None
+    monkeypatch.setattr("dcgrid_env.agents.leaderboard.running.published", lambda _: best._replace(J=best.J - 1e-3))
+    with pytest.raises(SubmissionError, match=r"episodes_hash is .*; submit and verify again"):
+        listed(whole)
 
 
 def test_what_was_not_verified_or_has_few_episodes_is_not_listed(copied, monkeypatch, whole):
