@@ -15,7 +15,7 @@ from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, branch_to, search_buses
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
 from dcgrid_env.baselines.laws.no_control import NoControl
@@ -137,7 +137,9 @@ def hosting_capacity(
             on_buses(task.controller, len(result))
     ids = tuple(bus_ids[bus] for bus in buses)
     by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
-    overloaded = tuple(branch_to(study.scenario.feeder, int(node)) for node in np.flatnonzero(site.exempt))
+    feeder = study.scenario.feeder
+    fed = np.unique(np.asarray(feeder.node_bus)[site.exempt])
+    overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
     return Capacities(study, ids, names, by_controller, tuple(snapshot), overloaded, notes)
 
 

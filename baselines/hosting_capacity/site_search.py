@@ -121,12 +121,12 @@ def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> s
     """What of the branches that feed a bus is overloaded already, nearest to the bus; empty for none."""
     while bus > 0:
         for node in np.flatnonzero(overloaded & (np.asarray(feeder.node_bus) == bus)):
-            return f"overload of {branch_to(feeder, int(node))} without any site"
+            return f"overload of {_branch_to(feeder, int(node))} without any site"
         bus = int(feeder.parent[bus - 1])
     return ""
 
 
-def branch_to(feeder: AnyFeeder, node: int) -> str:
+def _branch_to(feeder: AnyFeeder, node: int) -> str:
     """What the branch that feeds a node is called, with the phase where there are phases."""
     phase = "" if isinstance(feeder, Feeder) else f", phase {feeder.node_ids[node][-1]}"
     return f"{feeder.branch_names[feeder.node_bus[node] - 1]}{phase}"
@@ -161,5 +161,5 @@ def _limit(scenario: Scenario, beyond: Trial) -> str:
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
     if kind == OVERLOAD:
-        return f"overload of {branch_to(feeder, at)}"
+        return f"overload of {_branch_to(feeder, at)}"
     return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"

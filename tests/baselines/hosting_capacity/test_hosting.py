@@ -127,7 +127,7 @@ def test_what_is_overloaded_without_a_site_does_not_count_elsewhere():
     study = Study(scenario=scenario, others=False, buses=("634", "675"), **wide, **SHORT)
     found = hosting_capacity(study, ["none"])
     behind, elsewhere = found.by_controller["none"]
-    assert found.overloaded == ("transformer xfm1, phase a",)
+    assert found.overloaded == ("transformer xfm1",)
     assert (behind.capacity_mw, behind.limit) == (0.0, "overload of transformer xfm1, phase a without any site")
     assert elsewhere.capacity_mw > 0.0
     assert elsewhere.limit.startswith("overload of transformer sub, phase ")
