@@ -5,17 +5,18 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
-from dcgrid_env.powerflow.loading import first_of
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
+_SHOWN = 12
+"""Branches or buses that a note names; results.json has all."""
 _NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "margin")
 _LISTS = ("smaller_fails_mw", "larger_carries_mw")
 
@@ -108,6 +109,11 @@ def _all(found: Capacities) -> Iterator[BusCapacity]:
         yield from found.by_controller[name]
 
 
+def _first_of(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"{', '.join(names[:_SHOWN])}{more}"
+
+
 def _mw(capacity: BusCapacity) -> str:
     """The size; more may fit where it is the largest that was tried, and where sizes of the scan say so."""
     more = ">=" if capacity.at_most else ""
@@ -127,14 +133,14 @@ def _notes(found: Capacities) -> Iterator[str]:
     yield f"R{str(rating_coverage(study.scenario.feeder))[1:]}."
     if found.overloaded:
         yield (
-            f"Overloaded without any site: {first_of(found.overloaded)}. No site fits behind these; at other buses "
+            f"Overloaded without any site: {_first_of(found.overloaded)}. No site fits behind these; at other buses "
             "they do not count."
         )
     by_reason: dict[str, list[str]] = {}
     for bus, reason in study.left_out().items():
         by_reason.setdefault(reason, []).append(bus)
     for reason, buses in by_reason.items():
-        yield f"No answer for {len(buses)} buses, {reason}: {first_of(buses)}."
+        yield f"No answer for {len(buses)} buses, {reason}: {_first_of(buses)}."
     for name in found.controllers:
         broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
         if len(broken) == len(found.buses):

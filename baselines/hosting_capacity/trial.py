@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcgrid_env import rating_coverage
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
-from dcgrid_env.powerflow import has_ratings
 
 COLLAPSED = -10.0
 """Margin where the power flow has no solution."""
@@ -82,7 +82,7 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
     """Nodes whose branch is overloaded without any site or control, in more steps than allowed, bool, (n_node,)."""
     study, samples, controller = site.study, np.arange(site.study.samples), NoControl()
     seconds = np.zeros(study.scenario.feeder.n_node, np.int64)
-    if not has_ratings(study.scenario.feeder):
+    if not rating_coverage(study.scenario.feeder).known:
         return seconds > 0
     seeds, options = site.lanes(np.ones_like(samples), samples)
     steps = transitions(as_driven(site.scenario(0), controller), controller, seeds, None, options)

@@ -11,7 +11,6 @@ several of them are taken feeder by feeder.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 _NO_VOLTAGE = 1e-12
 """Voltage that keeps a ratio finite where there is none, p.u."""
 _SHOWN = 12
-"""Names of a list that a text gives."""
+"""Branches that a text names."""
 
 
 def has_ratings(feeder: Any) -> bool:
@@ -53,14 +52,9 @@ class RatingCoverage(NamedTuple):
     """Names of the branches without a rating, as in ``"line 650-632"``."""
 
     def __str__(self) -> str:
-        said = f"ratings known for {self.known} of {self.of} elements"
-        return f"{said}; not checked: {first_of(self.not_checked)}" if self.not_checked else said
-
-
-def first_of(names: Sequence[str]) -> str:
-    """The first names of a list as text, and how many there are beyond."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return f"{', '.join(names[:_SHOWN])}{more}"
+        said, names = f"ratings known for {self.known} of {self.of} elements", self.not_checked
+        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+        return f"{said}; not checked: {', '.join(names[:_SHOWN])}{more}" if names else said
 
 
 def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:

@@ -53,7 +53,7 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
         (make_scenario("toy6", horizon=3, feeder=RATED, weights={"overload": 1.0}), {"ratings"}),
         (make_scenario("toy6", horizon=6000, dt_s=0.1), {"tenths"}),
         (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), {"requests"}),
-        (ieee13().replace(horizon=3), {"phases", "ratings"}),
+        (ieee13().replace(horizon=3, weights={"overload": 1.0}), {"phases", "ratings"}),
         (toy6_storage(3), {"storage"}),
         (riding(horizon=3), {"leaving"}),
         (make_scenario("toy6", horizon=3, **SITES), OF_SITES),
