@@ -170,7 +170,7 @@ class Study:
         return fit[np.linspace(0, len(fit) - 1, min(MAX_BUSES, len(fit))).round().astype(int)]
 
     def left_out(self) -> dict[str, str]:
-        """Why each bus that is no candidate is none, by its name; empty where the candidates are named."""
+        """Give the reason for each bus that is not a candidate, by its name; empty where the candidates are named."""
         if self.buses is not None:
             return {}
         tried = {0, *self.candidates().tolist()}
@@ -178,7 +178,7 @@ class Study:
         return {bus: self._unfit(i) or spread for i, bus in enumerate(self.scenario.feeder.bus_ids) if i not in tried}
 
     def _unfit(self, position: int) -> str | None:
-        """Why a bus is no candidate by itself; None for one that is."""
+        """Give the reason that excludes a bus; None for a possible candidate."""
         feeder = self.scenario.feeder
         if not self._loaded[position]:
             return "without load"

@@ -118,7 +118,7 @@ def search_buses(
 
 
 def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
-    """What of the branches that feed a bus is overloaded already, nearest to the bus; empty for none."""
+    """Name the nearest branch before a bus that is overloaded without any site; empty for none."""
     while bus > 0:
         for node in np.flatnonzero(overloaded & (np.asarray(feeder.node_bus) == bus)):
             return f"overload of {_branch_to(feeder, int(node))} without any site"
@@ -127,7 +127,7 @@ def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> s
 
 
 def _branch_to(feeder: AnyFeeder, node: int) -> str:
-    """What the branch that feeds a node is called, with the phase where there are phases."""
+    """Name the branch that feeds a node, with the phase on three-phase feeders."""
     phase = "" if isinstance(feeder, Feeder) else f", phase {feeder.node_ids[node][-1]}"
     return f"{feeder.branch_names[feeder.node_bus[node] - 1]}{phase}"
 

@@ -4,8 +4,8 @@
 
 A balanced feeder has a branch to each bus but the substation; its current is that of the series impedance, without the
 charging of the line, and referred to the substation's base voltage as the rating is. On a three-phase feeder each phase
-of a line, switch or transformer counts, with its current at the to-side, and each phase of a regulator with the larger
-current of both sides, which differ by the ratio of its tap. Random feeders know the rating of every branch; lanes on
+of a line, switch or transformer counts, with its current at the to-side. A regulator counts with the larger current of
+its two sides, which differ by the ratio of its tap. Random feeders know the rating of every branch; lanes on
 several of them are taken feeder by feeder.
 """
 

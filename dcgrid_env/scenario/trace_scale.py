@@ -15,7 +15,7 @@ class ScaledRecording(NamedTuple):
 
     name: str
     full_kw: float
-    """Power that stands for the rating of a site: the recording's own rating, or its highest power."""
+    """Power that becomes the rating of a site: the recording's own rating, or its highest power."""
     is_rating: bool
     """Whether it is the recording's own rating."""
     factors: tuple[float, ...]
