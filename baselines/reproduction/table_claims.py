@@ -192,7 +192,8 @@ def trend(records: Records) -> Row:
         {
             HOLDS: "each site adds more load than its converter makes up for",
             PARTLY: "in one of the two readings or at some k_p only",
-            DOES_NOT: "the trend is opposite, in either reading: a site brings reactive power that outweighs its load",
+            DOES_NOT: "the trend is opposite, in either reading: a site brings reactive power too, and where V is above "
+            "1 p.u. its load brings it nearer",
         }[verdict],
     )
 
@@ -213,9 +214,9 @@ def clock_at_five(records: Records) -> Row:
     undone = f"leaves {left['one_step']:.0f} % of the work undone, with the backlog kept {left['cumulative']:.0f} %"
     return row(
         "Table I: the clock lowers the deviation with five data centres",
-        f"k_p = 1 to 20: {paper[0]:g} to {paper[-1]:g} p.u. ({-fall['paper']:.0f} %)",
-        f"cumulative {ours['cumulative'][0]:.4f} to {ours['cumulative'][-1]:.4f} p.u. ({-fall['cumulative']:.1f} %); "
-        f"one-step {ours['one_step'][0]:.4f} to {ours['one_step'][-1]:.4f} p.u. ({-fall['one_step']:.1f} %)",
+        f"k_p = 1 to 20: {paper[0]:g} to {paper[-1]:g} p.u. ({-fall['paper']:+.0f} %)",
+        f"cumulative {ours['cumulative'][0]:.4f} to {ours['cumulative'][-1]:.4f} p.u. ({-fall['cumulative']:+.1f} %); "
+        f"one-step {ours['one_step'][0]:.4f} to {ours['one_step'][-1]:.4f} p.u. ({-fall['one_step']:+.1f} %)",
         verdict,
         {
             HOLDS: "at least half of the paper's fall, with the backlog kept",

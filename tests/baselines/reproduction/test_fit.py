@@ -2,11 +2,20 @@
 
 import pytest
 
-from dcgrid_env.baselines.reproduction import fit
-from dcgrid_env.baselines.reproduction.guess import COLUMNS, VALUES, Distance, Guess, cells, distance
+from dcgrid_env.baselines.reproduction import fit, table1
+from dcgrid_env.baselines.reproduction.guess import (
+    COLUMNS,
+    VALUES,
+    Distance,
+    Guess,
+    cells,
+    distance,
+    figures,
+    law_of,
+    scenario_of,
+)
 from dcgrid_env.baselines.reproduction.paper import TABLE_ONE
-from dcgrid_env.baselines.reproduction.study_runs import Law, Runs
-from dcgrid_env.baselines.reproduction.table1 import figures
+from dcgrid_env.baselines.reproduction.study_runs import Law
 
 GOAL = Guess(squared=True, v0_pu=1.02, q_max_share=0.1, k_p_scale=0.6, memory="one_step")
 
@@ -33,14 +42,13 @@ def test_the_search_finds_a_goal_and_tries_each_guess_once(few, monkeypatch):
 def test_the_default_guess_is_the_study(few):
     for row in cells(few, Guess()):
         run = few.of(few.setting.scenario(row["n_datacenters"]), Law(k_p_mw_per_pu=row["k_p"]))
-        assert row["deviation_pu"] == figures(run)["deviation_mean_pu"]
-        assert row["delay_s"] == figures(run)["delay_mean_s"]
+        assert row["deviation_pu"] == table1.figures(run)["deviation_mean_pu"]
+        assert row["delay_s"] == table1.figures(run)["delay_mean_s"]
 
 
 def test_each_setting_of_a_guess_is_heeded(few):
     def figures_of(guess):
-        row = cells(Runs(few.setting), guess)[-1]
-        return row["deviation_pu"], row["delay_s"]
+        return figures(few.of(scenario_of(few, guess, 5), law_of(guess, 20.0)), guess)
 
     own = figures_of(Guess())
     for name, values in VALUES.items():
