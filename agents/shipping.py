@@ -144,9 +144,9 @@ def _weights(folder: Path) -> Path:
 def _read(folder: Path) -> tuple[Policy, Card]:
     """A run's policy and card; PolicyError unless they belong together and the card says how it was made."""
     policy, path = Policy.load(_weights(folder)), folder / "policy.json"
-    card = Card.load(path)
-    if card.sha256 != policy.sha256:
-        raise PolicyError(f"{path}: its sha256 is that of other weights; train again")
+    card = policy.card
+    if card is None:
+        raise PolicyError(f"{path}: there is no such card; train again")
     for field in ("algorithm", "scenario", "command", "seed", "training_s", "validation_J"):
         if getattr(card, field) in ("", None):
             raise PolicyError(f"{path}: {field} is missing; train again")

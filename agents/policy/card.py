@@ -14,11 +14,15 @@ from typing import Any, Self
 
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.core.checked import finite, is_number
 from dcgrid_env.core.files import write_json
+from dcgrid_env.traces import ALL_SPLITS
 
 FORMAT = 3
 """Version of the card's format: 3 has costs on test and on validation of every seed, 2 had ``inputs`` and the interval
 over seeds and episodes, 1 had neither."""
+LARGEST_BYTES = 2**24
+"""Size of a file beyond which it is not read."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """What the one who trained a policy may say; the rest is filled in."""
 
@@ -66,6 +70,21 @@ class Scored:
         for name, n in (("over_seeds", 3), ("seed_J", len(self.seeds)), ("seed_validation_J", len(self.seeds))):
             if getattr(self, name) is not None:
                 _check_all(self, float, name, n)
+        _at_least(self, 1, "episodes")
+        _at_least(self, 0, "delay_mean_s", "droop_delay_mean_s")
+        if self.split not in ALL_SPLITS:
+            raise PolicyError(f"card: split is {self.split!r}; choose one of {', '.join(ALL_SPLITS)}")
+        if not re.fullmatch("[0-9a-f]{16}", self.scenario_hash):
+            raise PolicyError(f"card: scenario_hash is {self.scenario_hash!r}; give 16 hexadecimal digits")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise PolicyError(f"card: seeds is {self.seeds!r}; give seeds from 0, each once")
+        for name in ("score", "over_seeds"):
+            value, low, high = getattr(self, name) or (0, 0, 0)
+            if not low <= value <= high:
+                raise PolicyError(f"card: {name} is {value} from {low} to {high}; give an interval around it")
+        mean = sum(self.seed_scores) / len(self.seeds)
+        if self.over_seeds is not None and not math.isclose(self.over_seeds[0], mean, rel_tol=1e-9, abs_tol=1e-9):
+            raise PolicyError(f"card: over_seeds is {self.over_seeds[0]}, the mean of seed_scores is {mean}")
 
 
 @dataclass(frozen=True)
@@ -75,7 +94,7 @@ class Card:
     Raises
     ------
     PolicyError
-        For a field of the wrong type or a figure that is not finite, naming it.
+        For a field of the wrong type, a figure that is not finite, or fields that contradict each other, naming it.
     """
 
     version: str
@@ -114,6 +133,23 @@ class Card:
         _check(self, (float, type(None)), "training_s", "validation_J")
         if not re.fullmatch("[0-9a-f]{64}", self.sha256):
             raise PolicyError(f"card: sha256 is {self.sha256!r}; give 64 hexadecimal digits")
+        _at_least(self, 0, "n_parameters", "seed", "training_s")
+        if self.scored is not None and self.seed is not None:
+            self._check_seed(self.seed, self.scored)
+
+    def _check_seed(self, seed: int, scored: Scored) -> None:
+        """PolicyError unless the figures of the policy are those of its own seed."""
+        if seed not in scored.seeds:
+            raise PolicyError(f"card: seed is {seed}; give one of scored.seeds, {', '.join(map(str, scored.seeds))}")
+        pairs = (
+            ("scored.score", scored.score[0], "seed_scores"),
+            ("scored.J", scored.J, "seed_J"),
+            ("validation_J", self.validation_J, "seed_validation_J"),
+        )
+        for name, value, column in pairs:
+            of_seeds = getattr(scored, column)
+            if of_seeds is not None and (there := of_seeds[scored.seeds.index(seed)]) != value:
+                raise PolicyError(f"card: {name} is {value}, {column} has {there} for seed {seed}; give one figure")
 
     @classmethod
     def of(cls, sha256: str, n_parameters: int, origin: Mapping[str, Any]) -> Self:
@@ -126,16 +162,16 @@ class Card:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a card; PolicyError, which names the file, for what is none, OSError if it cannot be opened."""
-        text = Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            text = file.read(LARGEST_BYTES + 1)
         try:
-            fields = json.loads(text)
+            if len(text) > LARGEST_BYTES:
+                raise ValueError(f"it has more than {LARGEST_BYTES // 2**20} MiB")
+            fields = json.loads(text, object_pairs_hook=_once)
             if fields.get("scored") is not None:
                 fields["scored"] = Scored(**{name: _frozen(value) for name, value in fields["scored"].items()})
             if fields.get("inputs") is not None:
-                ranges = {
-                    name: {key: _frozen(value) for key, value in own.items()} for name, own in fields["inputs"].items()
-                }
-                fields["inputs"] = {name: InputRange(**own) for name, own in ranges.items()}
+                fields["inputs"] = {name: _range_of(own) for name, own in fields["inputs"].items()}
             return cls(**{"format": 1} | fields)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
@@ -146,6 +182,33 @@ class Card:
         if self.inputs is not None:
             about["inputs"] = {name: own._asdict() for name, own in self.inputs.items()}
         write_json(Path(path), about)
+
+
+def card_of(weights: Path, policy: Any) -> Card | None:
+    """The card next to a policy's file, or None without one; PolicyError for one that is not of this policy."""
+    path = weights.with_suffix(".json")
+    if not path.is_file():
+        return None
+    card = Card.load(path)
+    for name, value in (
+        ("sha256", policy.sha256), ("n_parameters", policy.n_parameters), ("scenario", policy.trained_on),
+    ):  # fmt: skip
+        if getattr(card, name) != value:
+            raise PolicyError(
+                f"{path}: {name} is {getattr(card, name)!r}, that of {weights.name} is {value!r}; give the card that "
+                "was saved with it, or delete this one"
+            )
+    if card.inputs is not None and set(card.inputs) != set(policy.networks):
+        raise PolicyError(f"{path}: inputs are of {sorted(card.inputs)}, the networks are {sorted(policy.networks)}")
+    return card
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A mapping of JSON; ValueError for a name that is there twice."""
+    names = [name for name, _ in pairs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{twice[0]} is there twice")
+    return dict(pairs)
 
 
 def _range_of(own: Mapping[str, Any]) -> InputRange:
@@ -168,8 +231,7 @@ def _check_range(name: str, own: InputRange) -> None:
         raise PolicyError(f"{said} have fields, low and high of different lengths; give one of each for each input")
     for field, low, high in zip(*own, strict=True):
         ends = (low, high)
-        finite = all(isinstance(end, int | float) and math.isfinite(end) for end in ends)
-        if not isinstance(field, str) or not finite or low > high:
+        if not isinstance(field, str) or not all(map(finite, ends)) or low > high:
             raise PolicyError(
                 f"{said} are {field!r} from {low!r} to {high!r}; give a name and two finite ends in order"
             )
@@ -189,5 +251,14 @@ def _check_one(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     expected = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
     if not isinstance(value, allowed) or isinstance(value, bool):
         raise PolicyError(f"card: {name} is {value!r}; give {expected}")
-    if isinstance(value, float) and not math.isfinite(value):
+    if is_number(value) and not finite(value):
         raise PolicyError(f"card: {name} is {value}; give a finite figure")
+    if isinstance(value, str) and not value.isprintable():
+        raise PolicyError(f"card: {name} is {value!r}; give one line of printable text")
+
+
+def _at_least(card: Scored | Card, least: int, *names: str) -> None:
+    for name in names:
+        value = getattr(card, name)
+        if value is not None and value < least:
+            raise PolicyError(f"card: {name} is {value}; give at least {least}")

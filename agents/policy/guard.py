@@ -29,12 +29,10 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario, action_layout, field_names
-from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import InputRange, by_moments, with_plates
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import PolicyError
-from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
-from dcgrid_env.agents.policy.policy_file import SUFFIX
+from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.slope_bounds import slope_bounds
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.policy.unseen import on_purpose
@@ -208,18 +206,7 @@ def guarded(policy: Policy | str | Path, law: Controller | None = None) -> Guard
         if law is not None:
             raise PolicyError(f"{chosen.source}: it corrects the model-aided law, and is held to that; give no law")
         return TriedPolicy(chosen)
-    card = card_of(chosen)
-    return GuardedPolicy(chosen, None if card is None else card.inputs, law)
-
-
-def card_of(policy: Policy) -> Card | None:
-    """The card that stands beside a policy's file; None where there is none, or it is of other weights."""
-    path = FOLDER / policy.source if policy.source in SHIPPED else Path(policy.source)
-    path = path.with_name(f"{path.name.removesuffix(SUFFIX)}.json")
-    if not path.is_file():
-        return None
-    card = Card.load(path)
-    return card if card.sha256 == policy.sha256 else None
+    return GuardedPolicy(chosen, None if chosen.card is None else chosen.card.inputs, law)
 
 
 def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario
-from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.policy.card import Card, card_of
 from dcgrid_env.agents.policy.families import read_network
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.memory import Remembers, outputs_of, require_same_episodes
@@ -115,6 +115,8 @@ class Policy:
         self.trained_on = scenario
         self.made_with = made_with
         self.source = "policy"
+        self.card: Card | None = None
+        """How it was made, where it was read from a file with a card."""
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""
@@ -250,9 +252,10 @@ class Policy:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:
-        """Read a policy that ships, by its name (``SHIPPED``), or a file.
+        """Read a policy that ships, by its name (``SHIPPED``), or a file, with its card where it has one.
 
-        PolicyError for what is none, of an unknown version, broken or too large; OSError if it cannot be opened.
+        PolicyError for what is none, of an unknown version, broken or too large, and for a card that is none or is of
+        another policy; OSError if it cannot be opened.
         """
         if str(name_or_path) in SHIPPED:
             policy = _load(FOLDER / f"{name_or_path}{SUFFIX}")
@@ -293,4 +296,5 @@ def _load(path: Path) -> Policy:
             f"{path}: kind is {about.get('kind')!r}, its networks are {sorted(networks)}; export it again"
         )
     policy.source = str(path)
+    policy.card = card_of(path, policy)
     return policy

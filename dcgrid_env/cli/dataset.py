@@ -217,20 +217,13 @@ def _score(cfg: Dataset, scenario: Scenario) -> dict[str, Any]:
 def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
     """What a policy's card says of its score on the scenario."""
     from dcgrid_env import scenario_hash
-    from dcgrid_env.agents import Card, Policy, find_controller
-    from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+    from dcgrid_env.agents import Policy, find_controller
 
     policy = find_controller(cfg.controller, scenario, cfg.tuned)
     if not isinstance(policy, Policy):
         return None
-    beside = (
-        Path(policy.source).with_suffix(".json") if policy.source not in SHIPPED else FOLDER / f"{policy.source}.json"
-    )
-    if not beside.is_file():
-        return None
-    card = Card.load(beside)
-    scored = card.scored
-    if scored is None or card.sha256 != policy.sha256:
+    scored = None if policy.card is None else policy.card.scored
+    if scored is None:
         return None
     return scored if scored.scenario_hash == scenario_hash(scenario.replace(split=scored.split)) else None
 

@@ -17,7 +17,7 @@ from dcgrid_env.agents.shipping import without_horizon
 from dcgrid_env.baselines import Placed
 
 SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
-CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 3, 1.5, 0.3, SCORED)
+CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 0, 1.5, 0.3, SCORED)
 
 
 def belongs(folder, name):
@@ -118,8 +118,8 @@ def test_a_card_belongs_to_its_weights(tmp_path):
     belongs(tmp_path, "one")
     Policy({"inverter": Network([(np.zeros((7, 1)), [0.25])])}, scenario="toy6").save(tmp_path / "two")
     (tmp_path / "two.json").replace(tmp_path / "one.json")
-    with pytest.raises(AssertionError):
-        belongs(tmp_path, "one")
+    with pytest.raises(PolicyError, match=r"one\.json: sha256 is '.*', that of one\.safetensors is"):
+        Policy.load(tmp_path / "one.safetensors")
 
 
 def test_what_ships_is_small_and_whole():

@@ -8,7 +8,7 @@ import pytest
 from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, UnseenScenarioWarning, evaluate, guarded
 from dcgrid_env.agents.policy import guard as guard_module
-from dcgrid_env.agents.policy.guard import DEVIATION, FIGURES, GuardedPolicy, card_of, law_for, steepest
+from dcgrid_env.agents.policy.guard import DEVIATION, FIGURES, GuardedPolicy, law_for, steepest
 from dcgrid_env.agents.policy.input_range import InputRange, by_moments, recorded
 from dcgrid_env.baselines import Droop, NoControl, find_controller, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import is_stable, worst_radius
@@ -159,7 +159,7 @@ def test_on_a_scenario_that_it_was_not_made_for_it_is_no_worse_than_half_below_t
 
 def test_without_a_card_the_moments_stand_for_the_range(toy6):
     policy = constant(0.3)
-    assert card_of(policy) is None
+    assert policy.card is None
     own = guarded(policy)
     assert isinstance(own, GuardedPolicy)
     courses(toy6, own)
