@@ -1,4 +1,7 @@
-"""Print the README's table of results from the benchmark's pages and the policies' cards: `python docs/headline.py`."""
+"""Print the README's table of results from the benchmark's pages and the policies' cards: `python docs/headline.py`.
+
+`python docs/headline.py results` prints the table of docs/results.md, from the benchmark's pages alone.
+"""
 
 import sys
 from pathlib import Path
@@ -8,12 +11,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 from headroom import controllers, hindsight, saved
 
+from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.score import REFERENCE
 
 SHOWN = ("ieee123", "ieee33-weak", "mixed", "ieee34-3ph", "smoothing", "routing")
 BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
+BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
 LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic"}
 
 
@@ -46,6 +51,22 @@ def cell(score: tuple[float, float, float], share: str) -> str:
     return f"{value:.2f} ({low:.2f} to {high:.2f}); {share} %"
 
 
+def results() -> str:
+    """The table of docs/results.md, as Markdown: every preset, controllers that are not trained."""
+    heads = ["scenario", "J: none", "J: droop-tuned", "J: hindsight", "headroom, %", *BY_HAND]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for preset in PRESETS:
+        figures, (is_best_known, best) = controllers(preset), hindsight(preset)
+        droop = figures[REFERENCE][0]
+        cells = [f"`{preset}`", f"{figures['none'][0]:.4f}", f"{droop:.4f}"]
+        cells += [f"{best:.4f}" + " (best known)" * is_best_known, saved(best, droop)]
+        for name in BY_HAND:
+            j, score = figures.get(name, (0.0, ""))
+            cells.append(f"{float(score.split()[0]):.2f}; {saved(j, droop)} %" if score else "–")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def table() -> str:
     """The table, as Markdown."""
     heads = ["scenario", "tuned droop: J", "headroom", *BY_MODEL.values(), *LEARNED.values()]
@@ -60,4 +81,4 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    print(table())
+    print(results() if sys.argv[1:] == ["results"] else table())

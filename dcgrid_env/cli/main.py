@@ -35,7 +35,7 @@ from dcgrid_env.cli.reproduce import Reproduce
 from dcgrid_env.cli.run import Run
 from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.sb3_export import ExportSb3
-from dcgrid_env.cli.ship import Ship
+from dcgrid_env.cli.ship import Rescore, Ship
 from dcgrid_env.cli.submit import Submit
 from dcgrid_env.cli.terminal import ends_unread
 from dcgrid_env.cli.traces import Fetch, Record, Show
@@ -57,6 +57,7 @@ DEV = Group(
         "hindsight": HindsightValues,
         "best-known": BestKnownValues,
         "ship": Ship,
+        "rescore": Rescore,
         "pareto": Pareto,
         "ablate": Ablate,
         "generalise": Generalise,

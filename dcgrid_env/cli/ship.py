@@ -43,3 +43,33 @@ class Ship(Command):
             card = ship(self.folders, self.name, self.scenario, self.episodes, out)
         say(console, f"{self.name}: {card_line(card)}")
         say(console, f"wrote {out / self.name}.safetensors and .json")
+
+
+@dataclass(frozen=True)
+class Rescore(Command):
+    """Score bundled policies again, against the tuned droop and hindsight as they are now, and write their cards.
+
+    The costs of the other training seeds on the test split are those of the card.
+    """
+
+    names: tyro.conf.Positional[tuple[str, ...]]
+    """Names of policies (dcgrid list)."""
+    episodes: int | None = None
+    """Test episodes: seeds 0, 1, ... Over another number than the card's, the other seeds are left out."""
+
+    def run(self) -> None:
+        """Score, write, print. ValueError for a name that no bundled policy has, before anything is written."""
+        from dcgrid_env.agents.policy.card import Card
+        from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
+        from dcgrid_env.agents.shipping import rescored
+        from dcgrid_env.cli.listing import card_line
+
+        if unknown := [name for name in self.names if name not in SHIPPED]:
+            raise ValueError(f"no bundled policy is named {unknown[0]!r}; choose among those of dcgrid list")
+        if self.episodes is not None and self.episodes < 2:
+            raise ValueError(f"episodes is {self.episodes}; give at least 2, a score's interval takes them")
+        for name in self.names:
+            path = FOLDER / f"{name}.json"
+            card = rescored(Card.load(path), Policy.load(name), self.episodes)
+            card.save(path)
+            say(plain_console(), f"{name}: {card_line(card)}")

@@ -51,9 +51,11 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
 
 
 def test_the_readme_has_the_table_that_its_command_prints():
-    made = runpy.run_path(str(ROOT / "docs" / "headline.py"))["table"]()
+    headline = runpy.run_path(str(ROOT / "docs" / "headline.py"))
+    made = headline["table"]()
     assert made.count("\n") == 7
     assert made in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert headline["results"]() in (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 
 
 def test_a_build_leaves_nothing_beside_the_site(tmp_path):

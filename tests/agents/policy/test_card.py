@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from dcgrid_env.baselines import Placed
 
 SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
 CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 0, 1.5, 0.3, SCORED)
+
+WITHOUT_VALIDATION_COSTS = Path(__file__).with_name("without_validation_costs.txt").read_text(encoding="utf-8").split()
+"""Policies whose other seeds' validation costs were not recorded; whoever ships one again takes its line out."""
 
 
 def belongs(folder, name):
@@ -141,7 +145,16 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
     assert card.scored.split == "test"
     assert card.seed in card.scored.seeds
     assert card.inputs is not None or isinstance(policy, Placed)  # what a guard falls back by
-    assert card.scored.score[0] == card.scored.seed_scores[card.scored.seeds.index(card.seed)]
+    own = card.scored.seeds.index(card.seed)
+    assert card.scored.seed_scores[own] == pytest.approx(card.scored.score[0])
+    assert card.scored.seed_J is not None
+    assert card.scored.seed_J[own] == pytest.approx(card.scored.J)
+    assert card.scored.droop_J is not None
+    if name in WITHOUT_VALIDATION_COSTS:
+        assert card.scored.seed_validation_J is None
+    else:
+        assert card.scored.seed_validation_J is not None
+        assert card.scored.seed_validation_J[own] == card.validation_J == min(card.scored.seed_validation_J)
     assert card.scored.scenario_hash == scenario_hash(make_scenario(card.scored.scenario, split="test"))
 
 

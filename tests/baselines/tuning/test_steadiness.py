@@ -1,6 +1,5 @@
 """A droop is stable and without a limit cycle, and what is not is drawn back or passed over."""
 
-
 import pytest
 
 from dcgrid_env import PRESETS, make_scenario
