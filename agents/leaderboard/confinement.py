@@ -66,7 +66,7 @@ def confine(folder: Path) -> None:
         raise ConfinementError("it has several threads")
     limits = {
         resource.RLIMIT_AS: MEMORY_BYTES, resource.RLIMIT_CPU: CPU_S, resource.RLIMIT_FSIZE: FILE_BYTES,
-        resource.RLIMIT_CORE: 0, resource.RLIMIT_NPROC: 0,
+        resource.RLIMIT_CORE: 0,
     }  # fmt: skip
     for limit, value in limits.items():
         hard = resource.getrlimit(limit)[1]
