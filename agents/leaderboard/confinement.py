@@ -12,10 +12,9 @@ import os
 import resource
 import struct
 import sys
+from importlib import import_module
 from pathlib import Path
 
-import dcgrid_env
-from dcgrid_env import agents, baselines, traces
 from dcgrid_env.agents.leaderboard.system_calls import is_supported, refuse_system_calls
 
 MEMORY_BYTES = 8 * 2**30
@@ -67,7 +66,7 @@ def confine(folder: Path) -> None:
         raise ConfinementError("it has several threads")
     limits = {
         resource.RLIMIT_AS: MEMORY_BYTES, resource.RLIMIT_CPU: CPU_S, resource.RLIMIT_FSIZE: FILE_BYTES,
-        resource.RLIMIT_CORE: 0, resource.RLIMIT_NPROC: 0,
+        resource.RLIMIT_CORE: 0,
     }  # fmt: skip
     for limit, value in limits.items():
         hard = resource.getrlimit(limit)[1]
@@ -89,7 +88,8 @@ def confine(folder: Path) -> None:
 
 def _readable() -> list[Path]:
     """Python, what it imports from, and the libraries of the system."""
-    packages = [place for package in (dcgrid_env, agents, baselines, traces) for place in package.__path__]
+    rooms = ("dcgrid_env", "dcgrid_env.agents", "dcgrid_env.baselines", "dcgrid_env.traces")
+    packages = [place for room in rooms for place in import_module(room).__path__]
     system = ["/usr", "/lib", "/lib64", "/dev/null", "/dev/urandom"]
     places = {sys.prefix, sys.base_prefix, *filter(None, sys.path), *packages, *system}
     return [path for path in map(Path, sorted(places)) if path.exists()]

@@ -92,7 +92,7 @@ def verify_again(folder: Path, *, trust: bool = False) -> tuple[Submission, Veri
     Raises
     ------
     SubmissionError
-        As ``verify``, and where a figure of the report is not found again.
+        Where ``verify`` raises it, and where a figure of the report is not found again.
     """
     submission, before = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
     require_report(folder, before)

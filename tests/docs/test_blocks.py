@@ -102,7 +102,7 @@ ELSEWHERE = {
     "dcgrid evaluate rllib_policy.py:FromRllib": "tests/docs/test_frameworks.py",
     "dcgrid evaluate torchrl_policy.py:FromTorchRl": "tests/docs/test_frameworks.py",
     "dcgrid dev leaderboard": "tests/agents/leaderboard",
-    "dcgrid verify --again": "tests/agents/leaderboard",
+    "dcgrid verify docs/leaderboard/toy6-analytic": "tests/agents/leaderboard",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
     "python docs/examples/offline_awr.py": "tests/docs/test_examples.py",

@@ -5,10 +5,12 @@ import pytest
 
 from dcgrid_env import field_names
 from dcgrid_env.agents import Network, Policy
+from dcgrid_env.agents.leaderboard.confinement import version
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.agents.leaderboard.remote import remote
 from dcgrid_env.agents.leaderboard.running import TUNED, controller_of, scenario_of
 from dcgrid_env.agents.leaderboard.scopes import Scope, measured_scope
+from dcgrid_env.baselines import Droop
 from dcgrid_env.baselines.evaluation import evaluate
 
 
@@ -79,3 +81,11 @@ def test_a_controller_acts_in_a_process_as_it_does_here(scenario, controller):
     with remote(controller, preset, TUNED, scope) as other:
         there = evaluate(other, preset, range(3))
     assert there.J.tolist() == here.J.tolist()
+
+
+def test_a_local_law_acts_in_a_process_for_each_agent_as_in_one():
+    preset, code = scenario_of("toy6").replace(horizon=20), b"from dcgrid_env.baselines import Droop"
+    own = remote("controller.py:Droop", preset, TUNED, Scope.parse("local"), code, confined=bool(version()))
+    with own as controller:
+        apart = evaluate(controller, preset, range(3))
+    assert apart.J.tolist() == evaluate(Droop(), preset, range(3)).J.tolist()
