@@ -52,6 +52,7 @@ from dcgrid_env.grid.random_feeders.random_feeder import random_feeder
 from dcgrid_env.powerflow import (
     Control,
     PowerFlowError,
+    RatingCoverage,
     Sensitivity,
     Solution,
     branch_loading,
@@ -118,6 +119,7 @@ __all__ = [
     "PowerSmoothing",
     "PrefillDecodeDvfs",
     "RandomFeeders",
+    "RatingCoverage",
     "Recorder",
     "RideThrough",
     "RideThroughCurve",

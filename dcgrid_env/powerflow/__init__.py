@@ -3,7 +3,7 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
-from dcgrid_env.powerflow.loading import branch_loading, has_ratings, rated_nodes, rating_coverage
+from dcgrid_env.powerflow.loading import RatingCoverage, branch_loading, has_ratings, rated_nodes, rating_coverage
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
@@ -18,6 +18,7 @@ __all__ = [
     "Control",
     "Linearised",
     "PowerFlowError",
+    "RatingCoverage",
     "Sensitivity",
     "Solution",
     "Solver",
