@@ -261,8 +261,8 @@ def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
-    if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
-        raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
+    if cfg.further_begin is not None and cfg.outputs != "setpoint":
+        raise ValueError(f"further_begin is {cfg.further_begin}; leave it out, or give outputs = 'setpoint'")
     with sb3.begin(cfg, cfg.outputs) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(
