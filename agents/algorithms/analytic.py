@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, end_costs, under_own_control
-from dcgrid_env.agents.policy.history_network import MOST_STEPS
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.memory import outputs_of
 from dcgrid_env.agents.policy.policy import Policy
@@ -230,13 +229,7 @@ class Learner:
 
 def check_settings(cfg: Analytic) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
-    check(cfg, "updates", "window", "learning_rate", "max_grad_norm", "trip_width_s", "dual_rate")
-    cfg.limits.check()
-    for name in ("vary", "trip_width_pu"):
-        if not 0 <= getattr(cfg, name) < math.inf:
-            raise ValueError(f"{name} is {getattr(cfg, name)}; give at least 0")
-    if not 0 <= cfg.history <= MOST_STEPS:
-        raise ValueError(f"history is {cfg.history}; give 0 .. {MOST_STEPS} steps")
+    check(cfg)
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:

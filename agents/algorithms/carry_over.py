@@ -136,7 +136,7 @@ def tensor(array: np.ndarray) -> torch.Tensor:
 
 def check_settings(cfg: CarryOver) -> None:
     """Raise ValueError, naming the field, for settings that cannot be."""
-    check(cfg, "updates", "feeders", "steps", "learning_rate", "max_grad_norm", "validation_feeders")
+    check(cfg)
     plain = CarryOver()
     for field in ("scenario", "set", "view", "observe", "preview", "act", "device"):
         if getattr(cfg, field) != getattr(plain, field):

@@ -33,6 +33,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
 from dcgrid_env.agents.training.run_folder import torch
+from dcgrid_env.agents.training.setting_bounds import MOST_GAIN
 
 
 @dataclass(frozen=True)
@@ -264,10 +265,10 @@ def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
 
 def main(cfg: Ppo) -> Path:
     """Train; the folder written."""
-    if cfg.further_begin is not None and not (cfg.outputs == "setpoint" and -1.0 <= cfg.further_begin <= 1.0):
-        raise ValueError(f"further_begin is {cfg.further_begin}; give -1 to 1, with outputs = 'setpoint'")
-    if cfg.gains is not None and (cfg.outputs != "droop" or min(cfg.gains) < 0.0):
-        raise ValueError(f"gains is {cfg.gains}; give three of at least 0, with outputs = 'droop'")
+    if cfg.further_begin is not None and cfg.outputs != "setpoint":
+        raise ValueError(f"further_begin is {cfg.further_begin}; leave it out, or give outputs = 'setpoint'")
+    if cfg.gains is not None and not (cfg.outputs == "droop" and all(0.0 <= gain <= MOST_GAIN for gain in cfg.gains)):
+        raise ValueError(f"gains is {cfg.gains}; give three from 0 to {MOST_GAIN:g}, with outputs = 'droop'")
     gains = None if cfg.gains is None else Gains(*cfg.gains)
     with sb3.begin(cfg, cfg.outputs, gains) as (run, vec_env):
         model = make(cfg, vec_env)

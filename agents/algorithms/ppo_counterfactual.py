@@ -221,11 +221,9 @@ class CounterfactualPpo(BaseAlgorithm):
 
 def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
     """The vector environment of the training split; ValueError for a setting or a scenario that cannot be."""
-    check(cfg, "steps", "learning_rate", "epochs", "minibatches", "clip", "q_std", "clock_std", "max_grad_norm")
+    check(cfg)
     if cfg.view != "shared":
         raise ValueError(f"view is {cfg.view!r}; an advantage is a single agent's: give shared, or train ppo")
-    if not 0.0 < cfg.last_std <= 1.0:
-        raise ValueError(f"last_std is {cfg.last_std}; give more than 0 and at most 1")
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)

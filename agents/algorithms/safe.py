@@ -75,6 +75,4 @@ def main(cfg: Safe) -> Path:
         raise ValueError(f"view is {cfg.view!r} and observe {cfg.observe!r}; a safe policy is shared and local")
     if cfg.history:
         raise ValueError(f"history is {cfg.history}; the bound on the gain is that of a policy without one: give 0")
-    if not 0.0 < cfg.margin < 1.0:
-        raise ValueError(f"margin is {cfg.margin}; give more than 0 and less than 1")
     return train(cfg, SafeLearner)

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
-from dcgrid_env.core.checked import finite, is_number
+from dcgrid_env.core.checked import finite
 from dcgrid_env.core.files import write_json
 from dcgrid_env.traces import ALL_SPLITS
 
@@ -148,7 +148,10 @@ class Card:
         )
         for name, value, column in pairs:
             of_seeds = getattr(scored, column)
-            if of_seeds is not None and (there := of_seeds[scored.seeds.index(seed)]) != value:
+            if of_seeds is None:
+                continue
+            there = of_seeds[scored.seeds.index(seed)]
+            if value is None or not math.isclose(value, there, rel_tol=1e-9):  # two ways to the same figure
                 raise PolicyError(f"card: {name} is {value}, {column} has {there} for seed {seed}; give one figure")
 
     @classmethod
@@ -251,7 +254,7 @@ def _check_one(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     expected = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
     if not isinstance(value, allowed) or isinstance(value, bool):
         raise PolicyError(f"card: {name} is {value!r}; give {expected}")
-    if is_number(value) and not finite(value):
+    if isinstance(value, int | float) and not finite(value):
         raise PolicyError(f"card: {name} is {value}; give a finite figure")
     if isinstance(value, str) and not value.isprintable():
         raise PolicyError(f"card: {name} is {value!r}; give one line of printable text")

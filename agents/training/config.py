@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from dcgrid_env.agents.training.preset_settings import settings
+from dcgrid_env.agents.training.setting_bounds import check_figures
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -100,10 +100,6 @@ class Training:
         return re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
 
 
-MOST_SEEDS = 2**24
-"""Training seeds whose episodes are not those of another one."""
-
-
 RENAMED: dict[str, str] = {"lanes": "num_envs"}
 """Fields of a configuration by the names under which earlier runs may have stored them."""
 
@@ -128,12 +124,6 @@ def trained_on(cfg: Training) -> str:
     return ScenarioSpec(cfg.scenario, cfg.set).label
 
 
-def check(cfg: Training, *more: str) -> None:
-    """ValueError, naming the field, for settings that cannot be; ``more`` are fields of which more than 0 is asked."""
-    for field in ("num_envs", "validation_episodes", "validate_every", "checkpoint_every", "threads", *more):
-        if not 0 < getattr(cfg, field) < math.inf:
-            raise ValueError(f"{field} is {getattr(cfg, field)}; give more than 0")
-    if not cfg.hidden or not all(width > 0 for width in cfg.hidden):
-        raise ValueError(f"hidden is {cfg.hidden}; give widths of at least 1")
-    if not 0 <= cfg.seed < MOST_SEEDS:
-        raise ValueError(f"seed is {cfg.seed}; give at least 0 and less than {MOST_SEEDS}")
+def check(cfg: Training) -> None:
+    """ValueError, naming the field, for a figure that cannot be."""
+    check_figures(vars(cfg))

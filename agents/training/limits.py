@@ -22,12 +22,6 @@ class Limits(NamedTuple):
     violation_pu: float | None
     """Mean excess of the voltage over the band, p.u."""
 
-    def check(self) -> None:
-        """Raise ValueError, naming the field, for a limit that is not above 0."""
-        for field, value in (("delay_limit_s", self.delay_s), ("violation_limit_pu", self.violation_pu)):
-            if value is not None and not value > 0:
-                raise ValueError(f"{field} is {value}; give more than 0, or leave it out")
-
     def merit(self, figures: Mapping[str, float]) -> float:
         """What the best policy has least of: J less the cost of what is limited, dearly paid beyond the limits."""
         left, beyond = figures["J"], 0.0

@@ -30,9 +30,6 @@ from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-ABOVE_0 = ("epochs", "minibatches", "clip", "max_grad_norm", "buffer", "batch", "gradient_steps", "tau")
-"""Settings of one algorithm or another that must be above 0."""
-
 
 @dataclass(frozen=True)
 class Config(Training):
@@ -104,9 +101,7 @@ def run_of(cfg: Training) -> AbstractContextManager[Run]:
 
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
     """The vector environment of the training split; ValueError for a setting that cannot be."""
-    check(cfg, "steps", "learning_rate", "wait", *(field for field in ABOVE_0 if hasattr(cfg, field)))
-    if not 0.0 < cfg.gamma <= 1.0:
-        raise ValueError(f"gamma is {cfg.gamma}; give more than 0 and at most 1")
+    check(cfg)
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)

@@ -118,6 +118,5 @@ class TuneAgent(OverWorkers):
                 remedy = error.errors()[0]["msg"]
                 raise ValueError(f"fixed: {name} is {value!r}; {remedy[:1].lower()}{remedy[1:]}") from None
         base = kind.for_scenario(one_scenario(self.scenario), **given)
-        # An algorithm asks for more when it begins; what can be told of any is told before the search writes its files.
-        check(base, *(name for name in ("steps", "updates", "learning_rate") if hasattr(base, name)))
+        check(base)
         return base

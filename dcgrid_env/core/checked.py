@@ -19,6 +19,8 @@ import numpy as np
 
 _LARGEST = sys.float_info.max
 """Largest finite number; whole numbers in Python may be larger, and are then no number of ours."""
+_SMALLEST = sys.float_info.min
+"""Smallest number above 0 of full precision."""
 
 
 class FieldError(ValueError):
@@ -44,8 +46,8 @@ class FieldError(ValueError):
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a real number and no bool."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+    """Whether it is a real number, no bool, and not so small that arithmetic loses its digits (subnormal)."""
+    return isinstance(value, Real) and not isinstance(value, bool) and not 0 < abs(value) < _SMALLEST
 
 
 def number(low: float, high: float | str, default: Any = MISSING) -> Any:
@@ -119,7 +121,12 @@ def _check_number(owner: Any, f: dataclasses.Field[Any]) -> None:
     value = getattr(owner, f.name)
     if not (is_number(value) and is_number(high) and low <= value <= min(high, 1e300)):
         upper = f"{bound} = {high:g}" if isinstance(bound, str) and is_number(high) else f"{high:g}"
-        raise refuse(owner, f.name, f"give a finite number in [{low:g}, {upper}]")
+        raise refuse(owner, f.name, f"give a finite number in [{low:g}, {upper}]{_not_subnormal(value)}")
+
+
+def _not_subnormal(value: Any) -> str:
+    subnormal = isinstance(value, Real) and 0 < abs(value) < _SMALLEST
+    return f", 0 or of at least {_SMALLEST:.1e} in size" if subnormal else ""
 
 
 def _check_count(owner: Any, f: dataclasses.Field[Any]) -> None:

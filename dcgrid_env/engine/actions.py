@@ -89,9 +89,12 @@ def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -
     n = layout.n
     want = (n,) if num_envs is None else (num_envs, n)
     try:
-        array = np.asarray(action, dtype=np.float64)
+        array = np.asarray(action)
     except (TypeError, ValueError) as error:
         raise ActionError(f"the action is no array of numbers: {error}; give shape {want}") from None
+    if array.dtype.kind not in "fiub":
+        raise ActionError(f"the action is an array of {array.dtype}; give real numbers in shape {want}")
+    array = array.astype(np.float64, copy=False)
     if array.shape != want:
         listing = ", ".join(f"{agent} {name}" for agent, name in layout.names)
         raise ActionError(f"the action has shape {array.shape}; it must be {want}: {listing}")

@@ -91,6 +91,6 @@ def test_what_cannot_ship_is_named_and_writes_nothing(tmp_path):
         ship([tmp_path / "nowhere"], "toy6-ppo", episodes=2, out=tmp_path / "out")
     path = good / "policy.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"sha256": "0" * 64}))
-    with pytest.raises(PolicyError, match=r"policy\.json: its sha256 is that of other weights"):
+    with pytest.raises(PolicyError, match=r"policy\.json: sha256 is '0+', that of policy\.safetensors is"):
         ship([good], "toy6-ppo", episodes=2, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -255,11 +255,11 @@ def test_batches_share_no_episode():
         ({"validate_every": 0}, "validate_every is 0"),
         ({"checkpoint_every": 0}, "checkpoint_every is 0"),
         ({"threads": 0}, "threads is 0"),
-        ({"delay_limit_s": 0.0}, "delay_limit_s is 0.0; give more than 0, or leave it out"),
+        ({"delay_limit_s": 0.0}, "delay_limit_s is 0.0; give more than 0 and at most"),
         ({"violation_limit_pu": -1.0}, "violation_limit_pu is -1.0"),
         ({"seed": -1}, "seed is -1; give at least 0"),
         ({"vary": -1}, "vary is -1; give at least 0"),
-        ({"history": -1}, "history is -1; give 0 .. 1000 steps"),
+        ({"history": -1}, "history is -1; give at least 0 and at most 1000"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):

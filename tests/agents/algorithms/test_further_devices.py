@@ -144,6 +144,6 @@ def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
     model = ppo.make(ppo.Ppo(hidden=(8,), nameplate=True, further_begin=-0.5), vec_env)
     begun = dict(zip(vec_env.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
     assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)
-    for given, outputs in ((2.0, "setpoint"), (0.0, "droop")):
-        with pytest.raises(ValueError, match=rf"further_begin is {given}; give -1 to 1, with outputs = 'setpoint'"):
+    for given, outputs, remedy in ((2.0, "setpoint", "give at least -1 and at most 1"), (0.0, "droop", "leave it out")):
+        with pytest.raises(ValueError, match=f"further_begin is {given}; {remedy}"):
             ppo.main(ppo.Ppo(further_begin=given, outputs=outputs, out=tmp_path))  # pyright: ignore[reportArgumentType]

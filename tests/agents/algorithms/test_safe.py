@@ -61,7 +61,7 @@ def test_a_run_keeps_to_the_bounds(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"margin": 1.0}, "margin is 1.0; give more than 0 and less than 1"),
+        ({"margin": 1.0}, "margin is 1.0; give at least 1e-06 and at most 0.999999"),
         ({"view": "centralised"}, "a safe policy is shared and local"),
         ({"observe": "feeder"}, "a safe policy is shared and local"),
         ({"history": 2}, "history is 2; the bound on the gain is that of a policy without one: give 0"),
