@@ -38,7 +38,7 @@ from dcgrid_env.baselines.rollout import ControllerError
 
 START_S, STEP_S = 600.0, 60.0
 """Most time for an answer, and for a step of code of a submitter, by the clock."""
-LONGEST_ERROR = 4000
+LONGEST_ERROR = 8000
 """Most bytes of an error's text."""
 
 
