@@ -1,9 +1,9 @@
 """Make our own entries of the leaderboard, verify them and make its page: `python docs/leaderboard.py`.
 
-`python docs/leaderboard.py ieee33-weak toy6` makes the entries of two presets, and the page of all that stand. All
-fresh episodes of a run begin at the same seed, which is drawn after the last entry was submitted. Reports are signed
-with the key in $DCGRID_VERIFIER_KEY, by default ~/.config/dcgrid/verifier.key. It is made where there is none, and then
-entries that were signed before must be made again too.
+`python docs/leaderboard.py ieee33-weak toy6` makes the entries of two presets and the page of all entries. The fresh
+episodes of a run begin at one seed, which is drawn after the last entry was submitted. Reports are signed with the key
+in $DCGRID_VERIFIER_KEY, by default ~/.config/dcgrid/verifier.key. A new key is made if there is none; reports with
+another signature must then be replaced.
 """
 
 import shutil
@@ -21,7 +21,7 @@ from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 FOLDER, PAGE = Path("docs/leaderboard"), Path("docs/leaderboard.md")
 ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
 LAWS = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
-"""Controllers that stand beside the policies, and the split that their parameters were found on."""
+"""Further controllers, and the split that their parameters were found on."""
 
 
 def entries(scenario):
@@ -31,7 +31,7 @@ def entries(scenario):
 
 
 def submitted(scenario):
-    """Folders of the entries of a preset, made anew."""
+    """Write the entries of a preset; their folders."""
     folders = []
     for name, policy, learned_on in entries(scenario):
         folder = FOLDER / f"{scenario}-{name}"

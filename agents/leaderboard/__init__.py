@@ -1,1 +1,1 @@
-"""The leaderboard: entries as folders, which are run again before they stand in its page."""
+"""The leaderboard: entries as folders, their verification, and the page of verified entries."""

@@ -1,8 +1,8 @@
 """Confinement of a process that runs code of a submitter: Landlock and seccomp of Linux, no capabilities, and limits.
 
-The process can read Python, its packages and a folder of its own, and write to that folder alone. It cannot open the
-files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, start programs or open sockets. What
-remains is in decision 0029.
+The process can read Python, its packages and one empty folder, and write only to that folder. It cannot open the
+files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, start programs or open sockets.
+Decision 0029 lists the channels that remain.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Part(NamedTuple):
     seen: np.ndarray
     """Positions in the joint observation, (n_seen,)."""
     n_observed: int
-    """Width of the joint observation; what is not seen is NaN."""
+    """Width of the joint observation; the rest is NaN."""
     driven: np.ndarray
     """Positions in the joint action, (n_driven,)."""
 
@@ -53,7 +53,7 @@ class Code(NamedTuple):
 
 
 class Loading(NamedTuple):
-    """What a process is to run."""
+    """The controller of a process."""
 
     spec: str
     """What names the controller, see ``find_controller``."""

@@ -34,10 +34,11 @@ from dcgrid_env.agents.leaderboard.controller_process import (
 )
 from dcgrid_env.agents.leaderboard.scopes import Scope
 from dcgrid_env.baselines import Controller
+from dcgrid_env.baselines.rollout import ControllerError
 
 START_S, STEP_S = 600.0, 60.0
 """Most time for an answer, and for a step of code of a submitter, by the clock."""
-LONGEST_ERROR = 4000
+LONGEST_ERROR = 8000
 """Most bytes of an error's text."""
 
 
@@ -219,7 +220,7 @@ def remote(
 
     Raises
     ------
-    ProcessError, ValueError
+    ControllerError
         Where the controller cannot be made.
     """
     kind = PlacedRemoteController if scope.sends_model else RemoteController
@@ -230,7 +231,10 @@ def remote(
             groups = scope.groups(scenario)
             processes = [stack.enter_context(closing(ControllerProcess(of_submitter=True))) for _ in groups]
         for process in processes:
-            process.load(spec, scenario, tuned, code, confined)
+            try:
+                process.load(spec, scenario, tuned, code, confined)
+            except ProcessError as error:
+                raise ControllerError(spec, "loading", error) from error
         yield kind(processes, scope, groups)
 
 

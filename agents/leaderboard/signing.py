@@ -1,6 +1,6 @@
 """Signatures of verification reports: Ed25519, which everybody can check and only the verifier can make.
 
-The public key is in ``verifier.pub`` beside this file. The private key is a file outside of the repository.
+The public key is in ``verifier.pub`` next to this file. The private key is a file outside of the repository.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def make_keys(public: Path | None = None) -> Path:
 
 
 def sign(content: bytes) -> str:
-    """Signature in hexadecimal digits; empty where there is no private key."""
+    """Signature in hexadecimal digits; empty without a private key."""
     path = private_key_file()
     if not path.is_file():
         return ""

@@ -1,4 +1,4 @@
-"""Running an entry again: its files, its scenario and episodes, its figures, and fresh episodes beside them."""
+"""Verification of entries: their files, scenario and figures, and fresh episodes."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _report(
 def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, Scenario]:
     """What is run of an entry and the scenario, all its hashes being right; SubmissionError naming one that is not.
 
-    Code of the submitter's own is refused without ``trust``, and where it cannot be confined. None of it runs here.
+    Code of a submitter is refused without ``trust`` and where it cannot be confined. It does not run in this process.
     """
     claimed = folder / SUBMISSION
     check_contents(folder, submission)

@@ -34,8 +34,8 @@ class Submit(Command):
     learned_on: Literal["train", "validation", "test", "nothing"] = "train"
     """Split that the policy was learned, tuned or selected on, as you declare it: train means train and validation."""
     scope: str = ""
-    """What a class of your own is to be sent: "local" or "joint", then any of "+ sensitivities", "+ totals",
-    "+ neighbours" or "+ voltages", and "+ model". That of others is measured."""
+    """Scope of a class, the part of an episode that it is sent: "local" or "joint", then any of "+ sensitivities",
+    "+ totals", "+ neighbours" or "+ voltages", and "+ model". The scope of other controllers is measured."""
     out: Path | None = None
     """Folder to be made; by default one in results/submissions, named after --scenario and --name."""
 

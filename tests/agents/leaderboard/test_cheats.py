@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from dcgrid_env.agents.leaderboard.scopes import Scope
 from dcgrid_env.agents.leaderboard.signing import make_keys, sign
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import verify
+from dcgrid_env.cli.main import main
 
 confines = pytest.mark.skipif(not confinement.version(), reason="this system has no Landlock")
 
@@ -209,6 +211,30 @@ def test_code_that_hangs_dies_or_answers_with_anything_is_one_error(body, said, 
     assert len(str(raised.value)) < 400
     assert str(raised.value).isprintable()
     assert time.monotonic() - began < 55.0
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("def", "importing controller.py fails.*SyntaxError"),
+        ("", "has no 'Own'"),
+        ("class Own: ...", "Own is no controller"),
+        ("import sys; sys.exit(1)", "importing controller.py fails.*SystemExit"),
+        ("import os; os._exit(1)", r"its process ended \(exit status 1\)"),
+    ],
+)
+def test_code_that_cannot_be_loaded_is_one_line(code, said, tmp_path, capsys):
+    (tmp_path / "own.py").write_text(code)
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "submit", f"{tmp_path / 'own.py'}:Own", "--name", "x", "--scenario", "toy6", "--scope", "joint",
+                "--episodes", "2", "--out", str(tmp_path / "out"),
+            ]
+        )  # fmt: skip
+    line = capsys.readouterr().err
+    assert re.fullmatch(f"dcgrid: controller 'controller.py:Own' fails in loading: .*{said}.*\n", line), line
+    assert not (tmp_path / "out").exists()
 
 
 @confines
