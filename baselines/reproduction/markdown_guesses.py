@@ -82,17 +82,19 @@ def _conclusion(columns: dict[str, Records]) -> str:
 
     default, found, larger = columns.values()
     published = TABLE_ONE[5, 1.0].deviation_pu - TABLE_ONE[1, 1.0].deviation_pu
-    either = "one takes V and the other V², so Table I does not decide between them; "
+    either = ""
+    if found["settings"]["squared"] != larger["settings"]["squared"]:
+        either = " One takes V and the other V², so Table I does not decide between them."
     return (
         f"The search lowers the error of the deviation from {default['deviation_pu']:.4f} to "
         f"{found['deviation_pu']:.4f} p.u. and that of the delay from {default['delay_s']:.1f} to "
         f"{found['delay_s']:.1f} s. What it fails: its gain is {found['gain_pct']:.1f} % (paper {GAIN_PCT:g} %, sites "
-        f"of 560 kW {larger['gain_pct']:.1f} %); in the worst cell {found['inside_least_pct']:.0f} % of the buses stay "
-        f"inside the band (paper over {BUSES_INSIDE_PCT:g} %, 560 kW {larger['inside_least_pct']:.0f} %); from 1 to 5 "
+        f"of 560 kW {larger['gain_pct']:.1f} %). In the worst cell {found['inside_least_pct']:.0f} % of the buses stay "
+        f"inside the band (paper over {BUSES_INSIDE_PCT:g} %, 560 kW {larger['inside_least_pct']:.0f} %). From 1 to 5 "
         f"sites at k_p = 1 the deviation changes by {rise(found):+.4f} p.u. (paper {published:+.3f}, 560 kW "
-        f"{rise(larger):+.4f}). Both columns come close to the table; {either * (found['settings']['squared'] != "
-        f"larger['settings']['squared'])}{len(VALUES)} free settings for 30 numbers show what it may have been made "
-        "with, not what it was made with. The defaults stay: [decision 0030](decisions/0030-paper-settings.md)."
+        f"{rise(larger):+.4f}). Both columns come close to the table.{either} {len(VALUES)} free settings for 30 numbers "
+        "show what it may have been made with, not what it was made with. The defaults stay: "
+        "[decision 0030](decisions/0030-paper-settings.md)."
     )
 
 
