@@ -92,8 +92,8 @@ def _conclusion(columns: dict[str, Records]) -> str:
         f"of 560 kW {larger['gain_pct']:.1f} %). In the worst cell {found['inside_least_pct']:.0f} % of the buses stay "
         f"inside the band (paper over {BUSES_INSIDE_PCT:g} %, 560 kW {larger['inside_least_pct']:.0f} %). From 1 to 5 "
         f"sites at k_p = 1 the deviation changes by {rise(found):+.4f} p.u. (paper {published:+.3f}, 560 kW "
-        f"{rise(larger):+.4f}). Both columns come close to the table.{either} {len(VALUES)} free settings for 30 numbers "
-        "show what it may have been made with, not what it was made with. The defaults stay: "
+        f"{rise(larger):+.4f}). Both columns come close to the table.{either} {len(VALUES)} free settings for 30 "
+        "numbers show what it may have been made with, not what it was made with. The defaults stay: "
         "[decision 0030](decisions/0030-paper-settings.md)."
     )
 
