@@ -65,7 +65,16 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "memory": ("cumulative", "one_step"),
 }
 """What the search tries for each."""
-FOUND = Guess(squared=True)
+FOUND = Guess(
+    v0_pu=1.05,
+    capacitors=False,
+    q_max_share=0.1,
+    inverter_kva=300.0,
+    k_q_mvar_per_pu_s=0.05,
+    k_p_scale=0.2,
+    alpha_per_s=0.003,
+    memory="one_step",
+)
 """The best of the search, ``dcgrid dev fit-paper``."""
 LARGER = Guess(
     squared=True,

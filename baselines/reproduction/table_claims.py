@@ -192,8 +192,8 @@ def trend(records: Records) -> Row:
         {
             HOLDS: "each site adds more load than its converter makes up for",
             PARTLY: "in one of the two readings or at some k_p only",
-            DOES_NOT: "the trend is opposite, in either reading: a site brings reactive power too, and where V is above "
-            "1 p.u. its load brings it nearer",
+            DOES_NOT: "the trend is opposite, in either reading: a site brings reactive power too, and where V is "
+            "above 1 p.u. its load brings it nearer",
         }[verdict],
     )
 

@@ -12,7 +12,7 @@ from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
-SHOWN = 10
+SHOWN = 3
 """Settings that are printed; the file has all."""
 
 
@@ -53,9 +53,11 @@ class FitPaper(OverWorkers):
         rows = [trial.guess._asdict() | trial.distance._asdict() for trial in trials]
         write_json(self.out / "fit-paper.json", {"meta": meta(), "load": setting.load.description, "trials": rows})
         names = (*VALUES, "deviation_pu", "delay_s", "total")
-        head = [LABELS.get(name, name) for name in names]
+        best = sorted(rows, key=lambda row: row["total"])[:SHOWN]
+        head = ["", *(str(place) for place in range(1, len(best) + 1))]
         table = Table(*head, header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        for row in sorted(rows, key=lambda row: row["total"])[:SHOWN]:
-            table.add_row(*(f"{row[name]:.4g}" if isinstance(row[name], float) else str(row[name]) for name in names))
+        for name in names:
+            values = (row[name] for row in best)
+            table.add_row(LABELS.get(name, name), *(f"{v:.4g}" if isinstance(v, float) else str(v) for v in values))
         console.print(table)
         say(console, f"wrote {self.out / 'fit-paper.json'}")
