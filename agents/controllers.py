@@ -9,7 +9,7 @@ from pathlib import Path
 from dcgrid_env import PRESETS, Scenario, make_scenario
 from dcgrid_env.agents.policy.guard import GuardedPolicy, guarded, law_for
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
-from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, SUFFIX, Policy
+from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.baselines import Controller, ForScenario
 from dcgrid_env.baselines.scenario_spec import options_of
@@ -34,8 +34,6 @@ def _trained(shipped: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 TRAINED = _trained(SHIPPED)
 """Names that stand for the policy trained on the scenario at hand, with the presets that have one."""
-BEST_KNOWN = {f"{path.stem}-best-known": path for path in sorted((FOLDER / "best_known").glob(f"*{SUFFIX}"))}
-"""Policies that the best known of a preset's episodes was reached with (``tuning.best_known``), and their files."""
 
 
 def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
@@ -80,10 +78,6 @@ ENTRIES: dict[str, Entry] = {
     ".zip": ("a model of Stable-Baselines3, to be converted first", _pickled),
     "guarded:": ("before a policy's name: kept near its law where it was not trained, or does worse", _guarded),
     **{name: (f"the policy {name}, which ships", partial(Policy.load, name)) for name in SHIPPED},
-    **{
-        name: (f"the policy that reached the best known of {path.stem}'s test episodes", partial(Policy.load, path))
-        for name, path in BEST_KNOWN.items()
-    },
     **{name: ForScenario(f"{name}, trained on the preset that it drives", partial(_load, name)) for name in TRAINED},
 }
 """What this room adds to the registry of controllers, through an entry point: policies' names, and their files."""

@@ -4,8 +4,8 @@ The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenar
 made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
 differs in any field has none of them.
 
-Where sites trip, or agents smooth their power, there is no linear program. What stands there in hindsight's place is
-the best that is known (``tuning.best_known``), in a file whose ``kind`` says so, and it bounds nothing.
+Where sites trip, or agents smooth their power, there is no linear program. Their files contain the best known cost
+instead (``dcgrid dev best-known``), say so in their ``kind``, and the actions behind it are in ``recorded_actions``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
 BEST_KNOWN = "best known"
 """The ``kind`` of a file of best-known costs; files of hindsight have none."""
-FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "by": str, "searched_J": float, "x": list}
+FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "start": str, "rounds": int}
 """What the record of an episode holds there."""
 
 
@@ -72,7 +72,8 @@ class Published(NamedTuple):
 
 
 @cache
-def _shipped(name: str) -> dict[str, Any] | None:
+def shipped_content(name: str) -> dict[str, Any] | None:
+    """The content of a preset's file that ships; None where there is none."""
     path = files("dcgrid_env.baselines.data") / "hindsight" / f"{name}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
@@ -101,7 +102,7 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
 
 def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, Any]]:
     """The records of the episodes of exactly this scenario by their seeds, of which ``published`` makes arrays."""
-    about, shipped = scenario_hash(scenario), _shipped(scenario.name)
+    about, shipped = scenario_hash(scenario), shipped_content(scenario.name)
     solved: dict[int, dict[str, Any]] = {}
     if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
         solved |= {episode["seed"]: episode for episode in content["episodes"]}

@@ -45,6 +45,7 @@ from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
 from dcgrid_env.envs.single import DcgridEnv
 from dcgrid_env.envs.tensor import TensorEnv, TensorStep
+from dcgrid_env.envs.tensor_windows import TensorWindows
 from dcgrid_env.envs.vector import DcgridVectorEnv
 from dcgrid_env.grid import FEEDER_REGISTRY, FEEDERS, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -137,6 +138,7 @@ __all__ = [
     "StreamingRecorder",
     "TensorEnv",
     "TensorStep",
+    "TensorWindows",
     "ThreePhaseFeeder",
     "TripWidths",
     "UpsRideThrough",

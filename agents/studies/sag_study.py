@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from dcgrid_env.agents import find_controller
 from dcgrid_env.agents.studies.learning_tables import Table, page, wrapped
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
+from dcgrid_env.baselines.recorded_actions import replayed
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.score import SPLIT
-from dcgrid_env.baselines.tuning.best_known import replayed
 from dcgrid_env.core.work.here import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 
@@ -75,13 +75,12 @@ class SagStudy:
 
 
 class _Asked(NamedTuple):
-    """A controller on a preset's test episodes; the best known, from its records, without a name."""
+    """A controller on a preset's test episodes; without a name the best known, from its bundled actions."""
 
     scenario: str
     name: str | None
     episodes: int
     seed: int
-    best: Sequence[Mapping[str, Any]]
 
 
 def sag_study(
@@ -89,7 +88,7 @@ def sag_study(
     names: Sequence[str],
     episodes: int,
     seed: int,
-    best: Sequence[Mapping[str, Any]] = (),
+    best: bool = False,
     place: Place = ONE_PROCESS,
 ) -> SagStudy:
     """Drive the test episodes of a preset with sags under each controller.
@@ -103,7 +102,7 @@ def sag_study(
     seed
         The episode that is drawn, one of these.
     best
-        Records of the best known (``dcgrid dev best-known``), driven again behind the others; none where empty.
+        Whether the bundled best known actions (``dcgrid dev best-known``) are driven behind the others.
     place
         Where each controller's episodes are run as a unit.
 
@@ -118,9 +117,7 @@ def sag_study(
         raise ValueError(f"seed is {seed}; give one of the {episodes} episodes, 0 to {episodes - 1}")
     if not test.sags or getattr(test.part("datacenter"), "ride_through", None) is None:
         raise ValueError(f"scenario is {scenario!r}, which has no sags or no sites that leave; give ride-through")
-    known = tuple(record for record in best if record["seed"] < episodes)
-    asked = [_Asked(scenario, name, episodes, seed, ()) for name in names]
-    asked += [_Asked(scenario, None, episodes, seed, known)] if best else []
+    asked = [_Asked(scenario, name, episodes, seed) for name in (*names, *([None] if best else []))]
     units = [Unit(one.name or BEST_KNOWN, _drive, one) for one in asked]
     found = {unit.key: driven for unit, driven in place.results(units, carried(place, (), names), how_to_go_on="")}
     driven = tuple(sorted((found[unit.key] for unit in units), key=_cost))
@@ -131,9 +128,9 @@ def _drive(asked: _Asked) -> Driven:
     """What the episodes of one controller come to."""
     test, seeds = make_scenario(asked.scenario, split=SPLIT), range(asked.episodes)
     if asked.name is None:
-        return _driven(BEST_KNOWN, list(replayed(test, asked.best, find_controller)), asked.seed, _load_kw(test))
+        return _driven(BEST_KNOWN, replayed(test, seeds), asked.seed, _load_kw(test))
     recorder = rollout(test, find_controller(asked.name, test), seeds)
-    return _driven(asked.name, [(seeds, recorder)], asked.seed, _load_kw(test))
+    return _driven(asked.name, recorder, asked.seed, _load_kw(test))
 
 
 def _load_kw(test: Scenario) -> float:
@@ -145,14 +142,13 @@ def _cost(one: Driven) -> float:
     return -one.figures[0]
 
 
-def _driven(name: str, recorders: Sequence[tuple[Sequence[int], Recorder]], seed: int, load_kw: float) -> Driven:
-    """What the episodes of one controller come to, those of one recorder after the others."""
-    metrics = [of_lane for _, recorder in recorders for of_lane in recorder.metrics()]
+def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
+    """What the episodes of one controller come to."""
+    metrics = recorder.metrics()
     for of_lane in metrics:
         of_lane[LOST_SHARE.name] = 100.0 * of_lane["ups_lost_step_kw"] / load_kw
     figures = tuple(float(OVER[how]([one[metric.name] for one in metrics])) for metric, how in COLUMNS)
-    at, recorder = next((list(seeds).index(seed), one) for seeds, one in recorders if seed in seeds)
-    return Driven(name, figures, _course(recorder, at))
+    return Driven(name, figures, _course(recorder, seed))
 
 
 def _course(recorder: Recorder, lane: int) -> Course:
@@ -198,8 +194,9 @@ def markdown(study: SagStudy, made_by: str, image: str) -> str:
     )
     drawn = (
         f"The figure shows test episode {study.seed}. Dashed lines are the six dips; beyond 1.10 p.u. inverters trip "
-        "after 2 s and sites at once, and below 0.90 p.u. sites trip after 10 s. `best known` is fitted to each "
-        "episode with all of it known; it is no bound, and no controller that sees what agents see could do the same."
+        "after 2 s and sites at once, and below 0.90 p.u. sites trip after 10 s. `best known` is the result of a "
+        "search over the actions of each episode with all of it known. It is not a bound, and no controller that sees "
+        "what agents see could do the same."
     )
     parts = (wrapped(about), f"![the recorded dips under each controller]({image})", wrapped(drawn))
     return page("Six dips in 82 seconds", made_by, *parts, table(study).markdown(), wrapped(scale))

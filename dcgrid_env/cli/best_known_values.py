@@ -7,19 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.hindsight import kept_episodes
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, alone_in
 from dcgrid_env.cli.terminal import plain_console
 from dcgrid_env.cli.workers import OverWorkers
-from dcgrid_env.core.files import write_json
+from dcgrid_env.core.files import write_bytes, write_json
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
+    from dcgrid_env.agents.best_known.action_search import Known
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-EPISODES = 25
+EPISODES = 16
 """Episodes of a task."""
 
 
@@ -27,70 +29,101 @@ EPISODES = 25
 class BestKnownValues(OverWorkers):
     """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
 
-    Each episode is searched by itself, with all of it known: the times, pace and gains of a staggered return are fitted
-    to it, or the floors, ramps and gains of fixed smoothing. Named controllers are asked too, and the least of all
-    counts. It is written in the place of hindsight's costs, marked as best known: it bounds nothing, and whoever
-    reaches less makes it lower. Episodes that stand in the file are not searched again; controllers are asked anew.
+    Each episode is searched alone and over its actions, with all of it known: from the best trajectory of the named
+    controllers, or from the one that the file contains, whichever costs less. The costs are written in the place of
+    hindsight's and marked as best known, and the actions next to them. They are not a bound: the same command goes on
+    from what the file contains, and never makes a cost higher.
     """
 
     scenario: str = "ride-through"
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; its sites must have a channel return and a staggered-return tuned by dcgrid tune, or a
-    channel floor and a smoothing tuned."""
+    makes your own; its sites must have a channel return or a channel floor."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
-    controllers: str = "none,return-by-hand-tuned,staggered-return-tuned"
-    """Who is asked besides, separated by commas: names or files, see dcgrid list."""
-    episodes: int = 100
+    """Scenario fields to override, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    controllers: str = "droop-tuned"
+    """Controllers to begin with, separated by commas: names or files, see dcgrid list."""
+    rounds: int = 10
+    """Rounds of the search: passes over the blocks of an episode where sites return, 4 steps of the descent where
+    they smooth their power."""
+    episodes: int = 32
     """Number of episodes: seeds 0, 1, .."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation or test."""
     out: Path = Path("results/hindsight")
-    """Folder for SCENARIO.json."""
+    """Folder for SCENARIO.json and SCENARIO.actions.xz."""
+
+    @property
+    def resumes(self) -> str:
+        """How to go on: what has been found is where the search begins."""
+        return GOES_ON
 
     def run(self) -> None:
-        """Search and write. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
+        """Search and write. ValueError for an invalid setting, or a file that is damaged or of another scenario."""
+        from dcgrid_env.agents.best_known.action_search import Known
         from dcgrid_env.baselines.carried import carried
-        from dcgrid_env.baselines.hindsight_costs import hindsight_file
+        from dcgrid_env.baselines.recorded_actions import recorded_actions
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
         from dcgrid_env.core.work.unit import Unit
 
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
+        if self.rounds < 0:
+            raise ValueError(f"rounds is {self.rounds}; give at least 0")
         spec, names = ScenarioSpec(self.scenario, self.set), split_names(self.controllers)
         place, scenario, console = self.place, spec.make(self.split), plain_console()
-        kept, seeds = kept_episodes(self.out, scenario), range(self.episodes)
+        kept = kept_episodes(self.out, scenario)
+        actions = recorded_actions(scenario, self.out) if kept else {}
+        found = {
+            seed: Known(record["J"], record["start"], record["rounds"], actions[seed]) for seed, record in kept.items()
+        }
+        seeds = range(self.episodes)
         parts = [seeds[i : i + EPISODES] for i in seeds[::EPISODES]]
-        tasks = [Task(spec, self.split, own, tuple(names), {i: kept[i] for i in own if i in kept}) for own in parts]
-        records: dict[int, dict[str, Any]] = {}
+        tasks = [
+            Task(spec, self.split, own, tuple(names), self.rounds, {i: found[i] for i in own if i in found})
+            for own in parts
+        ]
         with alone_in(self.out, "dcgrid dev best-known"), progress_bar(console) as progress:
             bar = progress.add_task("episodes", total=self.episodes)
             units = [Unit(f"{scenario.name}, seeds {t.seeds[0]} to {t.seeds[-1]}", search, t) for t in tasks]
-            for unit, found in place.results(units, carried(place, [spec.where], names), how_to_go_on=""):
-                records |= found
+            for unit, known in place.results(units, carried(place, [spec.where], names)):
+                found |= known
+                self._write(spec, found)
                 progress.advance(bar, len(unit.item.seeds))
-            write_json(hindsight_file(self.out, scenario.name), self._content(spec, records))
-        j = [record["J"] for record in records.values()]
-        by = [record["by"] for record in records.values()]
-        shares = ", ".join(f"{name} {by.count(name)}" for name in dict.fromkeys(by))
-        console.print(f"{scenario.name}: {len(j)} episodes, mean J {sum(j) / len(j):.4f}, found by {shares}")
+        j = [found[seed].J for seed in seeds]
+        console.print(f"{scenario.name}: {len(j)} episodes, mean J {sum(j) / len(j):.4f}")
 
-    def _content(self, spec: ScenarioSpec, records: dict[int, dict[str, Any]]) -> dict[str, Any]:
-        """What the file holds."""
-        from dcgrid_env import scenario_hash
-        from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
+    def _write(self, spec: ScenarioSpec, found: dict[int, Known]) -> None:
+        """Write the actions, then the costs, which name the hash of the actions."""
+        import numpy as np
 
-        scenario = spec.make(self.split)
+        from dcgrid_env import episode_hash, scenario_hash
+        from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file
+        from dcgrid_env.baselines.recorded_actions import actions_file, checksum, packed
+
+        scenario, seeds = spec.make(self.split), sorted(found)
         options = f"--split {self.split} --episodes {self.episodes} --controllers {shlex.quote(self.controllers)}"
-        return {
+        content = packed(np.stack([found[seed].actions for seed in seeds]))
+        write_bytes(actions_file(self.out, scenario.name), content)
+        described: dict[str, Any] = {
             "kind": BEST_KNOWN,
             "scenario": scenario.name,
             "split": scenario.split,
             "scenario_hash": scenario_hash(scenario),
-            "command": f"dcgrid dev best-known {spec.options('--scenario')} {options}",
+            "command": f"dcgrid dev best-known {spec.options('--scenario')} {options} --rounds {self.rounds}",
             "versions": meta()["versions"],
-            "episodes": [records[seed] for seed in sorted(records)],
+            "actions_sha256": checksum(content),
+            "episodes": [
+                {
+                    "seed": seed,
+                    "hash": episode_hash(scenario, seed),
+                    "J": found[seed].J,
+                    "start": found[seed].start,
+                    "rounds": found[seed].rounds,
+                }
+                for seed in seeds
+            ],
         }
+        write_json(hindsight_file(self.out, scenario.name), described)
 
 
 class Task(NamedTuple):
@@ -100,28 +133,17 @@ class Task(NamedTuple):
     split: str
     seeds: range
     controllers: tuple[str, ...]
-    kept: dict[int, dict[str, Any]]
-    """Records of those that have been searched."""
+    rounds: int
+    known: dict[int, Known]
+    """What is known of episodes so far."""
 
 
-def search(task: Task) -> dict[int, dict[str, Any]]:
-    """The records of some episodes, by seed."""
-    from dcgrid_env import episode_hash
+def search(task: Task) -> dict[int, Known]:
+    """What is known of some episodes after the search, by seed."""
     from dcgrid_env.agents import find_controller
-    from dcgrid_env.baselines.tuning.best_known import Searched, best_known
+    from dcgrid_env.agents.best_known.action_search import best_known
 
     scenario = task.spec.make(task.split)
-    asked = {name: find_controller(name, scenario) for name in task.controllers}
-    searched = {seed: Searched(record["searched_J"], tuple(record["x"])) for seed, record in task.kept.items()}
-    found = best_known(scenario, list(task.seeds), asked, searched)
-    return {
-        seed: {
-            "seed": seed,
-            "hash": episode_hash(scenario, seed),
-            "J": best.J,
-            "by": best.by,
-            "searched_J": best.searched.J,
-            "x": list(best.searched.x),
-        }
-        for seed, best in zip(task.seeds, found, strict=True)
-    }
+    controllers = {name: find_controller(name, scenario) for name in task.controllers}
+    found = best_known(scenario, list(task.seeds), controllers, task.known, task.rounds)
+    return dict(zip(task.seeds, found, strict=True))

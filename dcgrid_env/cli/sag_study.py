@@ -25,7 +25,7 @@ class Sags(OverWorkers):
     known of all episodes."""
     beside: str = "droop-tuned,ride-through-ppo"
     """Controllers that stand in the table alone, separated by commas, none for the empty text."""
-    episodes: int = 100
+    episodes: int = 32
     """Number of test episodes: seeds 0, 1, .."""
     seed: int = 1
     """The episode that is drawn."""
@@ -37,7 +37,7 @@ class Sags(OverWorkers):
         from dcgrid_env import make_scenario
         from dcgrid_env.agents.studies.sag_figure import sag_figure
         from dcgrid_env.agents.studies.sag_study import markdown, sag_study, table
-        from dcgrid_env.baselines.hindsight_costs import FOLDER, published, records
+        from dcgrid_env.baselines.hindsight_costs import published
         from dcgrid_env.baselines.score import SPLIT
         from dcgrid_env.core.files import write_figure, write_text
 
@@ -46,12 +46,11 @@ class Sags(OverWorkers):
         place, name, console = self.place, one_scenario(self.scenario), plain_console()
         check_folder(self.out / "images")
         test = make_scenario(name, split=SPLIT)
-        known = published(test, FOLDER)
+        known = published(test)
         every = known is not None and known.is_best_known and not known.missing(range(self.episodes))
         with working(console, f"{self.episodes} test episodes of {name}"):
-            best = records(test, FOLDER) if every else ()
             beside = split_names(self.beside)
-            study = sag_study(name, [*split_names(self.controllers), *beside], self.episodes, self.seed, best, place)
+            study = sag_study(name, [*split_names(self.controllers), *beside], self.episodes, self.seed, every, place)
         drawn = replace(study, driven=tuple(one for one in study.driven if one.name not in beside))
         write_figure(self.out / "images" / "sag-study.png", sag_figure(drawn), dpi=110)
         write_text(self.out / "sag-study.md", markdown(study, meta()["command"], "images/sag-study.png"))

@@ -40,8 +40,8 @@ class TensorStep(NamedTuple):
     state: State
 
 
-class _Outside(NamedTuple):
-    """All that comes from outside, with the step 0 .. T in front."""
+class Outside(NamedTuple):
+    """All that comes from outside in some episodes, (0 .. T, episode, ..) each."""
 
     p_load_kw: Array
     q_load_kvar: Array
@@ -111,8 +111,8 @@ class TensorEnv:
         if not len(seeds) or copies < 1:
             raise ValueError(f"{len(seeds)} seeds and {copies} copies; give at least 1 of each")
         self._on = self.scenario.member(seeds)
-        outside, buses = _draw(self._on, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
-        self._outside = _Outside(*(None if a is None else as_like(a, self.like) for a in outside))
+        outside, buses = drawn_outside(self._on, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
+        self._outside = Outside(*(None if a is None else as_like(a, self.like) for a in outside))
         lanes = np.arange(len(buses) * copies) % len(buses)
         self._copied = None if copies == 1 else self._index(lanes)
         placed = observation.placement(self._on, buses[lanes])
@@ -238,7 +238,7 @@ def _kind(values: Array) -> str:
     return f"a {'masked' if masked else 'NumPy'} array of {'floats' if values.dtype.kind == 'f' else values.dtype}"
 
 
-def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
+def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.ndarray]:
     """Everything from outside over the first episode of each seed, and the positions of the agents' buses."""
     from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
 
@@ -258,7 +258,7 @@ def _draw(scenario: Scenario, seeds: np.ndarray) -> tuple[_Outside, np.ndarray]:
             return None
         return np.stack(rows if last is None else [*rows, last])
 
-    course = _Outside(
+    course = Outside(
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
         stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),

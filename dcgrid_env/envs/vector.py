@@ -18,6 +18,8 @@ from dcgrid_env.envs.given_episodes import given_episodes
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -149,6 +151,41 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             transition.truncated.copy(),
             infos,
         )
+
+    def fork(self, lanes: Sequence[int] | np.ndarray) -> DcgridVectorEnv:
+        """Return a new environment whose episode i continues from the current state of episode ``lanes[i]``.
+
+        An episode may be copied many times, for instance to try several actions from the same state.
+
+        Parameters
+        ----------
+        lanes
+            Positions in this batch, each in 0 .. num_envs - 1.
+
+        Raises
+        ------
+        ValueError
+            For a position that does not exist, or none.
+        ScenarioError
+            For a scenario on random feeders.
+        """
+        from dcgrid_env.engine.snapshot import taken  # brings the compiler with it, so not on import
+
+        chosen = np.asarray(lanes)
+        if (
+            chosen.ndim != 1
+            or not chosen.size
+            or chosen.dtype.kind not in "iu"
+            or chosen.min() < 0
+            or chosen.max() >= self.num_envs
+        ):
+            raise ValueError(f"lanes is {lanes!r}; give positions in 0 .. {self.num_envs - 1}, at least one")
+        if isinstance(self.scenario.feeder, RandomFeeders):
+            raise ScenarioError("fork: episodes on random feeders cannot be copied; choose one feeder")
+        env = DcgridVectorEnv(len(chosen), self.scenario, info=self.info_level, autoreset_mode=self.autoreset_mode)
+        env._simulation.go_on(taken(self.save(), chosen, self.scenario))
+        env._arrived()
+        return env
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Draw the lanes: a tuple of images (height, width, 3) uint8, one for each, or for "human" lane 0's window."""

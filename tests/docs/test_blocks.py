@@ -136,10 +136,6 @@ TOML_NAME = re.compile(r"# ([\w-]+\.toml)$", re.MULTILINE)
 """First line of a block of TOML: the name of the file that it stands for."""
 
 
-RECORDED = {"docs/pareto.md", "docs/ablations.md", "docs/generalise.md"}
-"""Documents that record the command which made them, when it was called `dcgrid pareto`, not `dcgrid dev pareto`."""
-
-
 class Document:
     """A document's blocks: those of Python, files in TOML by their names, and its commands."""
 
@@ -163,9 +159,7 @@ class Document:
         """Words of every command, in order, as the shell gives them on."""
         for line in self.lines:
             for part in re.split(r" && ", line):
-                command = words(part)
-                is_older = self.name in RECORDED and command[1] in main.DEV.members
-                yield [command[0], "dev", *command[1:]] if is_older else command
+                yield words(part)
 
 
 def words(command):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
-from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate, find_controller
-from dcgrid_env.agents.controllers import BEST_KNOWN, preset_of
+from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
+from dcgrid_env.agents.controllers import preset_of
 from dcgrid_env.agents.policy.card import Scored
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
@@ -156,18 +156,6 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
         assert card.scored.seed_validation_J is not None
         assert card.scored.seed_validation_J[own] == card.validation_J == min(card.scored.seed_validation_J)
     assert card.scored.scenario_hash == scenario_hash(make_scenario(card.scored.scenario, split="test"))
-
-
-def test_a_policy_that_holds_the_best_known_has_its_card_beside_it():
-    folder = FOLDER / "best_known"
-    for name, path in BEST_KNOWN.items():
-        policy, card = belongs(folder, path.stem)
-        assert card.scored is not None
-        assert name == f"{card.scored.scenario}-best-known"
-        found = find_controller(name, make_scenario(card.scored.scenario))
-        assert isinstance(found, Policy)
-        assert found.sha256 == policy.sha256
-    assert {path.stem for path in folder.glob("*.json")} == {path.stem for path in BEST_KNOWN.values()} == {"smoothing"}
 
 
 @pytest.mark.slow

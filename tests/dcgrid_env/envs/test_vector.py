@@ -341,3 +341,36 @@ def test_first_resets_that_cannot_be():
 def test_environments_made_alike_share_what_is_derived():
     one, two = DcgridEnv("ieee123", horizon=7), DcgridEnv("ieee123", horizon=7)
     assert one.scenario is two.scenario
+
+
+@pytest.mark.parametrize("scenario", ["toy6", "ieee13-3ph", "ride-through"])
+def test_a_fork_goes_on_from_the_lanes_that_it_copies_bit_for_bit(scenario):
+    batch = DcgridVectorEnv(3, scenario, horizon=6)
+    batch.reset(seed=5)
+    batch.action_space.seed(0)
+    actions = [batch.action_space.sample() for _ in range(6)]
+    for action in actions[:3]:
+        batch.step(action)
+    copied = [2, 0, 2, 2]
+    fork = batch.fork(copied)
+    for action in actions[3:]:
+        _, rewards, *_ = batch.step(action)
+        seen, rewards_of_fork, *_ = fork.step(action[copied])
+        np.testing.assert_array_equal(rewards_of_fork, rewards[copied])
+        np.testing.assert_array_equal(fork.transition.state.v_pu, batch.transition.state.v_pu[copied])
+        np.testing.assert_array_equal(fork.transition.j_so_far, batch.transition.j_so_far[copied])
+    assert len(seen) == 4
+
+
+def test_what_cannot_be_forked():
+    batch = DcgridVectorEnv(2, "toy6")
+    with pytest.raises(RuntimeError, match="has not been reset"):
+        batch.fork([0])
+    batch.reset(seed=0)
+    for lanes in ([], [2], [-1], np.array([0.5]), np.array([[0]])):
+        with pytest.raises(ValueError, match=r"lanes is .*; give positions in 0 .. 1, at least one"):
+            batch.fork(lanes)
+    zero_shot = DcgridVectorEnv(2, "zero-shot", horizon=2)
+    zero_shot.reset(seed=0)
+    with pytest.raises(dcgrid_env.ScenarioError, match="random feeders cannot be copied"):
+        zero_shot.fork([0])
