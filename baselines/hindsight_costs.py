@@ -73,7 +73,7 @@ class Published(NamedTuple):
 
 @cache
 def shipped_content(name: str) -> dict[str, Any] | None:
-    """The content of a preset's file that ships; None where there is none."""
+    """Return the content of a preset's bundled file; None if there is none."""
     path = files("dcgrid_env.baselines.data") / "hindsight" / f"{name}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 

@@ -1,8 +1,8 @@
-"""The least cost that is known of single episodes that no linear program plans, each with all of it known.
+"""Search the best known cost of episodes for which there is no linear program.
 
-Trips are no linear program, and neither is smoothing by settings that are held for seconds, so there is no optimum to
-measure with. Its place is taken by the least cost that anyone has been seen to reach in that very episode: the search
-begins with the best of some controllers, or with a record, and changes single actions. It is not a bound.
+Trips are not a linear program, and neither is smoothing by settings that are held for seconds. So there is no optimum
+to compare with. The best known cost of the same episode takes its place. The search begins with the best trajectory of
+some controllers, or with a recorded one, and changes single actions. The result is not a bound.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def best_known(
 def begin_with(
     scenario: Scenario, seeds: Sequence[int], controllers: Mapping[str, Controller], known: Mapping[int, Known]
 ) -> list[Known]:
-    """The best of the controllers' trajectories and of those that are known, by episode."""
+    """Return the trajectory of each episode that costs least, among those of the controllers and the known ones."""
     found = {seed: known[seed] for seed in seeds if seed in known}
     for name, controller in controllers.items():
         recorder = _Recorder(controller)
@@ -107,7 +107,7 @@ def begin_with(
 
 
 class _Recorder:
-    """A controller that keeps its actions."""
+    """A controller whose actions are recorded."""
 
     def __init__(self, controller: Controller):
         self._controller = controller

@@ -1,4 +1,4 @@
-"""A batch of episodes that is driven by given actions, copied, and charged, whether an episode ends early or not."""
+"""Drive batches of episodes by given actions, copy them and sum their costs."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from dcgrid_env import DcgridVectorEnv, Scenario
 
 
 class Batch:
-    """Episodes on their way.
+    """Episodes that have begun.
 
     Parameters
     ----------
     env
         An environment that has been reset.
     cost
-        Sum of the steps' costs so far, (lane,).
+        Sum of the steps' costs so far, (episode,).
     over
-        Whether the episode has ended, (lane,).
+        Whether the episode has ended, (episode,).
     """
 
     def __init__(self, env: DcgridVectorEnv, cost: np.ndarray, over: np.ndarray):
         self._env, self.cost, self._over = env, cost, over
 
     def step(self, actions: np.ndarray) -> Any:
-        """Advance by joint actions, (lane, n_action); the state behind the step."""
+        """Advance by joint actions, (episode, n_action), and return the state after the step."""
         _, _, terminated, truncated, _ = self._env.step(actions)
         transition = self._env.transition
         self.cost = self.cost + transition.cost_j * ~self._over
@@ -35,12 +35,12 @@ class Batch:
         return transition.state
 
     def fork(self, lanes: np.ndarray) -> Batch:
-        """A batch whose episode i goes on from episode ``lanes[i]``."""
+        """Return a batch whose episode i continues from episode ``lanes[i]``."""
         return Batch(self._env.fork(lanes), self.cost[lanes], self._over[lanes])
 
 
 def begun(scenario: Scenario, seeds: Sequence[int]) -> tuple[Batch, Any]:
-    """A batch at the beginning of each seed's episode, and its state."""
+    """Return a batch at the beginning of each seed's episode, and its state."""
     env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"), info="none")
     env.reset(seed=list(seeds))
     return Batch(env, np.zeros(len(seeds)), np.zeros(len(seeds), bool)), env.transition.state
@@ -49,7 +49,7 @@ def begun(scenario: Scenario, seeds: Sequence[int]) -> tuple[Batch, Any]:
 def driven(
     scenario: Scenario, seeds: Sequence[int], actions: np.ndarray, starts: Sequence[int] = (0,)
 ) -> tuple[np.ndarray, list[Any]]:
-    """J of each episode under its actions, (step, episode, n_action), and the states that are passed at ``starts``."""
+    """Return J of each episode under its actions, (step, episode, n_action), and the states at the steps ``starts``."""
     batch, state = begun(scenario, seeds)
     states = [state]
     for step, action in enumerate(actions, start=1):

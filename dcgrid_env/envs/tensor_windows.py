@@ -1,8 +1,8 @@
-"""Windows of the same episodes, stepped side by side as tensors: gradients of long episodes at a fraction of the time.
+"""Windows of long episodes as one batch of tensors, which makes their gradient much faster.
 
-A gradient through thousands of steps one after another is slow, and most of its time is overhead of single operations.
-Here an episode is cut into windows that all begin at once, each in a state that the native environment passed through.
-What a window's end leaves to the next one enters through the gradient of that one by its initial state.
+A gradient through thousands of steps in sequence is slow, because most of the time is overhead of single operations.
+Here an episode is cut into windows that are stepped together. Each begins in a state of the native environment. The
+gradient of a window by its initial state says what the end of the window before it is worth.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class TensorWindows:
-    """Windows of episodes in a batch, window by window and within each episode by episode.
+    """A batch of windows, ordered by window and then by episode.
 
     Parameters
     ----------
@@ -47,15 +47,18 @@ class TensorWindows:
         self.state: State
 
     def begin(self, states: Sequence[State]) -> State:
-        """Put the windows at their beginning, given the state of all episodes at each start, as NumPy arrays."""
+        """Set the initial states: those of all episodes at each start, as NumPy arrays."""
         joined = over_arrays(lambda *parts: np.concatenate(parts), *states)
         self.state, self.step_number = joined.map(self._as_like), 0
         return self.state
 
     def step(self, action: Array) -> Array:
-        """Advance every window by joint actions (window, n_action); the step's share of J times T, (window,).
+        """Advance every window by joint actions, (window, n_action).
 
-        It is 0 behind the end of the episode.
+        Returns
+        -------
+        Array
+            The step's share of J times T, (window,); 0 after the end of the episode.
         """
         self.step_number += 1
         s, horizon = self.scenario, self.scenario.horizon
