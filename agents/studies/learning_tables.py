@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 
 from dcgrid_env import METRICS, Metric
-from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table, heading
+from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
 from dcgrid_env.baselines.score import Estimate
 
 COLUMNS = (
@@ -19,7 +19,7 @@ COLUMNS = (
     METRICS["delay_mean_s"],
 )
 """Columns that are means over episodes."""
-HEADINGS = tuple(map(heading, COLUMNS))
+HEADINGS = tuple(metric.column for metric in COLUMNS)
 SCORE = (
     "Score: 0 is the tuned droop law, 1 perfect foresight; mean(J_droop - J) / mean(J_droop - J_hindsight) over the "
     "test episodes, with its 95 % paired bootstrap interval over episodes. Several training seeds enter with their "

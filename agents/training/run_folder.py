@@ -31,10 +31,12 @@ from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.training.config import stored_config
-from dcgrid_env.core.files import clear_parts, new_folder, whole, write_text
+from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
 
 CHECKPOINT = "checkpoint.pt"
+EVENT_BYTES = 2**16
+"""More than TensorBoard writes of a record."""
 FREE = ("out", "resume")
 """Fields of a configuration that a resumed run may have otherwise."""
 
@@ -170,7 +172,10 @@ class Run:
     def save(self, state: Mapping[str, Any]) -> None:
         """Write a checkpoint, whole or not at all; tensors, numbers, strings, and lists and dicts of those."""
         with whole(self.checkpoint_path) as file:
-            torch.save({**state, "step": self.step, "seconds": self.seconds}, file)
+            try:
+                torch.save({**state, "step": self.step, "seconds": self.seconds}, file)
+            except RuntimeError as error:  # torch's, in place of that of a full disk
+                raise error.__context__ if isinstance(error.__context__, OSError) else error from None
 
     @property
     def seconds(self) -> float:
@@ -181,12 +186,15 @@ class Run:
         """Add a row to the curve and to TensorBoard, at the current step."""
         row = {"step": self.step, **{name: float(value) for name, value in figures.items()}, "seconds": self.seconds}
         path = self.folder / "curve.csv"
-        with path.open("a", newline="") as file:
+        with naming(path), path.open("a", newline="") as file:
             _write_row(file, row, with_header=file.tell() == 0)
+        with naming(self.folder):
+            require_space(self.folder, EVENT_BYTES)  # TensorBoard writes in a thread, whose error none can catch
         if self._writer is None:
             self._writer = SummaryWriter(self.folder, purge_step=self.step)
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
+        self._writer.flush()
         for watcher in tuple(_watchers):
             watcher(row)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dcgrid_env import METRICS, Metric
+from dcgrid_env import METRICS
 from dcgrid_env.baselines import Published
 from dcgrid_env.baselines.benchmark.columns import fit, folded
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary
@@ -61,13 +61,13 @@ class Table:
     def markdown(self) -> str:
         """The table in Markdown; text of users cannot break the table."""
         ruled = "|".join(["---", *["---:"] * (len(self.header) - 1)])
-        lines = [_row(self.header), f"|{ruled}|", *(_row(map(_cell, row)) for row in self.rows)]
+        lines = [_row(map(_cell, self.header)), f"|{ruled}|", *(_row(map(_cell, row)) for row in self.rows)]
         notes = "".join(f"\n\n{_cell(note)}" for note in self.notes)
         return f"## {_cell(self.title)}\n\n" + "\n".join(lines) + notes + "\n"
 
     def html(self) -> str:
         """The table in HTML, all text escaped."""
-        head = "".join(f"<th>{html.escape(_plain(text))}</th>" for text in self.header)
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in self.header)
         body = "".join(
             f"<tr><th>{html.escape(row[0])}</th>" + "".join(map(_td, row[1:])) + "</tr>" for row in self.rows
         )
@@ -84,7 +84,7 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        header, shown = [_plain(text) for text in self.header], []
+        header, shown = list(self.header), []
         for part in fit(header, self.rows, width, fixed):
             table = RichTable(title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
             table.title = None if shown else Text(self.title)
@@ -96,11 +96,6 @@ class Table:
                 table.add_row(*(Text(folded(row[i], wide) if i < fixed else row[i]) for i, wide in cells))
             shown.append(table)
         return Group(*shown)
-
-
-def heading(metric: Metric) -> str:
-    """A metric's heading as ``Table`` takes it, in Markdown."""
-    return metric.column.replace("|", "\\|")
 
 
 def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:
@@ -128,7 +123,7 @@ def saved_table(summaries: Sequence[ScenarioSummary]) -> Table:
 
 def scenario_table(summary: ScenarioSummary) -> Table:
     """Everything about one scenario."""
-    header = ("controller", "score", SAVED, "J", "IQM of J", *map(heading, COLUMNS), "observes")
+    header = ("controller", "score", SAVED, "J", "IQM of J", *(metric.column for metric in COLUMNS), "observes")
     notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
     saves = "" if summary.headroom_pct is None else f", {summary.headroom_pct:.1f} % of J saved"
     if isinstance(summary.hindsight, BestKnownCost):
@@ -194,16 +189,12 @@ def _row(cells: Iterable[str]) -> str:
 
 def _cell(text: str) -> str:
     """Text of a user's as Markdown shows it literally."""
-    for sign in "\\|`*_<>[]$~":
+    for sign in "\\|`*_<>[]$~&":
         text = text.replace(sign, "\\" + sign)
-    return text
+    return " ".join(text.splitlines())
 
 
 def _td(text: str) -> str:
     """A figure's interval goes below it, smaller."""
     value, bracket, interval = text.partition(" (")
     return f"<td>{html.escape(value)}" + (f"<br><small>({html.escape(interval)}</small>" if bracket else "") + "</td>"
-
-
-def _plain(text: str) -> str:
-    return text.replace("\\|", "|")

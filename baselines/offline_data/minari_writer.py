@@ -15,13 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from dcgrid_env import IDS, Scenario, episode_hash
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode, agent_layout
-from dcgrid_env.core.files import whole_folder, write_json
+from dcgrid_env.core.files import naming, new_folder, require_space, whole_folder, write_json
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.lock import locked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,6 +34,8 @@ ROOT_VARIABLE = "MINARI_DATASETS_PATH"
 CARD = "card.json"
 AGENTS = "agents"
 """Key of Minari's metadata that says where each agent stands in the joint observation and action."""
+BYTES_OF_EPISODE = 2**18
+"""Bytes that HDF5 takes for the names and layout of an episode, at most."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -102,14 +106,16 @@ def new_dataset(root: Path, name: str, scenario: Scenario, algorithm: str) -> It
     ValueError
         Where there is one of that name, or Minari is not installed.
     OSError
-        Where it cannot be written.
+        Where it cannot be written, or another process writes it.
     """
     require_minari()
     folder = root / name
-    if folder.exists():
-        raise ValueError(f"{folder} is there already; give another --name, or delete it")
-    with whole_folder(folder) as part:
-        yield DatasetWriter(part, name, scenario, algorithm)
+    remedy = "give another --name, or wait until it has ended"
+    with new_folder(folder.parent), locked(folder.parent, "data set", remedy, f".{folder.name}"):
+        if folder.exists():
+            raise ValueError(f"{folder} is there already; give another --name, or delete it")
+        with whole_folder(folder) as part, naming(folder):
+            yield DatasetWriter(part, name, scenario, algorithm)
 
 
 class DatasetWriter:
@@ -140,9 +146,16 @@ class DatasetWriter:
     def add(self, episodes: Sequence[JointEpisode]) -> None:
         """Append episodes, in order."""
         first = self._storage.total_episodes
+        # HDF5 ends the process where it cannot write.
+        require_space(self._folder, BYTES_OF_EPISODE * len(episodes) + 2 * _bytes_of(episodes), self._size)
         self._storage.update_episodes(map(self._as_buffer, episodes))
         about = [self._about(episode) for episode in episodes]
         self._storage.update_episode_metadata(about, range(first, first + len(episodes)))
+
+    @property
+    def _size(self) -> int:
+        """Bytes that are written."""
+        return sum(path.stat().st_size for path in self._folder.rglob("*") if path.is_file())
 
     def _as_buffer(self, episode: JointEpisode) -> Any:
         return self._buffer(
@@ -163,6 +176,12 @@ class DatasetWriter:
     def describe(self, card: Mapping[str, Any]) -> None:
         """Write the card. ValueError for a NaN in it."""
         write_json(self._folder / CARD, card)
+
+
+def _bytes_of(episodes: Sequence[JointEpisode]) -> int:
+    """Bytes of the arrays of episodes."""
+    arrays = (array for episode in episodes for array in (*vars(episode).values(), *episode.infos.values()))
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 def lanes_at_once(horizon: int) -> int:

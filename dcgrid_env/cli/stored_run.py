@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.run import Run, scenario_of
+from dcgrid_env.core.checked import finite
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
@@ -63,7 +64,10 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
         stored = json.loads(path.read_text(encoding="utf-8"))
         words = shlex.split("" + stored["meta"]["command"])  # a TypeError where it is no text
         expected = stored["meta"]["scenario_hash"]
-        costs = {(str(e["controller"]), int(e["seed"])): float(e["J"]) for e in stored["episodes"]}
+        costs = {(e["controller"], e["seed"]): e["J"] for e in stored["episodes"]}
+        for (name, seed), cost in costs.items():
+            if not (isinstance(name, str) and type(seed) is int and finite(cost)):
+                raise ValueError(f"episode {seed!r} of {name!r} has J {cost!r}, which is no finite number")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no file of dcgrid run ({type(error).__name__}: {error}); run again") from None
     command = _command(path, words)
@@ -72,7 +76,7 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
     scenario = scenario_of(command)
     if scenario_hash(scenario) != expected:
         raise ValueError(
-            f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected}), as its files or the "
+            f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected!r}), as its files or the "
             "package have changed; run again"
         )
     return StoredRun(command, scenario, costs)

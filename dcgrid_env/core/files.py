@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import os
@@ -52,13 +53,37 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an OSError of the block that names no file name this one, as where no space is left on the device."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        raise
+
+
+def require_space(folder: Path, n_bytes: int, behind: int = 0) -> None:
+    """OSError unless so many bytes can be added to a file there that has ``behind`` already."""
+    part = folder / f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}"
+    try:
+        with part.open("xb") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), behind, n_bytes)
+            elif shutil.disk_usage(folder).free < n_bytes:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """Open a file to be written: ``path`` is there, with all of it, once the block has ended without an error.
 
     It is written under a name of its own in the same folder, so that two who write at once do not meet; folders are
     made. OSError where it cannot be written.
     """
-    with new_folder(path.parent):
+    with naming(path), new_folder(path.parent):
         part = path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}")
         try:
             with part.open("xb") as file:

@@ -18,7 +18,9 @@ class LockedError(OSError):
 
 
 @contextmanager
-def locked(folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended") -> Iterator[None]:
+def locked(
+    folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended", part: str = ""
+) -> Iterator[None]:
     """Hold a folder for the block; nothing of the lock is left behind.
 
     The operating system keeps the lock (``filelock``), so one that a killed process held is free. Beside it stands a
@@ -32,6 +34,8 @@ def locked(folder: Path, what: str, remedy: str = "give another --out, or wait u
         Who holds it, for the message: "training", for instance.
     remedy
         What one who is refused can do.
+    part
+        What is held within the folder; all of it unless given.
 
     Raises
     ------
@@ -42,12 +46,12 @@ def locked(folder: Path, what: str, remedy: str = "give another --out, or wait u
     """
     from filelock import Timeout
 
-    lock, note = folder / ".lock", folder / ".lock.json"
+    lock, note = folder / f"{part}.lock", folder / f"{part}.lock.json"
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(alone(lock, timeout_s=0))
         except Timeout:
-            raise LockedError(f"{folder}: {_holder(note)} writes there; {remedy}") from None
+            raise LockedError(f"{folder / part.lstrip('.')}: {_holder(note)} writes there; {remedy}") from None
         stack.callback(note.unlink, missing_ok=True)
         began = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
         about = {"what": what, "pid": os.getpid(), "host": socket.gethostname(), "began": began}

@@ -93,7 +93,7 @@ def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -
     except (TypeError, ValueError) as error:
         raise ActionError(f"the action is no array of numbers: {error}; give shape {want}") from None
     if array.dtype.kind not in "fiub":
-        raise ActionError(f"the action is an array of {array.dtype}; give real numbers in shape {want}")
+        raise ActionError(f"the action is no array of numbers but of {array.dtype}; give real numbers in shape {want}")
     array = array.astype(np.float64, copy=False)
     if array.shape != want:
         listing = ", ".join(f"{agent} {name}" for agent, name in layout.names)

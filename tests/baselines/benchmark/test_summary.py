@@ -137,6 +137,7 @@ def test_a_failure_is_a_row_and_a_note():
 def test_text_of_users_breaks_no_table():
     table = Table("a|b", ("c", "d"), (("x|y*<b>`[l](u)", "1.0 (0.5 to 1.5)"),), ("<script>",))
     lines = table.markdown().splitlines()
+    assert Table("a", ("b", "c|d\n<e>"), ()).markdown().splitlines()[2] == "| b | c\\|d \\<e\\> |"
     assert lines[4] == "| x\\|y\\*\\<b\\>\\`\\[l\\](u) | 1.0 (0.5 to 1.5) |"
     page = table.html()
     assert "<b>" not in page

@@ -28,6 +28,7 @@ class _Part:
         ({"share": -0.1}, r"^_Part: share is -0.1; give a finite number in \[0, high = 5\]$"),
         ({"share": 5.1}, r"share is 5.1; give a finite number in \[0, high = 5\]"),
         ({"share": float("nan")}, "share is nan; give a finite number"),
+        ({"share": 1e-320}, r"share is 1e-320; give a finite number in \[0, high = 5\], 0 or of at least 2.2e-308"),
         ({"share": True}, "share is True; give a finite number"),
         ({"high": "5"}, r"high is '5'; give a finite number in \[0, 10\]"),
         ({"steps": 0}, "steps is 0; give a whole number of at least 1 and at most 1,000"),

@@ -1,3 +1,4 @@
+import errno
 import os
 import re
 import signal
@@ -10,6 +11,7 @@ from dcgrid_env.core.files import (
     clear_parts,
     new_folder,
     require_folder,
+    require_space,
     whole,
     whole_folder,
     write_figure,
@@ -143,3 +145,14 @@ def test_parts_of_a_killed_process_can_be_cleared(tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
     clear_parts(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.part"]
+
+
+def test_a_full_disk_is_said_of_the_file(tmp_path):
+    path = tmp_path / "note.md"
+    with pytest.raises(OSError, match=r"No space left on device: '.*note\.md'"), whole(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []
+    require_space(tmp_path, 2**16)
+    with pytest.raises(OSError, match="No space left|too large"):
+        require_space(tmp_path, 2**62)
+    assert list(tmp_path.iterdir()) == []

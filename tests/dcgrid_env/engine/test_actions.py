@@ -32,9 +32,12 @@ def test_another_shape_is_refused_with_what_belongs_there(action, lanes):
         joint_action(TOY6, action, lanes)
 
 
-@pytest.mark.parametrize("action", ["up", [0.0, "x", 0.0, 0.0], [[0.0], [0.0, 0.0]], None, {"dc_0": 1.0}])
+@pytest.mark.parametrize("action", [
+    "up", [0.0, "x", 0.0, 0.0], [[0.0], [0.0, 0.0]], None, {"dc_0": 1.0}, np.zeros(4, complex), ["0.5"] * 4,
+    np.array([0.5, "0.5", 0.5, 0.5], object), np.zeros(4, "m8[s]"),
+])  # fmt: skip
 def test_what_is_no_array_of_numbers_is_refused(action):
-    with pytest.raises(ActionError, match=r"no array of numbers|has shape \(\)"):
+    with pytest.raises(ActionError, match="the action is no array of numbers"):
         joint_action(TOY6, action)
 
 
