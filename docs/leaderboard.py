@@ -22,12 +22,15 @@ FOLDER, PAGE = Path("docs/leaderboard"), Path("docs/leaderboard.md")
 ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
 LAWS = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
 """Further controllers, and the split that their parameters were found on."""
+LEFT_OUT = {("ieee123-3ph-day", "mpc")}
+"""Takes more than two minutes of CPU for 32 episodes, of which an entry needs 96."""
 
 
 def entries(scenario):
     """Name of each controller of ours on a preset, what names it for `submit`, and what it was learned on."""
     named = [(algorithm, f"{scenario}-{algorithm}", "train") for algorithm in ALGORITHMS]
-    return [one for one in named if one[1] in SHIPPED] + [(law, law, split) for law, split in LAWS.items()]
+    laws = [(law, law, split) for law, split in LAWS.items() if (scenario, law) not in LEFT_OUT]
+    return [one for one in named if one[1] in SHIPPED] + laws
 
 
 def submitted(scenario):
