@@ -139,8 +139,7 @@ def runner_of(
     if code is not None:
         before, inner = split_prefix(policy)
         reference = parse(inner)
-        if reference is None:
-            raise SubmissionError(f"policy is {policy!r}, which names no class; give {CONTROLLER}:Class")
+        assert reference is not None  # what is no class was refused before
         spec = f"{before}{CONTROLLER}{inner[len(reference.where) :]}"
         return Runner(spec, Scope.parse(scope), code, bool(version()) if confined is None else confined), None
     inner: Any = controller_of(policy, scenario)

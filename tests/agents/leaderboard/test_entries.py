@@ -212,9 +212,7 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
     assert read(Path("made/submission.json"), Submission).policy == "controller.py:Own(q=0.1)"
     text = Path("made/submission.json").read_text()
     changed(Path("made/submission.json"), policy="controller.py")
-    assert "made/controller.py', which names no class; give controller.py:Class" in stopped(
-        capsys, "verify", "made", "--trust"
-    )
+    assert "policy is 'controller.py', which is none of kind code" in stopped(capsys, "verify", "made", "--trust")
     Path("made/submission.json").write_text(text)
     monkeypatch.setattr("dcgrid_env.agents.leaderboard.verifying.version", lambda: 0)
     assert "code, which this system cannot confine" in stopped(capsys, "verify", "made", "--trust")
