@@ -183,7 +183,7 @@ def test_other_weights_under_hashes_made_anew_are_noticed(copied, capsys):
 def test_a_card_that_says_something_else_is_noticed(copied, capsys, tmp_path):
     card, weights = copied / "policy.json", copied / "policy.safetensors"
     about = json.loads(card.read_text())["scored"] | {"episodes": 4, "score": [0.99, 0.98, 1.0]}
-    changed(card, scored=about, validation_J=None)  # whose costs of each seed would differ
+    changed(card, scored=about, seed=None)  # of no seed, whose figures would differ
     changed(copied / "submission.json", files={file.name: sha256_of(file) for file in (card, weights)})
     assert "policy.json: scored.score is 0.99, claimed is 0." in stopped(capsys, "verify", copied)
     line = stopped(capsys, "submit", copied, "--name", "x", "--episodes", 4, "--out", tmp_path / "out")
