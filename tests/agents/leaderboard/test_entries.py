@@ -190,7 +190,7 @@ def test_a_card_that_says_something_else_is_noticed(copied, capsys, tmp_path):
     assert "give a card that says what the policy reaches" in line
     changed(card, scored=None, sha256="0" * 64)
     line = stopped(capsys, "submit", weights, "--name", "x", "--episodes", 4, "--out", tmp_path / "out")
-    assert "policy.json: sha256 is 0000000000000000.., that of the policy is " in line
+    assert "policy.json: sha256 is '0000" in line
     card.write_text("[" * 100_000)
     assert "not a policy's card" in stopped(capsys, "submit", weights, "--name", "x", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
