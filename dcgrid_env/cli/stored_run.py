@@ -76,8 +76,8 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
     scenario = scenario_of(command)
     if scenario_hash(scenario) != expected:
         raise ValueError(
-            f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected!r}), as its files or the "
-            "package have changed; run again"
+            f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected!r}), as its files or "
+            "the package have changed; run again"
         )
     return StoredRun(command, scenario, costs)
 
