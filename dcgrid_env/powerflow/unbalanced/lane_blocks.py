@@ -25,15 +25,20 @@ PER_KVA = 1.0 / PHASE_BASE_KVA
 
 
 @compiled(nogil=True)
-def workspace(plan, wide):
-    """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each."""
+def workspace(plan, wide, given):
+    """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each.
+
+    Each has as many rows as what is put into it has columns: ``ratio`` one a regulator, and one where there is none;
+    ``on`` one a bank.
+    """
     n, W = plan.up.shape[0] + 4, len(wide)
-    n_leg = plan.leg_is_z.shape[0]
+    n_leg, n_ratio, n_bank = plan.leg_is_z.shape[0], max(given[3].shape[1], 1), given[4].shape[1]
     V = np.zeros(2 * n * W)
     J = np.zeros(2 * n * W)
     P, Q = np.zeros(n_leg * W), np.zeros(n_leg * W)
     DP, DQ = np.zeros(n * W), np.zeros(n * W)
-    return V, J, P, Q, DP, DQ, np.zeros(2 * W), np.ones(n * W), np.ones(n * W), np.zeros(6 * W), np.zeros(W)
+    ratio, on = np.ones(n_ratio * W), np.ones(n_bank * W)
+    return V, J, P, Q, DP, DQ, np.zeros(2 * W), ratio, on, np.zeros(6 * W), np.zeros(W)
 
 
 @compiled(nogil=True)

@@ -66,7 +66,7 @@ def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
 def _blocks(plan, wide, given, solved, weights, converged, out):
     """Take the lanes through in blocks of the given width."""
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
-    work = workspace(plan, wide)
+    work = workspace(plan, wide, given)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
     rows = 2 * (n_node + 4) * width
     X, Y, G, K = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
