@@ -140,6 +140,16 @@ class OpenDss:
                 f"kv={network.capacitor.leg_kv[row]!r} kvar={-float(capacitors.q_kvar[leg])!r} "
                 f"conn={network.capacitor.connection[row]}"
             )
+        cores = feeder.core_legs
+        for leg, row in enumerate(cores.row):
+            node, other = feeder.node_phase[cores.node[leg]], cores.other[leg]
+            ends = (f"{node}", "0" if other < 0 else f"{feeder.node_phase[other]}")
+            bus1, bus2 = (f"{feeder.bus_ids[cores.bus[leg]]}.{end}" for end in ends)
+            for kind, power in (("r", cores.p_kw[leg]), ("x", cores.q_kvar[leg])):
+                if power:
+                    ohm = network.core.leg_kv[row] ** 2 * 1000.0 / float(power)
+                    r, x = (ohm, 0.0) if kind == "r" else (0.0, ohm)
+                    out.append(f"New Reactor.core{leg}{kind} bus1={bus1} bus2={bus2} phases=1 r={r!r} x={x!r}")
         return out
 
     def set_point(self, p_kw: Any, q_kvar: Any, source_pu: float, tap_ratio: Any, state: Any) -> None:

@@ -216,8 +216,9 @@ def _linear(feeder: ThreePhaseFeeder, ratio: Any, state: Any) -> tuple[Any, Any,
     a = plan.a[at.bus, at.entry] * tap[at.row]
     b = (plan.z_re + 1j * plan.z_im)[at.bus, at.entry] * tap[at.row] * tap[at.column]
     fed, nodes = at.bus > 0, np.arange(2 * n)
-    i, j = plan.capacitor_ends.astype(np.intp).T
-    y = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
+    i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
+    banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
+    y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
     parts = (
         (np.ones(2 * n), nodes, nodes),
         (-a[fed], at.row[fed], at.above[fed]),

@@ -24,7 +24,7 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     weights_of_currents,
 )
 from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, go_down, shunt_currents
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, core_currents, go_down, shunt_currents
 from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
 
 SWEEPS = 400
@@ -37,6 +37,7 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
     shunt_currents(plan, wide, -1.0, Y, X)
     capacitor_currents(plan, wide, Y, off_on, X)
+    core_currents(plan, wide, -1.0, Y, X)
     legs_transposed(plan, wide, N, G, Y, X)
 
 

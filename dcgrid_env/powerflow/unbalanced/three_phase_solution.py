@@ -34,7 +34,7 @@ class ThreePhaseSolution(NamedTuple):
     i_im_a: Array
     """Imaginary part of that current, A, shape (..., n_node). At the source's nodes it is the source's current."""
     loss_kw: Array
-    """Active loss of all branches, without the source's own impedance, kW, shape (...)."""
+    """Active loss of all branches and of the transformers' cores, without the source's own impedance, kW, shape (...)."""
     source_p_kw: Array
     """Active power out of the source at its bus, kW, shape (...)."""
     source_q_kvar: Array

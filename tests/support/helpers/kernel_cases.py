@@ -96,7 +96,7 @@ def steps(scenario: Scenario):
 
 def serving():
     """Requests of one token and of many, none, and more than the replicas can take at once."""
-    pool = Pool(replica("H100", "Llama-3.1-8B"), 1)
+    pool = Pool(replica("H100", "llama3-8b"), 1)
     for n in (0, 1, 500):
         pool.advance(np.zeros(n), np.full(n, 100), np.arange(n) % 50 + 1, 20)
     pool.rest()
@@ -111,7 +111,7 @@ def run():
     feeders = [load_feeder("ieee34-3ph"), three_phase.one_phase().feeder, one_bus(ieee13), without_equipment(ieee13)]
     for feeder in (ieee13, *feeders, with_banks(ieee13, "675", 60)):
         unbalanced(feeder)
-    for preset in ("toy6", "ieee13-3ph", "ieee123-3ph-day", "ride-through", "ieee33-weak-ups", "routing"):
+    for preset in ("toy6", "ieee13-3ph", "ieee123-3ph-day", "ride-through", "ieee33-weak-ups", "routing", "robust"):
         steps(make_scenario(preset))
     steps(three_phase.one_phase())
     control = GridControl(capacitors="controlled")
@@ -120,7 +120,7 @@ def run():
     for preset, names in (("ieee33-weak", ("model-aided", "mpc")), ("toy6", ("model-aided", "mpc"))):
         scenario = make_scenario(preset, split="test", horizon=3)
         for name in names:
-            rollout(scenario, make_controller(name, scenario), seed=0)
+            rollout(scenario, make_controller(name, scenario), seeds=(0, 1))
 
 
 def kernels(modules):
