@@ -185,4 +185,10 @@ class OpenDss:
         volts = np.array(circuit.AllBusVolts).view(np.complex128)[self._order]
         power = np.array(circuit.TotalPower)[:2]
         loss = np.array(circuit.Losses).ravel()[0] / 1e3
-        return volts / (1e3 * feeder.base_kv_ln[feeder.node_bus]), float(loss), -float(power[0]), -float(power[1])
+        v_pu = volts / (1e3 * feeder.base_kv_ln[feeder.node_bus])
+        return v_pu, float(loss) + self._core_loss_kw(v_pu), -float(power[0]), -float(power[1])
+
+    def _core_loss_kw(self, v_pu: np.ndarray) -> float:
+        """What the cores draw, which are reactors to ground here: OpenDSS counts them as no loss."""
+        cores, v = self.feeder.core_legs, np.append(v_pu, 0.0)  # the last for ground, whose index is -1
+        return float((cores.p_kw * np.abs((v[cores.node] - v[cores.other]) / cores.rated_pu) ** 2).sum())

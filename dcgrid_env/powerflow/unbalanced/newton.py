@@ -39,7 +39,7 @@ TINY = 1e-30
 FloatArray = NDArray[np.float64]
 
 
-class _Places(NamedTuple):
+class Places(NamedTuple):
     """Rows and columns of the equations' entries; ``n_node`` is ground, which has none."""
 
     bus: Any
@@ -70,12 +70,12 @@ class Equations:
         self._load = load[plan.leg_order.astype(np.intp)] * plan.leg_law[:, 0]
         self._device = device / PHASE_BASE_KVA
         nodes = np.arange(n)
-        self._ends = np.concatenate((plan.leg_ends.astype(np.intp), np.stack((nodes, np.full(n, n)), axis=1)))
+        self.ends = np.concatenate((plan.leg_ends.astype(np.intp), np.stack((nodes, np.full(n, n)), axis=1)))
         self._linear = self._real(*_linear(feeder, ratio, state))
         right = np.zeros(2 * n, np.complex128)
         right[:3] = source_pu * (plan.source[:, 0] + 1j * plan.source[:, 1])
         self._right = np.concatenate((right.real, right.imag))
-        i, j = self._ends.T
+        i, j = self.ends.T
         self._rows, self._columns = np.concatenate((i, i, j, j)), np.concatenate((i, j, i, j))
 
     def without_load(self) -> tuple[FloatArray, SuperLU]:
@@ -87,11 +87,11 @@ class Equations:
         """By how much the equations miss at ``x`` under a share of all loads and devices, and their derivative."""
         n = self.n
         v = np.append(x[:n] + 1j * x[2 * n : 3 * n], 0.0)
-        across = v[self._ends[:, 0]] - v[self._ends[:, 1]]
+        across = v[self.ends[:, 0]] - v[self.ends[:, 1]]
         current, slopes = self._drawn(across, share)
         drawn = np.zeros(n + 1, np.complex128)
-        np.add.at(drawn, self._ends[:, 0], current)
-        np.subtract.at(drawn, self._ends[:, 1], current)
+        np.add.at(drawn, self.ends[:, 0], current)
+        np.subtract.at(drawn, self.ends[:, 1], current)
         missing = self._matrix() @ x - self._right
         missing[n : 2 * n] -= drawn[:n].real
         missing[3 * n :] -= drawn[:n].imag
@@ -104,7 +104,7 @@ class Equations:
         """
         n_load, squared = len(self._load), np.maximum(np.abs(across) ** 2, TINY)
         inverse = np.sqrt(self._law[1] / squared[:n_load])
-        (h_p, s_p), (h_q, s_q) = self._shares(inverse, 2, 11), self._shares(inverse, 5, 13)
+        (h_p, s_p), (h_q, s_q) = self.shares(inverse, 2, 11), self.shares(inverse, 5, 13)
         p, q, of_v = self._load.real, self._load.imag, squared[:n_load]
         g = np.concatenate((p * h_p + 1j * q * h_q, self._device / squared[n_load:]))
         k = np.concatenate(((p * s_p + 1j * q * s_q) / of_v, -2.0 * self._device / squared[n_load:] ** 2))
@@ -112,7 +112,7 @@ class Equations:
         slopes = (g.real + to.real * re, -g.imag + to.real * im, g.imag + to.imag * re, g.real + to.imag * im)
         return share * g * across, tuple(share * slope for slope in slopes)
 
-    def _shares(self, inverse: FloatArray, first: int, line: int) -> tuple[FloatArray, FloatArray]:
+    def shares(self, inverse: FloatArray, first: int, line: int) -> tuple[FloatArray, FloatArray]:
         """H of the legs and u h', of p or of q, whose shares and line stand in these rows of the law."""
         (z, i, c), (slope, offset) = self._law[first : first + 3], self._law[line : line + 2]
         _, floor, low, very_low = self._law[7:11]
@@ -138,7 +138,7 @@ class Equations:
         if slopes is not None:
             kept = (self._rows < n) & (self._columns < n)
             below, right = self._rows[kept] + n, self._columns[kept]
-            signs = np.repeat((-1.0, 1.0, 1.0, -1.0), len(self._ends))[kept]
+            signs = np.repeat((-1.0, 1.0, 1.0, -1.0), len(self.ends))[kept]
             legs = [signs * np.tile(slope, 4)[kept] for slope in slopes]
             values = np.concatenate((values, *legs))
             rows = np.concatenate((rows, below, below, below + 2 * n, below + 2 * n))
@@ -196,8 +196,16 @@ def _sign(factors: SuperLU) -> float:
     return float(sign)
 
 
+def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Any) -> FloatArray:
+    """Ratio of the regulator that feeds each node, 1 where none does."""
+    plan = plan_of(feeder)
+    tapped = (plan.kind == REGULATOR)[feeder.node_bus]
+    return np.where(tapped, ratio[plan.regulator.astype(np.intp)] if len(ratio) else 1.0, 1.0)
+
+
 @cached_on_owner
-def _places(feeder: ThreePhaseFeeder) -> _Places:
+def places(feeder: ThreePhaseFeeder) -> Places:
+    """Where the entries of the branches' matrices are in the equations."""
     first = feeder.first_node.astype(np.intp)
     size = np.diff(first)
     bus, i, j = (a.ravel() for a in np.meshgrid(np.arange(feeder.n_bus), range(3), range(3), indexing="ij"))
@@ -205,14 +213,13 @@ def _places(feeder: ThreePhaseFeeder) -> _Places:
     bus, i, j = bus[there], i[there], j[there]
     column = first[bus] + j
     above = plan_of(feeder).up.astype(np.intp)[column]
-    return _Places(bus, 3 * i + j, first[bus] + i, column, above)
+    return Places(bus, 3 * i + j, first[bus] + i, column, above)
 
 
 def _linear(feeder: ThreePhaseFeeder, ratio: Any, state: Any) -> tuple[Any, Any, Any]:
     """Complex entries of what is linear in V and I, with their rows and columns."""
-    plan, n, at = plan_of(feeder), feeder.n_node, _places(feeder)
-    tapped = (plan.kind == REGULATOR)[feeder.node_bus]
-    tap = np.where(tapped, ratio[plan.regulator.astype(np.intp)] if len(ratio) else 1.0, 1.0)
+    plan, n, at = plan_of(feeder), feeder.n_node, places(feeder)
+    tap = tap_of_nodes(feeder, ratio)
     a = plan.a[at.bus, at.entry] * tap[at.row]
     b = (plan.z_re + 1j * plan.z_im)[at.bus, at.entry] * tap[at.row] * tap[at.column]
     fed, nodes = at.bus > 0, np.arange(2 * n)

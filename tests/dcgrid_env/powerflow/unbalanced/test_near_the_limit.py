@@ -6,7 +6,7 @@ import torch
 
 from dcgrid_env import load_feeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
-from dcgrid_env.powerflow.unbalanced import newton
+from dcgrid_env.powerflow.unbalanced import adjoint_batch, newton
 from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution
 from dcgrid_env.speed.opendss_circuit import OpenDss
 from helpers.feeders import THREE_PHASE
@@ -131,3 +131,43 @@ def test_it_takes_smaller_steps_where_the_whole_load_at_once_fails(monkeypatch):
     monkeypatch.setattr(newton, "_newton", fails_beyond_a_quarter)
     np.testing.assert_allclose(high_voltage_solution(feeder, given), whole, rtol=0.0, atol=1e-11)
     assert tried == [1.0, 0.5, 0.25, 0.5, 0.75, 1.0]
+
+
+def test_derivatives_where_the_sweep_does_not_settle():
+    feeder = load_feeder("ieee34-3ph")
+    given = growing(feeder, 0)(36.5)
+    rng = np.random.default_rng(0)
+    names = ("v_pu", "v_re_pu", "i_im_a", "loss_kw", "source_p_kw", "source_q_kvar")
+    weights = {name: rng.normal(size=feeder.n_node if name[0] in "vi" else ()) for name in names}
+
+    def weighted(arrays, kind):
+        p_kw, q_kvar, source_pu, ratio, state = arrays
+        solution = solve_unbalanced(feeder, p_kw, q_kvar, source_pu, Control(tap_ratio=ratio, capacitor_on=state))
+        assert solution.converged
+        return sum((getattr(solution, name) * kind(weight)).sum() for name, weight in weights.items())
+
+    state = np.full(feeder.n_capacitor, 0.7)
+    arrays = tuple(np.array(a) for a in (*given[:4], state))
+    tensors = tuple(torch.tensor(a, requires_grad=True) for a in arrays)
+    found = torch.autograd.grad(weighted(tensors, torch.tensor), tensors)
+    for by, h in enumerate((1e-3, 1e-3, 1e-6, 1e-6, 1e-5)):
+        direction = rng.normal(size=arrays[by].shape)
+        moved = [tuple(a + s * h * direction if k == by else a for k, a in enumerate(arrays)) for s in (1.0, -1.0)]
+        slope = (weighted(moved[0], np.asarray) - weighted(moved[1], np.asarray)) / (2.0 * h)
+        assert float((found[by] * torch.tensor(direction)).sum()) == pytest.approx(slope, rel=1e-4)
+
+
+def test_newtons_derivative_is_the_sweeps_where_that_settles(feeder, random_inputs, solved, monkeypatch):
+    inputs, rng = random_inputs(feeder, 3, 61), np.random.default_rng(1)
+    weights = [rng.normal(size=(3, feeder.n_node)) for _ in range(4)] + [rng.normal(size=3) for _ in range(3)]
+
+    def derivatives():
+        given = type(inputs)(*(torch.tensor(a, requires_grad=True) for a in inputs))
+        s = solved(feeder, given, tolerance_pu=1e-13)
+        figures = (s.v_pu, s.v_re_pu, s.i_re_a, s.i_im_a, s.loss_kw, s.source_p_kw, s.source_q_kvar)
+        return torch.autograd.grad(sum((f * torch.tensor(w)).sum() for f, w in zip(figures, weights, strict=True)), given)
+
+    swept = derivatives()
+    monkeypatch.setattr(adjoint_batch, "sweep_adjoint_lanes", lambda *given: given[5].fill(False))
+    for one, two in zip(derivatives(), swept, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-6 * float(two.abs().max()))
