@@ -128,9 +128,9 @@ def sweep_block(plan, wide, nodes, n_device, work):
 
 @compiled(nogil=True)
 def _loss(plan, wide, V, J, ratio, loss):
-    """Set ``loss`` to what the branches lose, Re(I^H B I) each, which is what goes in less what comes out, and the cores.
+    """Set ``loss`` to what branches and cores lose, p.u.
 
-    A core loses what its conductance draws; p.u.
+    A branch loses Re(I^H B I), which is what goes in less what comes out, and a core what its conductance draws.
     """
     W = np.uint64(len(wide))
     for b in range(W):

@@ -24,7 +24,13 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     weights_of_currents,
 )
 from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, core_currents, go_down, shunt_currents
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
+    add_up,
+    capacitor_currents,
+    core_currents,
+    go_down,
+    shunt_currents,
+)
 from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
 
 SWEEPS = 400

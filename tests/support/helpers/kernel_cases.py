@@ -1,12 +1,13 @@
 """Small cases that together run every compiled kernel, and which kernels they left out; run as a program.
 
-``python kernel_cases.py MODULE ...`` runs all cases and prints the kernels of these modules that were not compiled. With
-``NUMBA_BOUNDSCHECK=1`` an index outside an array raises IndexError instead of writing to other memory.
+``python kernel_cases.py MODULE ...`` runs all cases and prints the kernels of these modules that were not compiled.
+With ``NUMBA_BOUNDSCHECK=1`` an index outside an array raises IndexError instead of writing to other memory.
 """
 
 import sys
 from dataclasses import replace
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ WIDTHS = (1, 40, 130)
 """Environments in a batch: alone, in one block, and in blocks on two threads."""
 
 
-def powers(feeder, lanes):
+def powers(feeder, lanes) -> Any:
     """Base loads, and a device at the last leg."""
     p_kw = np.tile(feeder.p_load_kw, (lanes, 1))
     p_kw[:, -1] += 1.0

@@ -1,4 +1,6 @@
-"""Near the largest load that a feeder can carry, where the sweep does not settle and Newton's method takes its place."""
+"""Near the largest load that a feeder can carry, where Newton's method takes the place of the sweep."""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +27,7 @@ def grounded(feeder):
 
 
 def growing(feeder, seed):
-    """One power flow by the size of a load that grows: everywhere, or at one node; with taps and switched capacitors."""
+    """One power flow by the size of a load that grows, at all nodes or at one; other taps and capacitors for seed 1."""
     rng, nodes = np.random.default_rng(seed), grounded(feeder)
     added = np.zeros(feeder.n_leg)
     added[feeder.first_device_leg + (nodes if seed == 0 else rng.choice(nodes))] = 1.0
@@ -140,7 +142,7 @@ def test_derivatives_where_the_sweep_does_not_settle():
     names = ("v_pu", "v_re_pu", "i_im_a", "loss_kw", "source_p_kw", "source_q_kvar")
     weights = {name: rng.normal(size=feeder.n_node if name[0] in "vi" else ()) for name in names}
 
-    def weighted(arrays, kind):
+    def weighted(arrays, kind) -> Any:
         p_kw, q_kvar, source_pu, ratio, state = arrays
         solution = solve_unbalanced(feeder, p_kw, q_kvar, source_pu, Control(tap_ratio=ratio, capacitor_on=state))
         assert solution.converged
@@ -165,7 +167,8 @@ def test_newtons_derivative_is_the_sweeps_where_that_settles(feeder, random_inpu
         given = type(inputs)(*(torch.tensor(a, requires_grad=True) for a in inputs))
         s = solved(feeder, given, tolerance_pu=1e-13)
         figures = (s.v_pu, s.v_re_pu, s.i_re_a, s.i_im_a, s.loss_kw, s.source_p_kw, s.source_q_kvar)
-        return torch.autograd.grad(sum((f * torch.tensor(w)).sum() for f, w in zip(figures, weights, strict=True)), given)
+        total: Any = sum((f * torch.tensor(w)).sum() for f, w in zip(figures, weights, strict=True))
+        return torch.autograd.grad(total, given)
 
     swept = derivatives()
     monkeypatch.setattr(adjoint_batch, "sweep_adjoint_lanes", lambda *given: given[5].fill(False))

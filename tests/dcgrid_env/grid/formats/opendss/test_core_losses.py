@@ -25,7 +25,8 @@ New Transformer.sub phases=3 xhl=8 wdg=1 bus=n conn=delta kv=12.47 kva=5000 %r=0
 ~ wdg=2 bus=low conn=wye kv=4.16 kva=5000 %r=0.5 tap=1.025 %noloadloss=0.3 %imag=0.5
 New Line.l2 phases=3 bus1=low bus2=far r1=0.3 x1=0.4 c1=3 length=1
 New Transformer.one phases=1 buses=[far.2 lv.2] kvs=[2.4 0.277] kvas=[100 100] xhl=3 %noloadloss=0.4
-New Transformer.dd phases=3 buses=[far lvd] conns=[delta delta] kvs=[4.16 0.48] kvas=[300 300] xhl=3 %noloadloss=0.5 %imag=1
+New Transformer.dd phases=3 buses=[far lvd] conns=[delta delta] kvs=[4.16 0.48] kvas=[300 300] xhl=3
+~ %noloadloss=0.5 %imag=1
 New Transformer.up phases=3 buses=[raised lvd] conns=[wye delta] kvs=[4.16 0.48] kvas=[300 300] xhl=3 %noloadloss=0.6
 New Load.a bus1=far kv=4.16 kw=600 kvar=200 model=2
 New Load.b bus1=lv.2 phases=1 kv=0.277 kw=60 pf=0.9
