@@ -70,7 +70,7 @@ def derivatives(
     return tuple(a.reshape((*shape, a.shape[-1]) if a.ndim == 2 else shape) for a in out)
 
 
-def _by_newton(feeder: ThreePhaseFeeder, lane: int, rows: Any, solved: Any, weights: Any, out: Any) -> None:
+def _by_newton(feeder: ThreePhaseFeeder, lane: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
     """Put the derivatives of a lane whose sweeps did not settle into ``out``."""
     from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
 

@@ -106,9 +106,10 @@ class Equations:
         inverse = np.sqrt(self._law[1] / squared[:n_load])
         (h_p, s_p), (h_q, s_q) = self.shares(inverse, 2, 11), self.shares(inverse, 5, 13)
         p, q, of_v = self._load.real, self._load.imag, squared[:n_load]
-        g = np.concatenate((p * h_p + 1j * q * h_q, self._device / squared[n_load:]))
+        g: Any = np.concatenate((p * h_p + 1j * q * h_q, self._device / squared[n_load:]))
         k = np.concatenate(((p * s_p + 1j * q * s_q) / of_v, -2.0 * self._device / squared[n_load:] ** 2))
-        re, im, to = across.real, across.imag, k * across
+        re, im = across.real, across.imag
+        to: Any = k * across
         slopes = (g.real + to.real * re, -g.imag + to.real * im, g.imag + to.imag * re, g.real + to.imag * im)
         return share * g * across, tuple(share * slope for slope in slopes)
 

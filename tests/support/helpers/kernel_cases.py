@@ -57,8 +57,10 @@ def unbalanced(feeder):
         solve_unbalanced(feeder, p_kw, q_kvar, start=solution)
         p_kw[0, -1] += 1e7
         solve_unbalanced(feeder, p_kw, q_kvar, max_sweeps=40)
-        tensors = [torch.tensor(a, requires_grad=True) for a in (*powers(feeder, lanes), ratio, state)]
-        solution = solve_unbalanced(feeder, *tensors[:2], None, Control(tap_ratio=tensors[2], capacitor_on=tensors[3]))
+        tensors: Any = [torch.tensor(a, requires_grad=True) for a in (*powers(feeder, lanes), ratio, state)]
+        solution = solve_unbalanced(
+            feeder, tensors[0], tensors[1], None, Control(tap_ratio=tensors[2], capacitor_on=tensors[3])
+        )
         (solution.v_pu.sum() + solution.i_re_a.sum() + solution.loss_kw.sum()).backward()
 
 

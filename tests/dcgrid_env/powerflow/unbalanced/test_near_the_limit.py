@@ -98,7 +98,7 @@ def test_newton_is_the_sweep_where_that_settles_and_is_not_used_there(feeder, ra
     inputs = random_inputs(feeder, 6, 60)
     swept = solved(feeder, inputs, tolerance_pu=1e-12)
     for lane in range(6):
-        volts = high_voltage_solution(feeder, tuple(a[lane] for a in inputs))
+        volts: Any = high_voltage_solution(feeder, tuple(a[lane] for a in inputs))
         np.testing.assert_allclose(volts, swept.restart[lane], rtol=0.0, atol=1e-11)
     monkeypatch.setattr(newton, "high_voltage_solution", None)
     assert solved(feeder, inputs).converged.all()
@@ -116,14 +116,15 @@ def test_each_environment_of_a_batch_that_needs_it_has_the_bits_that_it_has_alon
         alone = solved(feeder, points[lane : lane + 1])
         for figures, of_lane in zip(whole, alone, strict=True):
             assert figures[lane].tobytes() == of_lane[0].tobytes()
-    tensors = solve_unbalanced(feeder, *(torch.tensor(np.array([point[k] for point in points])) for k in (0, 1)))
+    p_kw, q_kvar = (torch.tensor(np.array([point[k] for point in points])) for k in (0, 1))
+    tensors: Any = solve_unbalanced(feeder, p_kw, q_kvar)
     np.testing.assert_array_equal(tensors.v_pu.numpy(), whole.v_pu)
 
 
 def test_it_takes_smaller_steps_where_the_whole_load_at_once_fails(monkeypatch):
     feeder = load_feeder("ieee34-3ph")
     given = growing(feeder, 0)(30.0)
-    whole = high_voltage_solution(feeder, given)
+    whole: Any = high_voltage_solution(feeder, given)
     taken, tried = newton._newton, []
 
     def fails_beyond_a_quarter(equations, x, share, sign):
@@ -131,7 +132,8 @@ def test_it_takes_smaller_steps_where_the_whole_load_at_once_fails(monkeypatch):
         return taken(equations, x, share, sign) if len(tried) > 2 else None
 
     monkeypatch.setattr(newton, "_newton", fails_beyond_a_quarter)
-    np.testing.assert_allclose(high_voltage_solution(feeder, given), whole, rtol=0.0, atol=1e-11)
+    again: Any = high_voltage_solution(feeder, given)
+    np.testing.assert_allclose(again, whole, rtol=0.0, atol=1e-11)
     assert tried == [1.0, 0.5, 0.25, 0.5, 0.75, 1.0]
 
 

@@ -1,6 +1,7 @@
 """No-load losses of transformers: a part of the losses, and of no load."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,8 @@ def losses_kw(path):
     dss = DSS.NewContext()
     for line in (f'compile "{path}"', "Set ControlMode=OFF", "Set Tolerance=1e-10", "Set MaxIterations=300", "Solve"):
         dss.Text.Command = line
-    return dss.ActiveCircuit.Losses[0] / 1000.0
+    losses: Any = dss.ActiveCircuit.Losses
+    return losses[0] / 1000.0
 
 
 @pytest.fixture(scope="module")
@@ -101,14 +103,14 @@ def test_the_source_gives_what_loads_draw_and_what_is_lost(feeder, seed, scale):
 def test_derivative_of_the_losses_and_the_array_form(feeder):
     p_kw = torch.tensor(feeder.p_load_kw, requires_grad=True)
     q_kvar = torch.tensor(feeder.q_load_kvar)
-    exact = {"tolerance_pu": 1e-13}
+    exact: Any = {"tolerance_pu": 1e-13}
     (slope,) = torch.autograd.grad(solve_unbalanced(feeder, p_kw, q_kvar, **exact).loss_kw, p_kw)
     moved = np.tile(feeder.p_load_kw, (2 * feeder.n_leg, 1))
     moved += 0.1 * np.concatenate((np.eye(feeder.n_leg), -np.eye(feeder.n_leg)))
     loss_kw = solve_unbalanced(feeder, moved, np.tile(feeder.q_load_kvar, (len(moved), 1)), **exact).loss_kw
     differences = (loss_kw[: feeder.n_leg] - loss_kw[feeder.n_leg :]) / 0.2
     np.testing.assert_allclose(slope.numpy(), differences, rtol=1e-5, atol=1e-8)
-    given = tuple(np.array(a) for a in (feeder.p_load_kw, feeder.q_load_kvar, feeder.v0_pu))
+    given: Any = tuple(np.array(a) for a in (feeder.p_load_kw, feeder.q_load_kvar, feeder.v0_pu))
     given = (*given, feeder.tap_ratio(feeder.base_tap), feeder.base_capacitor_on)
     array = sweep_arrays(feeder, given, None, 1e-13, 1000)
     solution = solve_unbalanced(feeder, *given[:2], **exact)
