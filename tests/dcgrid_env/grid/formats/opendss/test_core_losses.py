@@ -126,8 +126,8 @@ def test_a_folder_keeps_the_cores(feeder, tmp_path):
 
 @pytest.mark.slow
 def test_losses_of_an_epri_circuit():
-    path = require(EPRI / "ckt5" / "Master_ckt5.dss")
-    found = read_opendss(path, allow=("loads",))
-    feeder = ThreePhaseFeeder.from_network(found.network)
+    path = require(EPRI / "ckt7" / "Master_ckt7.dss")
+    feeder = ThreePhaseFeeder.from_network(read_opendss(path, allow=("capcontrol", "load")).network)
     solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
     assert solution.loss_kw == pytest.approx(losses_kw(path), rel=1e-3)
+    assert sum(map(sum, feeder.network.core.p_kw)) > 0.2 * solution.loss_kw
