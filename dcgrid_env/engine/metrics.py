@@ -10,7 +10,7 @@
 | voltage_step_mean_pu | mean of abs(V_t - V_{t-1}), over one step of dt |
 | delay_mean_s, _p50_s, _p95_s, _p99_s | waiting time of work, first come first served in each class, weighted by work |
 | arrived_kws, unserved_kws | work that arrived, and that was still queued at the end |
-| loss_mean_kw, loss_energy_kwh | loss of the feeder |
+| loss_mean_kw, loss_energy_kwh | loss of the feeder: branches, and cores of three-phase transformers |
 | q_effort_pct | mean abs(q) as a share of the apparent-power rating |
 | clock_mean_pct | mean clock as a share of the top clock |
 | unbalance_mean_pct, unbalance_max_pct | voltage unbalance factor of three-phase buses over the steps 1 .. T |

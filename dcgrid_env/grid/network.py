@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dcgrid_env.grid.table import BusId, Table, bus_numbers, bus_text, buses_as_text, optional_column
 from dcgrid_env.grid.three_phase_tables import (
     CapacitorTable,
+    CoreTable,
     Matrix,
     PhaseLineTable,
     PhaseLoadTable,
@@ -29,6 +30,7 @@ from dcgrid_env.grid.three_phase_tables import (
 __all__ = [
     "BusId",
     "CapacitorTable",
+    "CoreTable",
     "LineTable",
     "LoadTable",
     "Network",
@@ -136,6 +138,7 @@ class Network:
     regulator: RegulatorTable = field(default_factory=RegulatorTable)
     phase_load: PhaseLoadTable = field(default_factory=PhaseLoadTable)
     capacitor: CapacitorTable = field(default_factory=CapacitorTable)
+    core: CoreTable = field(default_factory=CoreTable)
     frequency_hz: float = 60.0
     """Frequency at which reactances and susceptances hold."""
     source_of_facts: str = ""

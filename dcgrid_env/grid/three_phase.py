@@ -14,7 +14,7 @@ from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import check_three_phase
-from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, load_legs
+from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, core_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
 from dcgrid_env.grid.three_phase_ratings import ratings_a
@@ -136,6 +136,11 @@ class ThreePhaseFeeder(PhaseNodes):
     def capacitor_legs(self) -> Legs:
         """The legs of the capacitors, each of a row of their table."""
         return _frozen(capacitor_legs(self.network, self._nodes_by_phase, self._bases))
+
+    @cached_property
+    def core_legs(self) -> Legs:
+        """The legs of the transformers' cores, which draw their no-load losses."""
+        return _frozen(core_legs(self.network, self._nodes_by_phase, self._bases))
 
     @cached_property
     def first_device_leg(self) -> int:

@@ -15,7 +15,7 @@ from dcgrid_env.grid.topology import FeederError
 PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
 NUMBER = {"a": 1, "b": 2, "c": 3}
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
-TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
+TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core")
 RATINGS = {
     "phase_line": "rating_a", "switch": "rating_a", "transformer": "rating_kva", "regulator": "rating_kva_per_phase",
 }  # fmt: skip
@@ -47,6 +47,7 @@ def check_three_phase(network: Network) -> None:
     _check_regulators(network)
     _check_loads(network, buses)
     _check_capacitors(network, buses)
+    _check_cores(network, buses)
 
 
 def _refuse(network: Network, component: str, field: str, value: Any, remedy: str) -> FeederError:
@@ -247,7 +248,7 @@ def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[
             values = getattr(table, field)[k]
             if not isinstance(values, tuple) or len(values) != 3:
                 raise _refuse(network, what, field, values, "give one figure for each of three legs")
-            check_numbers(network.name, _words(kind), [one] * 3, {field: values}, non_negative=kind == "capacitor")
+            check_numbers(network.name, _words(kind), [one] * 3, {field: values}, non_negative=kind != "phase_load")
             for leg, value in zip(legs_of(table.connection[k]), values, strict=True):
                 phases = buses[table.bus[k]][0]
                 if value != 0 and not set(leg) <= set(phases):
@@ -277,3 +278,8 @@ def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
 def _check_capacitors(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "capacitor", ["leg_kv"], positive=True)
     _check_legs(network, "capacitor", ["kvar"], buses)
+
+
+def _check_cores(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    _numbers(network, "core", ["leg_kv"], positive=True)
+    _check_legs(network, "core", ["p_kw", "q_kvar"], buses)

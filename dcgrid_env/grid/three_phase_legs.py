@@ -78,6 +78,18 @@ def capacitor_legs(network: Network, first_node: dict[str, dict[str, int]], base
     return _legs(table, rows, [SHARES["Z"]] * len(rows), [(0.5, 0.9, 1.1)] * len(rows), first_node, bases)
 
 
+def core_legs(network: Network, first_node: dict[str, dict[str, int]], bases: dict[str, float]) -> Legs:
+    """Legs of the transformers' cores, each with the law of an impedance."""
+    table = network.core
+    rows = [
+        (row, leg, table.p_kw[row][i], table.q_kvar[row][i])
+        for row in range(len(table))
+        for i, leg in enumerate(legs_of(table.connection[row]))
+        if table.p_kw[row][i] != 0 or table.q_kvar[row][i] != 0
+    ]
+    return _legs(table, rows, [SHARES["Z"]] * len(rows), [(0.5, 0.9, 1.1)] * len(rows), first_node, bases)
+
+
 def _legs(table: Any, rows: list, shares: list, limits: list, nodes: dict, bases: dict[str, float]) -> Legs:
     at = {bus: i for i, bus in enumerate(nodes)}
     buses = [table.bus[row] for row, *_ in rows]

@@ -155,3 +155,17 @@ class CapacitorTable(Table):
     """Injection at ``leg_kv``."""
     state: Sequence[str] = ()
     """``on`` or ``off`` in the base case."""
+
+
+@dataclass(frozen=True)
+class CoreTable(Table):
+    """One row for each transformer core: a constant admittance a leg. Its active power is a loss, not a load."""
+
+    name: Sequence[str] = ()
+    bus: Sequence[str] = ()
+    connection: Sequence[str] = ()
+    leg_kv: Sequence[float] = ()
+    p_kw: Sequence[Legs] = ()
+    """No-load loss at ``leg_kv``."""
+    q_kvar: Sequence[Legs] = ()
+    """Magnetising power at ``leg_kv``."""

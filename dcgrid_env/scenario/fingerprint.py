@@ -32,6 +32,7 @@ from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.grid import Feeder, bus_numbers
 from dcgrid_env.grid.network import (
     LineTable,
+    Network,
     NodeTable,
     PhaseLineTable,
     RegulatorTable,
@@ -74,6 +75,10 @@ _REGULATOR = """
     name bank from_bus to_bus phases sensed_phase kv_ln kva_per_phase r_percent x_percent tap tap_neutral tap_min
     tap_max tap_step vreg_v band_v pt_ratio ct_primary_a r_ldc_v x_ldc_v delay_s tap_delay_s max_taps_per_move
     antifloat_ppm
+"""
+_NETWORK = """
+    name source node line load shunt phase_line switch transformer regulator phase_load capacitor frequency_hz
+    source_of_facts
 """
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
 _DATA_CENTERS = """
@@ -118,6 +123,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     Routing: Kind("Routing", ("movable_share", "move_latency_s", "move_weight")),
     Batching: Kind("Batching", tuple(_BATCHING.split())),
     ServiceLevels: Kind("ServiceLevels", tuple(_SERVICE.split())),
+    Network: Kind("Network", tuple(_NETWORK.split())),
     NodeTable: Kind("NodeTable", ("bus", "phase", "x", "y", "base_kv_ln")),
     LineTable: Kind("LineTable", ("from_bus", "to_bus", "r_ohm", "x_ohm")),
     ShuntTable: Kind("ShuntTable", ("bus", "phase", "capacitor_kvar")),

@@ -140,6 +140,16 @@ class OpenDss:
                 f"kv={network.capacitor.leg_kv[row]!r} kvar={-float(capacitors.q_kvar[leg])!r} "
                 f"conn={network.capacitor.connection[row]}"
             )
+        cores = feeder.core_legs
+        for leg, row in enumerate(cores.row):
+            node, other = feeder.node_phase[cores.node[leg]], cores.other[leg]
+            ends = (f"{node}", "0" if other < 0 else f"{feeder.node_phase[other]}")
+            bus1, bus2 = (f"{feeder.bus_ids[cores.bus[leg]]}.{end}" for end in ends)
+            for kind, power in (("r", cores.p_kw[leg]), ("x", cores.q_kvar[leg])):
+                if power:
+                    ohm = network.core.leg_kv[row] ** 2 * 1000.0 / float(power)
+                    r, x = (ohm, 0.0) if kind == "r" else (0.0, ohm)
+                    out.append(f"New Reactor.core{leg}{kind} bus1={bus1} bus2={bus2} phases=1 r={r!r} x={x!r}")
         return out
 
     def set_point(self, p_kw: Any, q_kvar: Any, source_pu: float, tap_ratio: Any, state: Any) -> None:
@@ -175,4 +185,10 @@ class OpenDss:
         volts = np.array(circuit.AllBusVolts).view(np.complex128)[self._order]
         power = np.array(circuit.TotalPower)[:2]
         loss = np.array(circuit.Losses).ravel()[0] / 1e3
-        return volts / (1e3 * feeder.base_kv_ln[feeder.node_bus]), float(loss), -float(power[0]), -float(power[1])
+        v_pu = volts / (1e3 * feeder.base_kv_ln[feeder.node_bus])
+        return v_pu, float(loss) + self._core_loss_kw(v_pu), -float(power[0]), -float(power[1])
+
+    def _core_loss_kw(self, v_pu: np.ndarray) -> float:
+        """What the cores draw, which are reactors to ground here: OpenDSS counts them as no loss."""
+        cores, v = self.feeder.core_legs, np.append(v_pu, 0.0)  # the last for ground, whose index is -1
+        return float((cores.p_kw * np.abs((v[cores.node] - v[cores.other]) / cores.rated_pu) ** 2).sum())

@@ -10,6 +10,7 @@ from typing import Any
 
 from dcgrid_env.grid.network import (
     CapacitorTable,
+    CoreTable,
     PhaseLineTable,
     PhaseLoadTable,
     RegulatorTable,
@@ -102,6 +103,8 @@ _SPECIAL = {
     ("phase_load", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
     ("phase_load", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("phase_load", "zip"): Column("zip", ("zip_pz", "zip_pi", "zip_pp", "zip_qz", "zip_qi", "zip_qp"), "zip"),
+    ("core", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
+    ("core", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("capacitor", "kvar"): Column("kvar", ("kvar_a", "kvar_b", "kvar_c"), "legs"),
 }
 
@@ -118,5 +121,6 @@ FILES = {
     "regulator": _file("regulators.csv", "regulator", RegulatorTable),
     "phase_load": _file("loads.csv", "phase_load", PhaseLoadTable),
     "capacitor": _file("capacitors.csv", "capacitor", CapacitorTable),
+    "core": _file("cores.csv", "core", CoreTable),
 }
 """The files of a folder beside feeder.toml and buses.csv, by the table of ``Network`` that they are."""

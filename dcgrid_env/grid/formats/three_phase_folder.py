@@ -2,10 +2,11 @@
 
 ``feeder.toml``: name, frequency_hz, source_of_facts, and the table ``source``: bus, base_kv_ll, v_pu, angle_deg and the
 3x3 matrices r_ohm and x_ohm. ``buses.csv``, ``lines.csv``, ``switches.csv``, ``transformers.csv``, ``regulators.csv``,
-``loads.csv`` and ``capacitors.csv``: a column for each of ``grid.three_phase_tables``, whose units they have; matrices
-as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as kw_1, kvar_1, .. or kvar_a, .. . All files but buses.csv and
-feeder.toml may be missing. What a feeder has no use for is refused by name, but for the results of a reference solution
-that stand beside the figures in published folders (``RESULTS``).
+``loads.csv``, ``capacitors.csv`` and ``cores.csv``: a column for each of ``grid.three_phase_tables``, whose units they
+have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as kw_1, kvar_1, .. or kvar_a, .. . All files but
+buses.csv and feeder.toml may be missing; ``cores.csv`` is written where there are cores.
+What a feeder has no use for is refused by name, but for the results of a reference solution that stand beside the
+figures in published folders (``RESULTS``).
 """
 
 from __future__ import annotations
@@ -63,6 +64,8 @@ def write_folder(network: Network, folder: Path) -> None:
     texts = {"buses.csv": _csv(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
     for kind, file in FILES.items():
         table = getattr(network, kind)
+        if kind == "core" and not len(table):  # published folders have none
+            continue
         columns = [(column, getattr(table, column.field)) for column in file.columns]
         unused = {column.field for column in file.columns if says_nothing(column.field, vars(table))}
         if not any(any(shares) for shares in getattr(table, "zip", ())):

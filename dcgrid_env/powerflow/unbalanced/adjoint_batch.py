@@ -52,19 +52,34 @@ def derivatives(
     wide = [_NO_ROWS if w is None else _rows(w, n_lanes, width) for w, width in zip(weights[:3], widths, strict=True)]
     out = tuple(np.zeros(a.shape) for a in rows)
     plan, good = plan_of(feeder), np.ascontiguousarray(converged.reshape(n_lanes))
+    settled = np.ones(n_lanes, np.bool_)
 
     def part(first: int, last: int) -> int:
         cut = slice(first, last)
         of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_lane[:, cut]))
         solved_part = (solved[0][cut], solved[1][cut])
         sweep_adjoint_lanes(
-            plan, tuple(a[cut] for a in rows), solved_part, of_part, good[cut], tuple(a[cut] for a in out)
+            plan, tuple(a[cut] for a in rows), solved_part, of_part, good[cut], settled[cut], tuple(a[cut] for a in out)
         )
         return 0
 
     if n_lanes:
         over_lanes(part, n_lanes)
+    for lane in np.flatnonzero(good & ~settled):
+        _by_newton(feeder, lane, rows, solved, (*wide, of_lane), out)
     return tuple(a.reshape((*shape, a.shape[-1]) if a.ndim == 2 else shape) for a in out)
+
+
+def _by_newton(feeder: ThreePhaseFeeder, lane: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
+    """Put the derivatives of a lane whose sweeps did not settle into ``out``."""
+    from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
+
+    n = feeder.n_node
+    given = [w[lane] if len(w) else np.zeros(width) for w, width in zip(weights[:3], (n, 2 * n, 2 * n), strict=True)]
+    of_lane = weights[3][:, lane] if weights[3].shape[1] else np.zeros(3)
+    found = derivative(feeder, tuple(a[lane] for a in rows), solved[0][lane], solved[1][lane], (*given, of_lane))
+    for derivatives_, of_input in zip(out, found, strict=True):
+        derivatives_[lane] = of_input
 
 
 def _rows(values: Any, n_lanes: int, width: int | None) -> Any:

@@ -111,6 +111,14 @@ def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
         if g_lane.shape[1] > 0:
             lane, b = first + min(c, count - 1), np.uint64(c)
             loss[c] = g_lane[0, lane] * PHASE_BASE_KVA
+            for k in range(plan.core_g.shape[0]):
+                i, j = plan.core_ends[k, 0] * U2 * W + b, plan.core_ends[k, 1] * U2 * W + b
+                to = 2.0 * loss[c] * plan.core_g[k]
+                re, im = to * (V[i] - V[j]), to * (V[i + W] - V[j + W])
+                G[i] += re
+                G[i + W] += im
+                G[j] -= re
+                G[j + W] -= im
             p, q = g_lane[1, lane] * PHASE_BASE_KVA, g_lane[2, lane] * PHASE_BASE_KVA
             for i in range(U3):
                 o = i * U2 * W + b

@@ -41,6 +41,8 @@ class _Forms(NamedTuple):
     capacitors: Array  # incidence of the capacitors' legs
     banks: Array
     capacitor_b: Array
+    cores: Array  # incidence of the cores' legs
+    core_y: Array
     source: Array
     ampere: Array
 
@@ -105,6 +107,8 @@ def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms
         capacitors=made(_incidence(plan.capacitor_ends, n)),
         banks=index(plan.capacitor_row),
         capacitor_b=made(1j * plan.capacitor_b),
+        cores=made(_incidence(plan.core_ends, n)),
+        core_y=made(plan.core_g + 1j * plan.core_b),
         source=made(plan.source[:, 0] + 1j * plan.source[:, 1]),
         ampere=real(plan.ampere),
     )
@@ -142,7 +146,8 @@ def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
     power = (p_kw[..., n_load:] - 1j * q_kvar[..., n_load:]) / PHASE_BASE_KVA
     banks = (v @ f.capacitors.T) * f.capacitor_b * state[..., f.banks]
     devices = power * v / xp.clip(_square(v), V_SQ_FLOOR, None)
-    return v @ f.shunt + (y * across) @ f.legs + devices + banks @ f.capacitors
+    cores = (v @ f.cores.T) * f.core_y
+    return v @ f.shunt + (y * across) @ f.legs + devices + banks @ f.capacitors + cores @ f.cores
 
 
 def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tuple[Array, Array]:
@@ -220,6 +225,7 @@ def _solution(
     xp = namespace(v)
     at_neutral = current * (ratio @ f.tapped + f.untapped)  # B of a regulator goes with the squared ratio
     lost = (xp.conj(at_neutral) * (at_neutral @ f.resistance)).real
+    in_cores = _square(v @ f.cores.T) * f.core_y.real
     power = xp.sum(v[..., :3] * xp.conj(current[..., :3]), axis=-1) * PHASE_BASE_KVA
     volts = xp.concat((v.real, v.imag), axis=-1)
     return ThreePhaseSolution(
@@ -228,7 +234,7 @@ def _solution(
         v_im_pu=v.imag,
         i_re_a=current.real * f.ampere,
         i_im_a=current.imag * f.ampere,
-        loss_kw=xp.sum(lost, axis=-1) * PHASE_BASE_KVA,
+        loss_kw=(xp.sum(lost, axis=-1) + xp.sum(in_cores, axis=-1)) * PHASE_BASE_KVA,
         source_p_kw=power.real,
         source_q_kvar=power.imag,
         converged=good,

@@ -15,6 +15,7 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     U4,
     add_up,
     capacitor_currents,
+    core_currents,
     device_currents,
     go_down,
     load_currents,
@@ -25,15 +26,20 @@ PER_KVA = 1.0 / PHASE_BASE_KVA
 
 
 @compiled(nogil=True)
-def workspace(plan, wide):
-    """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each."""
+def workspace(plan, wide, given):
+    """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each.
+
+    Each has as many rows as what is put into it has columns: ``ratio`` one a regulator, and one where there is none;
+    ``on`` one a bank.
+    """
     n, W = plan.up.shape[0] + 4, len(wide)
-    n_leg = plan.leg_is_z.shape[0]
+    n_leg, n_ratio, n_bank = plan.leg_is_z.shape[0], max(given[3].shape[1], 1), given[4].shape[1]
     V = np.zeros(2 * n * W)
     J = np.zeros(2 * n * W)
     P, Q = np.zeros(n_leg * W), np.zeros(n_leg * W)
     DP, DQ = np.zeros(n * W), np.zeros(n * W)
-    return V, J, P, Q, DP, DQ, np.zeros(2 * W), np.ones(n * W), np.ones(n * W), np.zeros(6 * W), np.zeros(W)
+    ratio, on = np.ones(n_ratio * W), np.ones(n_bank * W)
+    return V, J, P, Q, DP, DQ, np.zeros(2 * W), ratio, on, np.zeros(6 * W), np.zeros(W)
 
 
 @compiled(nogil=True)
@@ -115,13 +121,17 @@ def sweep_block(plan, wide, nodes, n_device, work):
     load_currents(plan, wide, V, P, Q, H, J)
     device_currents(nodes, n_device, wide, V, DP, DQ, J)
     capacitor_currents(plan, wide, V, on, J)
+    core_currents(plan, wide, 1.0, V, J)
     add_up(plan, wide, ratio, J)
     go_down(plan, wide, 1.0, ratio, J, V, T, off)
 
 
 @compiled(nogil=True)
-def _loss(plan, wide, J, ratio, loss):
-    """Set ``loss`` to what the branches lose, p.u.: Re(I^H B I) of each, which is what goes in less what comes out."""
+def _loss(plan, wide, V, J, ratio, loss):
+    """Set ``loss`` to what branches and cores lose, p.u.
+
+    A branch loses Re(I^H B I), which is what goes in less what comes out, and a core what its conductance draws.
+    """
     W = np.uint64(len(wide))
     for b in range(W):
         loss[b] = 0.0
@@ -138,6 +148,11 @@ def _loss(plan, wide, J, ratio, loss):
                 u, r = (n + j) * U2 * W, plan.z_re[k, i * U3 + j]
                 for b in range(W):
                     loss[b] += r * (J[o + b] * J[u + b] + J[o + W + b] * J[u + W + b])
+    for k in range(plan.core_g.shape[0]):
+        o, u = plan.core_ends[k, 0] * U2 * W, plan.core_ends[k, 1] * U2 * W
+        for b in range(W):
+            re, im = V[o + b] - V[u + b], V[o + W + b] - V[u + W + b]
+            loss[b] += plan.core_g[k] * (re * re + im * im)
 
 
 @compiled(nogil=True)
@@ -150,7 +165,7 @@ def store_lanes(columns, count, first, plan, wide, work, sweeps, is_good, out):
     v_pu, volts, amperes, per_lane, converged, iterations = out
     W = np.uint64(len(wide))
     n_node = plan.up.shape[0]
-    _loss(plan, wide, J, ratio, T)
+    _loss(plan, wide, V, J, ratio, T)
     for b in range(W):
         H[b], H[W + b] = V_SQ_CEILING, V_SQ_FLOOR
     for n in range(n_node):

@@ -53,6 +53,12 @@ class Plan(NamedTuple):
     """Bank of each capacitor's leg, (n_capacitor_leg,)."""
     capacitor_b: Any
     """Susceptance of each capacitor's leg, p.u., (n_capacitor_leg,)."""
+    core_ends: Any
+    """Node and other node of each leg of a transformer's core, (n_core_leg, 2)."""
+    core_g: Any
+    """Conductance of each leg of a core, p.u., (n_core_leg,)."""
+    core_b: Any
+    """Susceptance of each leg of a core, p.u., (n_core_leg,)."""
     source: Any
     """Voltages of the ideal source at 1 p.u., real and imaginary, (3, 2)."""
     ampere: Any
@@ -95,8 +101,7 @@ def plan_of(feeder: ThreePhaseFeeder) -> Plan:
     legs = feeder.load_legs
     order = np.argsort(legs.bus, kind="stable")
     start = np.searchsorted(legs.bus[order], np.arange(n_bus + 1))
-    capacitors = feeder.capacitor_legs
-    rated_sq = capacitors.rated_pu**2
+    capacitors, cores = feeder.capacitor_legs, feeder.core_legs
     angle = np.deg2rad(feeder.source_angle_deg)
     ratio = feeder.network.source.base_kv[0] / np.sqrt(3.0) / feeder.base_kv_ln[0]
     return Plan(
@@ -115,7 +120,10 @@ def plan_of(feeder: ThreePhaseFeeder) -> Plan:
         leg_law=_law(legs, order),
         capacitor_ends=_ends(capacitors, np.arange(len(capacitors.row)), n_node),
         capacitor_row=_index(capacitors.row),
-        capacitor_b=-capacitors.q_kvar / PHASE_BASE_KVA / rated_sq,
+        capacitor_b=-capacitors.q_kvar / PHASE_BASE_KVA / capacitors.rated_pu**2,
+        core_ends=_ends(cores, np.arange(len(cores.row)), n_node),
+        core_g=cores.p_kw / PHASE_BASE_KVA / cores.rated_pu**2,
+        core_b=-cores.q_kvar / PHASE_BASE_KVA / cores.rated_pu**2,
         source=ratio * np.stack((np.cos(angle), np.sin(angle)), axis=1),
         ampere=PHASE_BASE_KVA / feeder.base_kv_ln[feeder.node_bus],
     )

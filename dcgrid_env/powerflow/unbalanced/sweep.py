@@ -4,6 +4,7 @@ Every branch is Kersting's pair of generalised matrices, V_m = A V_n - B I_m and
 "Distribution System Modeling and Analysis"), and every leg draws by its own law. Backward, the currents that all legs
 draw at the last voltages are added up towards the source; forward, the voltages follow from them. The change of the
 voltages falls by a ratio a sweep, by which what is left of the error is estimated; near a collapse the ratio nears 1.
+Where the sweeps of NumPy arrays and CPU tensors do not settle, Newton's method is tried (``newton``).
 docs/decisions/0010-three-phase.md has the derivation.
 """
 
@@ -67,7 +68,7 @@ def solve_unbalanced(
     tolerance_pu
         Largest estimated error of a voltage of a converged solution, p.u., the sum over the phases of a bus.
     max_sweeps
-        Sweeps after which a lane is given up, at least 1.
+        Sweeps after which Newton's method is tried, at least 1.
 
     Returns
     -------

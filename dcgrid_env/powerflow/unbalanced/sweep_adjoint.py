@@ -24,7 +24,13 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     weights_of_currents,
 )
 from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, go_down, shunt_currents
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
+    add_up,
+    capacitor_currents,
+    core_currents,
+    go_down,
+    shunt_currents,
+)
 from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
 
 SWEEPS = 400
@@ -37,12 +43,16 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
     shunt_currents(plan, wide, -1.0, Y, X)
     capacitor_currents(plan, wide, Y, off_on, X)
+    core_currents(plan, wide, -1.0, Y, X)
     legs_transposed(plan, wide, N, G, Y, X)
 
 
 @compiled(nogil=True)
-def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
-    """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up."""
+def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off, is_good):
+    """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up.
+
+    ``is_good`` says in which it does.
+    """
     before, scale = np.ones(len(wide)), np.zeros(len(wide))
     for k in range(Y.shape[0]):
         Y[k] = 0.0
@@ -54,24 +64,26 @@ def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
         for b in range(count):
             if sweep == 0:
                 scale[b] = off[b]
+                is_good[b] = off[b] == 0.0
             elif scale[b] > 0.0:
                 error = error_sq(off[b] / scale[b], before[b])
-                settled = settled and error <= TOLERANCE * TOLERANCE
+                is_good[b] = error <= TOLERANCE * TOLERANCE
+                settled = settled and is_good[b]
                 before[b] = off[b] / scale[b]
         if settled:
             break
 
 
 @compiled(nogil=True)
-def _blocks(plan, wide, given, solved, weights, converged, out):
+def _blocks(plan, wide, given, solved, weights, converged, settled, out):
     """Take the lanes through in blocks of the given width."""
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
-    work = workspace(plan, wide)
+    work = workspace(plan, wide, given)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
     rows = 2 * (n_node + 4) * width
     X, Y, G, K = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
     N = np.zeros((n_node + plan.leg_is_z.shape[0]) * 4 * width)
-    loss = np.zeros(width)
+    loss, is_good = np.zeros(width), np.ones(width, np.bool_)
     off_on = np.empty_like(on)
     nodes = np.arange(n_node).astype(np.uint64)
     for first in range(0, n_lanes, width):
@@ -91,7 +103,9 @@ def _blocks(plan, wide, given, solved, weights, converged, out):
             _transposed(plan, wide, N, off_on, G, K, X)
             for k in range(2 * n_node * width):
                 G[k] = X[k]
-        _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off)
+        _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off, is_good)
+        for b in range(count):
+            settled[first + b] = is_good[b]
         if has_currents:
             for k in range(2 * n_node * width):
                 Y[k] += K[k]
@@ -99,15 +113,16 @@ def _blocks(plan, wide, given, solved, weights, converged, out):
 
 
 @compiled(nogil=True)
-def sweep_adjoint_lanes(plan, given, solved, weights, converged, out):
+def sweep_adjoint_lanes(plan, given, solved, weights, converged, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures).
 
     ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
     ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
     (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
-    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
+    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0. ``settled``
+    (lane,) says whose derivative was found.
     """
     if converged.shape[0] <= FEW:
-        _blocks(plan, ONE, given, solved, weights, converged, out)
+        _blocks(plan, ONE, given, solved, weights, converged, settled, out)
     else:
-        _blocks(plan, WIDE, given, solved, weights, converged, out)
+        _blocks(plan, WIDE, given, solved, weights, converged, settled, out)

@@ -35,21 +35,48 @@ def solve_batch(
         np.empty(n_lanes, np.bool_),
         np.empty(n_lanes, np.int64),
     )
-    plan = plan_of(feeder)
+    plan, failed = plan_of(feeder), 0
     if n_lanes == 1:
-        sweep_lanes(plan, rows, start, tolerance_pu, max_sweeps, out)
+        failed = sweep_lanes(plan, rows, start, tolerance_pu, max_sweeps, out)
     elif n_lanes:
-        over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
+        failed = over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
+    if failed:
+        _solve_by_newton(feeder, rows, tolerance_pu, out)
     return _solution(out, shape, dtype, n)
+
+
+def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, out: Any) -> None:
+    """Try Newton's method where the sweep has failed; one sweep from its solution gives the figures and checks it."""
+    from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution  # brings SciPy with it
+
+    plan = plan_of(feeder)
+    for lane in np.flatnonzero(~out[4]):
+        one = slice(lane, lane + 1)
+        if not (np.isfinite(rows[0][lane]).all() and np.isfinite(rows[1][lane]).all()):
+            continue
+        volts = high_voltage_solution(feeder, tuple(a[lane] for a in rows))
+        if volts is None:
+            continue
+        found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.empty(1, int))
+        if sweep_lanes(plan, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
+            for figures, of_lane in zip(_cut(out, one), found, strict=True):
+                figures[...] = of_lane
 
 
 def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, out: Any, first: int, last: int) -> int:
     cut = slice(first, last)
-    per_lane = out[3][:, cut].copy()
-    part = (*(a[cut] for a in out[:3]), per_lane, *(a[cut] for a in out[4:]))
-    failed = sweep_lanes(plan, tuple(a[cut] for a in rows), start[cut], tolerance, max_sweeps, part)
-    out[3][:, cut] = per_lane
+    part = _cut(out, cut)
+    per_lane = part[3].copy()  # contiguous, as the kernel takes it
+    failed = sweep_lanes(
+        plan, tuple(a[cut] for a in rows), start[cut], tolerance, max_sweeps, (*part[:3], per_lane, *part[4:])
+    )
+    part[3][...] = per_lane
     return failed
+
+
+def _cut(out: Any, lanes: slice) -> tuple[Any, ...]:
+    """Views of the figures of some lanes."""
+    return (*(a[lanes] for a in out[:3]), out[3][:, lanes], *(a[lanes] for a in out[4:]))
 
 
 def _solution(out: Any, shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhaseSolution:

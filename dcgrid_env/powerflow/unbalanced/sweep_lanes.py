@@ -52,7 +52,7 @@ def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
     """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
     p_kw, q_kvar = given[0], given[1]
     width, n_lanes, n_leg = len(WIDE), p_kw.shape[0], plan.leg_order.shape[0]
-    work = workspace(plan, WIDE)
+    work = workspace(plan, WIDE, given)
     off = work[10]
     nodes = np.empty(plan.up.shape[0], np.uint64)
     drawn = np.empty(plan.up.shape[0])
@@ -136,7 +136,7 @@ def sweep_lanes(plan, given, start, tolerance_pu, max_sweeps, out):
     few = n_lanes <= FEW
     if not few:
         _blocks(plan, given, start, tolerance_sq, max_sweeps, out)
-    work = workspace(plan, ONE)
+    work = workspace(plan, ONE, given)
     nodes = np.empty(n_node, np.uint64)
     drawn = np.empty(n_node)
     column = np.zeros(1, np.uint64)

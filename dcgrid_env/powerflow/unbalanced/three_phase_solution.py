@@ -34,7 +34,7 @@ class ThreePhaseSolution(NamedTuple):
     i_im_a: Array
     """Imaginary part of that current, A, shape (..., n_node). At the source's nodes it is the source's current."""
     loss_kw: Array
-    """Active loss of all branches, without the source's own impedance, kW, shape (...)."""
+    """Active loss of all branches and transformer cores, without the source's own impedance, kW, shape (...)."""
     source_p_kw: Array
     """Active power out of the source at its bus, kW, shape (...)."""
     source_q_kvar: Array
@@ -42,7 +42,7 @@ class ThreePhaseSolution(NamedTuple):
     converged: Array
     """Whether the voltages are within the tolerance, bool, shape (...)."""
     iterations: Array
-    """Sweeps done, int, shape (...)."""
+    """Sweeps done, int, shape (...); 1 from a solution of Newton's method."""
     residual_kva: Array
     """Estimated largest error of a voltage, p.u., times 1 MVA, kVA, shape (...): what it moves the power of a node by
     that draws 1 MVA at constant current."""

@@ -113,21 +113,20 @@ def _shares_of(exponent: float) -> tuple[float, float, float]:
 
 
 def core_rows(unit: Unit, report: Report) -> list[Row]:
-    """No-load losses and magnetising current of a transformer, which stand at its last winding, as a load."""
+    """No-load losses and magnetising current of a transformer, which are at its last winding, as a core."""
     if not unit.no_load_percent and not unit.magnetising_percent:
         return []
     last, size = unit.windings[1], len(unit.phases)
     delta = last.connection == "delta"
     p_kw, q_kvar = (p / 100.0 * unit.kva / size for p in (unit.no_load_percent, unit.magnetising_percent))
     legs = [3, 4, 5] if delta else ["abc".index(phase) for phase in unit.phases]
-    text = "its no-load losses and magnetising current are a load of constant impedance, scaled as loads are"
+    text = "its no-load losses and magnetising current are a constant impedance in the table of cores"
     report.add("nothing lost", "transformer", unit.name, text)
     [(connection, ps)] = by_connection(legs, rounded(p_kw)).items()
     [(_, qs)] = by_connection(legs, rounded(q_kvar)).items()
     kv = last.kv_ll * last.tap / (1.0 if delta else math.sqrt(3.0))
     return [
-        {"name": f"core_{unit.name}", "bus": last.bus, "connection": connection, "model": "Z", "leg_kv": rounded(kv),
-         "p_kw": ps, "q_kvar": qs, "vmin_pu": 0.95, "vmax_pu": 1.05, "vlow_pu": 0.5, "zip": ()}
+        {"name": unit.name, "bus": last.bus, "connection": connection, "leg_kv": rounded(kv), "p_kw": ps, "q_kvar": qs}
     ]  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from dcgrid_env.grid.formats.opendss.joints import Joint, Supply, supply_of
 from dcgrid_env.grid.formats.three_phase_columns import says_nothing
 from dcgrid_env.grid.network import (
     CapacitorTable,
+    CoreTable,
     Network,
     NodeTable,
     PhaseLineTable,
@@ -94,7 +95,7 @@ def _network(
         tables.add(unit, tables.regulations.pop(unit.name.lower(), None))
     for regulation in tables.regulations.values():
         report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
-    loads = [*read_loads(circuit, report, supply), *tables.cores]
+    loads = read_loads(circuit, report, supply)
     capacitors = read_capacitors(circuit, report, supply)
     transformers = merged(tables.transformers, report)
     for joint in transformers:
@@ -114,6 +115,7 @@ def _network(
         regulator=_table(RegulatorTable, tables.regulators),
         phase_load=_table(PhaseLoadTable, loads),
         capacitor=_table(CapacitorTable, capacitors),
+        core=_table(CoreTable, tables.cores),
         frequency_hz=float(circuit.engine.Solution.Frequency()),
         source_of_facts=f"OpenDSS script {script}",
     )

@@ -12,7 +12,7 @@ from helpers.opendss_imports import apart_pu, fates, voltages
 from helpers.opendss_text import rows, script_of
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
-TABLES = ("source", "phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor")
+TABLES = ("source", "phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core")
 
 
 @pytest.fixture(scope="module", params=["ieee13-3ph", "ieee34-3ph", "ieee123-3ph"])
@@ -101,10 +101,11 @@ def test_every_kind_of_element_at_once_has_the_voltages_of_opendss(many):
     assert network.transformer.name == ("sub", "xa+xb", "dd", "up", "eu")
     assert network.transformer.shift_deg == (-30.0, 0.0, 0.0, 30.0, 30.0)
     assert network.capacitor.state == ("on", "off", "on", "on")
-    load = {row["name"]: row for row in rows(network.phase_load)}
+    load, core = ({row["name"]: row for row in rows(table)} for table in (network.phase_load, network.core))
     assert load["a"]["p_kw"] == pytest.approx((22.0, 0.0, 0.0))
     assert load["b"]["p_kw"] == pytest.approx((0.0, 18.0, 0.0))
-    assert load["core_sub"]["q_kvar"] == pytest.approx((5.0, 5.0, 5.0))
+    assert set(core) == {"sub", "dd"}
+    assert core["sub"]["q_kvar"] == pytest.approx((5.0, 5.0, 5.0))
 
 
 def test_a_substations_tap_changer_is_a_regulator_behind_it(many):

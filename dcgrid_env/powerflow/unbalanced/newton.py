@@ -1,0 +1,240 @@
+"""Newton's method for one three-phase power flow: what is tried where the sweep does not settle.
+
+Near the largest load that a feeder can carry, the sweep converges slowly or not at all. Newton's method solves the same
+equations for the voltages V of all nodes and the currents I of their branches,
+
+    V_m - A V_n + B I_m = 0          I_m - (what legs, capacitors and susceptances draw at V_m) - sum of A^T I = 0
+
+from the voltages without load. It returns the solution of high voltage, which is the one that a growing load leads to:
+the determinant of the derivative changes its sign where that solution and one of low voltage meet, so its sign must be
+that without load. Where the step to the whole load fails, the load grows in smaller steps.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
+
+MOST = 40
+"""Most steps of Newton's method for one load."""
+SHRINKS = 0.9
+"""Ratio of a change of the voltages to the one before beyond which a load is given up. It is 1/2 on the way to the
+largest load, and less below it."""
+CLOSE_PU = 1e-8
+"""Change of a voltage at which the method ends. It converges quadratically, so what is left is rounding."""
+LEAST_SHARE = 1.0 / 16.0
+"""Least part of the load that is added at a time."""
+TINY = 1e-30
+
+FloatArray = NDArray[np.float64]
+
+
+class Places(NamedTuple):
+    """Rows and columns of the equations' entries; ``n_node`` is ground, which has none."""
+
+    bus: Any
+    """Bus of each entry of the branches' matrices."""
+    entry: Any
+    """Which of the nine entries of its bus it is."""
+    row: Any
+    column: Any
+    above: Any
+    """Node that feeds the column's."""
+
+
+class Equations:
+    """The equations of one power flow and their derivative, sparse, real parts first: V, I, then their imaginary parts.
+
+    Parameters
+    ----------
+    feeder
+        The feeder.
+    p_kw, q_kvar, source_pu, ratio, state
+        One power flow as ``solve_batch`` takes it, without leading dimensions.
+    """
+
+    def __init__(self, feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any, source_pu: Any, ratio: Any, state: Any):
+        plan, n = plan_of(feeder), feeder.n_node
+        self.n, self._law, self._is_z = n, plan.leg_law.T, plan.leg_is_z
+        load, device = p_kw[: -n or None] - 1j * q_kvar[: -n or None], p_kw[-n:] - 1j * q_kvar[-n:]
+        self._load = load[plan.leg_order.astype(np.intp)] * plan.leg_law[:, 0]
+        self._device = device / PHASE_BASE_KVA
+        nodes = np.arange(n)
+        self.ends = np.concatenate((plan.leg_ends.astype(np.intp), np.stack((nodes, np.full(n, n)), axis=1)))
+        self._linear = self._real(*_linear(feeder, ratio, state))
+        right = np.zeros(2 * n, np.complex128)
+        right[:3] = source_pu * (plan.source[:, 0] + 1j * plan.source[:, 1])
+        self._right = np.concatenate((right.real, right.imag))
+        i, j = self.ends.T
+        self._rows, self._columns = np.concatenate((i, i, j, j)), np.concatenate((i, j, i, j))
+
+    def without_load(self) -> tuple[FloatArray, SuperLU]:
+        """Voltages and currents without loads and devices, and the factors of the derivative there."""
+        factors = splu(self._matrix())
+        return factors.solve(self._right), factors
+
+    def at(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
+        """By how much the equations miss at ``x`` under a share of all loads and devices, and their derivative."""
+        n = self.n
+        v = np.append(x[:n] + 1j * x[2 * n : 3 * n], 0.0)
+        across = v[self.ends[:, 0]] - v[self.ends[:, 1]]
+        current, slopes = self._drawn(across, share)
+        drawn = np.zeros(n + 1, np.complex128)
+        np.add.at(drawn, self.ends[:, 0], current)
+        np.subtract.at(drawn, self.ends[:, 1], current)
+        missing = self._matrix() @ x - self._right
+        missing[n : 2 * n] -= drawn[:n].real
+        missing[3 * n :] -= drawn[:n].imag
+        return missing, self._matrix(slopes)
+
+    def _drawn(self, across: Any, share: float) -> tuple[Any, tuple[FloatArray, ...]]:
+        """Currents of the legs, and their derivatives d re / d re, d re / d im, d im / d re, d im / d im.
+
+        With g = p h_p - j q h_q, I = g V and dg = k Re(conj(V) dV): see ``grid.three_phase_legs`` for h.
+        """
+        n_load, squared = len(self._load), np.maximum(np.abs(across) ** 2, TINY)
+        inverse = np.sqrt(self._law[1] / squared[:n_load])
+        (h_p, s_p), (h_q, s_q) = self.shares(inverse, 2, 11), self.shares(inverse, 5, 13)
+        p, q, of_v = self._load.real, self._load.imag, squared[:n_load]
+        g: Any = np.concatenate((p * h_p + 1j * q * h_q, self._device / squared[n_load:]))
+        k = np.concatenate(((p * s_p + 1j * q * s_q) / of_v, -2.0 * self._device / squared[n_load:] ** 2))
+        re, im = across.real, across.imag
+        to: Any = k * across
+        slopes = (g.real + to.real * re, -g.imag + to.real * im, g.imag + to.imag * re, g.real + to.imag * im)
+        return share * g * across, tuple(share * slope for slope in slopes)
+
+    def shares(self, inverse: FloatArray, first: int, line: int) -> tuple[FloatArray, FloatArray]:
+        """H of the legs and u h', of p or of q, whose shares and line stand in these rows of the law."""
+        (z, i, c), (slope, offset) = self._law[first : first + 3], self._law[line : line + 2]
+        _, floor, low, very_low = self._law[7:11]
+        u = np.maximum(inverse, floor)
+        h, to = z + u * (i + u * c), np.where(inverse >= floor, -inverse * (i + 2.0 * inverse * c), 0.0)
+        h, to = np.where(inverse > low, slope + offset * inverse, h), np.where(inverse > low, -offset * inverse, to)
+        is_z = self._is_z | (inverse > very_low)
+        return np.where(is_z, 1.0, h), np.where(is_z, 0.0, to)
+
+    def _real(self, values: Any, rows: Any, columns: Any) -> tuple[Any, Any, Any]:
+        """Entries of complex equations as those of twice as many real ones."""
+        half = 2 * self.n
+        re, im = values.real, values.imag
+        return (
+            np.concatenate((re, -im, im, re)),
+            np.concatenate((rows, rows, rows + half, rows + half)),
+            np.concatenate((columns, columns + half, columns, columns + half)),
+        )
+
+    def _matrix(self, slopes: tuple[FloatArray, ...] | None = None) -> csc_matrix:
+        """The derivative under these slopes of the legs' currents; without them what is linear in the equations."""
+        n, (values, rows, columns) = self.n, self._linear
+        if slopes is not None:
+            kept = (self._rows < n) & (self._columns < n)
+            below, right = self._rows[kept] + n, self._columns[kept]
+            signs = np.repeat((-1.0, 1.0, 1.0, -1.0), len(self.ends))[kept]
+            legs = [signs * np.tile(slope, 4)[kept] for slope in slopes]
+            values = np.concatenate((values, *legs))
+            rows = np.concatenate((rows, below, below, below + 2 * n, below + 2 * n))
+            columns = np.concatenate((columns, right, right + 2 * n, right, right + 2 * n))
+        return csc_matrix((values, (rows, columns)), (4 * n, 4 * n))
+
+
+def high_voltage_solution(feeder: ThreePhaseFeeder, given: tuple[Any, ...]) -> FloatArray | None:
+    """Voltages of the solution of high voltage, p.u., real parts first, (2 n_node,); None where none was found.
+
+    ``given`` is one power flow as ``solve_batch`` takes it, without leading dimensions.
+    """
+    equations = Equations(feeder, *given)
+    with np.errstate(all="ignore"):
+        x, factors = equations.without_load()
+        sign, carried, step = _sign(factors), 0.0, 1.0
+        while carried < 1.0:
+            step = min(step, 1.0 - carried)
+            found = _newton(equations, x, carried + step, sign)
+            if found is not None:
+                x, carried = found, carried + step
+            elif step > LEAST_SHARE:
+                step /= 2.0
+            else:
+                return None
+    return np.concatenate((x[: equations.n], x[2 * equations.n : 3 * equations.n]))
+
+
+def _newton(equations: Equations, x: FloatArray, share: float, sign: float) -> FloatArray | None:
+    """Solve for a share of the load from ``x``; None where the changes do not shrink or the sign is another."""
+    n, before = equations.n, np.inf
+    for _ in range(MOST):
+        missing, slope = equations.at(x, share)
+        try:
+            factors = splu(slope)
+        except RuntimeError:  # exactly singular, or not finite
+            return None
+        change = factors.solve(missing)
+        size = np.abs(change[:n] + 1j * change[2 * n : 3 * n]).max()
+        if not size < SHRINKS * before:
+            return None
+        x, before = x - change, size
+        if size <= CLOSE_PU:
+            return x if _sign(factors) == sign else None
+    return None
+
+
+def _sign(factors: SuperLU) -> float:
+    """Sign of the determinant of a factored matrix; L has ones on its diagonal."""
+    sign = np.prod(np.sign(factors.U.diagonal()))
+    for order in (factors.perm_r, factors.perm_c):
+        n = len(order)
+        cycles = connected_components(csc_matrix((np.ones(n), (np.arange(n), order))), directed=False)[0]
+        sign *= -1.0 if (n - cycles) % 2 else 1.0
+    return float(sign)
+
+
+def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Any) -> FloatArray:
+    """Ratio of the regulator that feeds each node, 1 where none does."""
+    plan = plan_of(feeder)
+    tapped = (plan.kind == REGULATOR)[feeder.node_bus]
+    return np.where(tapped, ratio[plan.regulator.astype(np.intp)] if len(ratio) else 1.0, 1.0)
+
+
+@cached_on_owner
+def places(feeder: ThreePhaseFeeder) -> Places:
+    """Where the entries of the branches' matrices are in the equations."""
+    first = feeder.first_node.astype(np.intp)
+    size = np.diff(first)
+    bus, i, j = (a.ravel() for a in np.meshgrid(np.arange(feeder.n_bus), range(3), range(3), indexing="ij"))
+    there = (i < size[bus]) & (j < size[bus])
+    bus, i, j = bus[there], i[there], j[there]
+    column = first[bus] + j
+    above = plan_of(feeder).up.astype(np.intp)[column]
+    return Places(bus, 3 * i + j, first[bus] + i, column, above)
+
+
+def _linear(feeder: ThreePhaseFeeder, ratio: Any, state: Any) -> tuple[Any, Any, Any]:
+    """Complex entries of what is linear in V and I, with their rows and columns."""
+    plan, n, at = plan_of(feeder), feeder.n_node, places(feeder)
+    tap = tap_of_nodes(feeder, ratio)
+    a = plan.a[at.bus, at.entry] * tap[at.row]
+    b = (plan.z_re + 1j * plan.z_im)[at.bus, at.entry] * tap[at.row] * tap[at.column]
+    fed, nodes = at.bus > 0, np.arange(2 * n)
+    i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
+    banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
+    y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
+    parts = (
+        (np.ones(2 * n), nodes, nodes),
+        (-a[fed], at.row[fed], at.above[fed]),
+        (b, at.row, at.column + n),
+        (-a[fed], at.above[fed] + n, at.row[fed] + n),
+        (-1j * plan.shunt[at.bus, at.entry], at.row + n, at.column),
+        *((sign * y[there], to[there] + n, by[there]) for sign, to, by in ((-1, i, i), (1, i, j), (1, j, i), (-1, j, j))
+          for there in ((to < n) & (by < n),)),
+    )  # fmt: skip
+    values, rows, columns = (np.concatenate(one) for one in zip(*parts, strict=True))
+    return values, rows, columns
