@@ -93,8 +93,13 @@ class RoutedSites(PassesBy):
         return (
             Field("work_share", "share of the work at all sites", 0.0, 1.0, one, of_all_sites=True),
             Field(
-                "work_next_all", "share of all sites' dynamic power", 0.0, most, all_kw,
-                of_preview=True, of_all_sites=True,
+                "work_next_all",
+                "share of all sites' dynamic power",
+                0.0,
+                most,
+                all_kw,
+                of_preview=True,
+                of_all_sites=True,
             ),
         )
 

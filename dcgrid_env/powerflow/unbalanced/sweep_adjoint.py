@@ -25,7 +25,7 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
 )
 from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import add_up, capacitor_currents, go_down, shunt_currents
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import error_sq
 
 SWEEPS = 400
 TOLERANCE = 1e-9
@@ -41,8 +41,11 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
 
 
 @compiled(nogil=True)
-def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
-    """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up."""
+def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off):
+    """Sweep ``least`` times and until ibar (Y) stands still in the first ``count`` columns; the number of sweeps.
+
+    X is then vbar, added up.
+    """
     before, scale = np.ones(len(wide)), np.zeros(len(wide))
     for k in range(Y.shape[0]):
         Y[k] = 0.0
@@ -58,13 +61,21 @@ def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off):
                 error = error_sq(off[b] / scale[b], before[b])
                 settled = settled and error <= TOLERANCE * TOLERANCE
                 before[b] = off[b] / scale[b]
-        if settled:
-            break
+        if settled and sweep + 1 >= least:
+            return sweep + 1
+    return SWEEPS
 
 
 @compiled(nogil=True)
-def _blocks(plan, wide, given, solved, weights, converged, out):
-    """Take the lanes through in blocks of the given width."""
+def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, out):
+    """Fill ``out`` with derivatives of sum(weights * figures), a block of lanes of width ``wide`` after the other.
+
+    ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
+    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
+    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
+    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
+    Each block takes ``least`` sweeps or more; returns the most sweeps of a block.
+    """
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
     work = workspace(plan, wide)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
@@ -73,6 +84,7 @@ def _blocks(plan, wide, given, solved, weights, converged, out):
     N = np.zeros((n_node + plan.leg_is_z.shape[0]) * 4 * width)
     loss = np.zeros(width)
     off_on = np.empty_like(on)
+    most = 0
     nodes = np.arange(n_node).astype(np.uint64)
     for first in range(0, n_lanes, width):
         count = min(width, n_lanes - first)
@@ -91,23 +103,9 @@ def _blocks(plan, wide, given, solved, weights, converged, out):
             _transposed(plan, wide, N, off_on, G, K, X)
             for k in range(2 * n_node * width):
                 G[k] = X[k]
-        _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off)
+        most = max(most, _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off))
         if has_currents:
             for k in range(2 * n_node * width):
                 Y[k] += K[k]
         hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out)
-
-
-@compiled(nogil=True)
-def sweep_adjoint_lanes(plan, given, solved, weights, converged, out):
-    """Fill ``out`` with derivatives of sum(weights * figures).
-
-    ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
-    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
-    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
-    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
-    """
-    if converged.shape[0] <= FEW:
-        _blocks(plan, ONE, given, solved, weights, converged, out)
-    else:
-        _blocks(plan, WIDE, given, solved, weights, converged, out)
+    return most

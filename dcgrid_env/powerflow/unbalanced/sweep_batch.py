@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import sweep_lanes
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, sweep_blocks, sweep_lanes
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _NO_ROWS = np.empty((0, 0))
@@ -33,11 +33,11 @@ def solve_batch(
         np.empty((n_lanes, 2 * n)),
         np.empty((4, n_lanes)),
         np.empty(n_lanes, np.bool_),
-        np.empty(n_lanes, np.int64),
+        np.zeros(n_lanes, np.int64),
     )
     plan = plan_of(feeder)
     if n_lanes == 1:
-        sweep_lanes(plan, rows, start, tolerance_pu, max_sweeps, out)
+        sweep_lanes(plan, ONE, rows, start, tolerance_pu, max_sweeps, out)
     elif n_lanes:
         over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
     return _solution(out, shape, dtype, n)
@@ -47,7 +47,13 @@ def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, 
     cut = slice(first, last)
     per_lane = out[3][:, cut].copy()
     part = (*(a[cut] for a in out[:3]), per_lane, *(a[cut] for a in out[4:]))
-    failed = sweep_lanes(plan, tuple(a[cut] for a in rows), start[cut], tolerance, max_sweeps, part)
+    given, start = tuple(a[cut] for a in rows), start[cut]
+    # Two kernels and not one, so that a single environment does not compile what many need.
+    failed = last - first
+    if failed > FEW:
+        failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, part)
+    if failed:
+        failed = sweep_lanes(plan, ONE, given, start, tolerance, max_sweeps, part)
     out[3][:, cut] = per_lane
     return failed
 
