@@ -87,7 +87,7 @@ def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     return (*constants(feeder, np.float64), source_pu, TOLERANCE, MAX_SWEEPS, judged, band_pu)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _draw(
     a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, noise_out, p, q,
 ):  # fmt: skip

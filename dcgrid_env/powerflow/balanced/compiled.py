@@ -29,7 +29,7 @@ from dcgrid_env.powerflow.solution import (
 )
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     """Put a lane's loads into column b; whether all of them are finite."""
     p, q, _, _, v, _ = scratch
@@ -42,14 +42,14 @@ def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     return check == 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _start(b, lane, order, warm, l):
     l[0, b] = 0.0
     for k in range(1, order.shape[0]):
         l[k, b] = warm[lane, order[k] - 1] if warm.shape[0] > 0 else 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _clear(scratch):
     """No solution at all: no flow, and the lowest voltage but at the substation."""
     _, _, P, Q, v, l = scratch
@@ -58,7 +58,7 @@ def _clear(scratch):
         v[k, 0] = V_SQ_FLOOR
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _add_shunts(shunt_g, shunt_b, scratch, before):
     """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
     _, _, P, Q, v, _ = scratch
@@ -69,7 +69,7 @@ def _add_shunts(shunt_g, shunt_b, scratch, before):
             before[k, b] = v[k, b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _add_change(shunt_g, shunt_b, v, before, off):
     """Raise the residual of each column to the largest change of a shunt's power in this sweep."""
     for k in range(shunt_g.shape[0]):
@@ -78,7 +78,7 @@ def _add_change(shunt_g, shunt_b, v, before, off):
             off[b] = max(off[b], abs(v[k, b] - before[k, b]) * size)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     _, _, P, Q, v, l = scratch
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
@@ -100,7 +100,7 @@ def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     residual_kva[lane] = residual * S_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch

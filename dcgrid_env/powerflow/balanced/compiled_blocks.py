@@ -22,7 +22,7 @@ NOT_IN_BLOCKS = -1  # iterations of a lane that its block left without a solutio
 PER_KVA = 1.0 / S_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v, l, finite):
     """Put loads and start of the lanes from ``first`` to ``last`` into the columns, and ``last`` into what is left.
 
@@ -53,7 +53,7 @@ def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v
             v[k, b] = v0 * v0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
     """Write the flows of the lanes that have settled in this sweep: the next one changes them."""
     for b in range(settled.shape[0]):
@@ -63,7 +63,7 @@ def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
                 q_branch_kvar[first + b, order[k] - 1] = flow[k, BLOCK + b] * S_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw):
     """Write what has been found of the lanes from ``first`` to ``last``, as ``_load_block`` reads them."""
     loss = np.zeros(BLOCK)  # added up in float64 whatever the precision, as one lane alone does
@@ -87,7 +87,7 @@ def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_k
         loss_kw[lane] = loss[lane - first] * S_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _add_shunts(shunt_g, shunt_b, flow, v, before):
     """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
     for k in range(shunt_g.shape[0]):
@@ -97,7 +97,7 @@ def _add_shunts(shunt_g, shunt_b, flow, v, before):
             before[k, b] = v[k, b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up):
     """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive.
 

@@ -32,7 +32,7 @@ TOLERANCE = 1e-9
 """Largest estimated error of ibar, as a share of its largest after the first sweep."""
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _transposed(plan, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
     shunt_currents(plan, wide, -1.0, Y, X)
@@ -40,7 +40,7 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
     legs_transposed(plan, wide, N, G, Y, X)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off):
     """Sweep ``least`` times and until ibar (Y) stands still in the first ``count`` columns; the number of sweeps.
 

@@ -26,7 +26,7 @@ ROUNDING = 1e-28  # a squared change of voltage that is rounding alone
 DIVERGED = 1e8  # a squared change of voltage that no sweep on its way to a solution has
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def error_sq(change, before):
     """Estimate the squared error left after a sweep by its squared change of voltage and that of the sweep before it.
 
@@ -39,7 +39,7 @@ def error_sq(change, before):
     return change * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else np.inf
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _clear(plan, work):
     """No solution at all: no current, and the lowest voltage."""
     V, J = work[0], work[1]
@@ -107,7 +107,7 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     return unsettled
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
     """Sweep one lane, alone in a block of width 1, to the tolerance; the sweeps done, and whether it settled."""
     off, finite = work[10], True
