@@ -70,8 +70,8 @@ class _Inner(CPUDispatcher):
 
 
 def compiling_s() -> float:
-    """Return the seconds that this process has spent compiling."""
-    return _compiling.seconds
+    """Return the seconds that this process has spent compiling so far."""
+    return _compiling.seconds()
 
 
 class _Compiling(event.Listener):
@@ -80,8 +80,11 @@ class _Compiling(event.Listener):
     MANY = 8
 
     def __init__(self) -> None:
-        self.seconds = self._began_s = 0.0
+        self._ended_s = self._began_s = 0.0
         self._depth = self._kernels = 0
+
+    def seconds(self) -> float:
+        return self._ended_s + (time.monotonic() - self._began_s if self._depth else 0.0)
 
     def on_start(self, event: Any) -> None:
         if self._depth == 0:
@@ -95,7 +98,7 @@ class _Compiling(event.Listener):
     def on_end(self, event: Any) -> None:
         self._depth -= 1
         if self._depth == 0:
-            self.seconds += time.monotonic() - self._began_s
+            self._ended_s += time.monotonic() - self._began_s
 
 
 class _Cache(NullCache):
