@@ -97,7 +97,7 @@ def half_normal(x):
     return x * (_PHI[0] + y * (_PHI[1] + y * (_PHI[2] + y * (_PHI[3] + y * (_PHI[4] + y * high)))))
 
 
-@compiled(fastmath=_FAST, forceinline=True)
+@compiled(inner=True, fastmath=_FAST, forceinline=True)
 def _slope(x, edge, apart, direction, moved, by, price):
     """Derivative of the expected cost by what moves the voltages by ``by``, after a move along ``direction``.
 
@@ -122,7 +122,7 @@ def _slope(x, edge, apart, direction, moved, by, price):
     return total
 
 
-@compiled(fastmath=_FAST)
+@compiled(inner=True, fastmath=_FAST)
 def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high, high_f, close):
     """Where ``constant + rise t + _slope(t)`` is 0 in (low, high), of other signs at its ends; the Illinois method."""
     side = 0
@@ -146,7 +146,7 @@ def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high
     return 0.5 * (low + high)
 
 
-@compiled(fastmath=_FAST)
+@compiled(inner=True, fastmath=_FAST)
 def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
     """How much less than all work to serve, kW, until a kW less relieves no more than it costs to let it wait.
 

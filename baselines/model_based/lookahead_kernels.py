@@ -68,7 +68,7 @@ def _lane(
                 u_b[k, i] = to - new
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(inner=True, fastmath={"reassoc", "contract"})
 def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line):
     """The deviations of a step and their multipliers after a round, and into ``line`` what the next one begins from."""
     n, n_bus = slopes.shape
@@ -87,7 +87,7 @@ def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u
         line[m] = new - (to - new) - offset[k, m]
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(inner=True, fastmath={"reassoc", "contract"})
 def _bus_terms(k, w_e, slopes, line, right):
     """The buses' part of the right-hand side of a step, into ``right``."""
     n, n_bus = slopes.shape
@@ -98,7 +98,7 @@ def _bus_terms(k, w_e, slopes, line, right):
         right[i, k] = w_e * total
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(inner=True, fastmath={"reassoc", "contract"})
 def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x):
     """Solve the least-squares problem for ``right`` (n, step), into ``x``; ``_System`` says how."""
     n, steps = right.shape
@@ -130,7 +130,7 @@ def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_si
             x[i, k] = total
 
 
-@compiled
+@compiled(inner=True)
 def _within(k, base, low, high, s_rated, q_high, effort, u_y, y):
     """Proximal point of effort |q| within box and circle of what stands in ``u_y``, into ``y``; ``u_y`` is the rest."""
     n_dc, n_agent = base.shape[1], q_high.shape[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,7 +11,10 @@ if TYPE_CHECKING:
 
 
 def progress_bar(console: Console) -> Progress:
-    """A context manager; its tasks are added with a description, a total and what is completed already."""
+    """A context manager; its tasks are added with a description, a total and what is completed already.
+
+    The time that this process compiles kernels counts neither as elapsed nor for the time that remains.
+    """
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -20,10 +24,12 @@ def progress_bar(console: Console) -> Progress:
         TimeRemainingColumn,
     )
 
+    from dcgrid_env.core.compiled import compiling_s
+
     columns = (
         TextColumn("{task.description:>16}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, TimeRemainingColumn(), console=console)
+    return Progress(*columns, TimeRemainingColumn(), console=console, get_time=lambda: time.monotonic() - compiling_s())

@@ -20,20 +20,20 @@ _MASK = np.uint64(0xFFFF)
 _SCALE = 1.0 / np.sqrt(4 * (65536.0**2 - 1) / 12)
 
 
-@compiled
+@compiled(inner=True)
 def _mix(x):
     x = (x ^ (x >> np.uint64(30))) * _M1
     x = (x ^ (x >> np.uint64(27))) * _M2
     return x ^ (x >> np.uint64(31))
 
 
-@compiled
+@compiled(inner=True)
 def _hash(key, stream, step, index):
     counter = (np.uint64(stream) << np.uint64(56)) | (np.uint64(step) << np.uint64(24)) | np.uint64(index)
     return _mix(_mix(key + _GOLDEN) + (counter + np.uint64(1)) * _GOLDEN)
 
 
-@compiled
+@compiled(inner=True)
 def _standard(h):
     total = (
         (h & _MASK) + ((h >> np.uint64(16)) & _MASK) + ((h >> np.uint64(32)) & _MASK) + ((h >> np.uint64(48)) & _MASK)

@@ -23,6 +23,7 @@ from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
 from dcgrid_env.powerflow.balanced.compiled import distflow_lanes
+from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
 from dcgrid_env.powerflow.solution import raise_not_finite
 from dcgrid_env.scenario.scenario import Scenario
@@ -63,14 +64,13 @@ def grid_pass(
     agents = (lanes, p_kw.shape[1])
     own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (lanes, n - 1)))
     given = (*_fixed(scenario), *drawing, nodes, *own)
-    over_buses, after = np.empty((2, lanes, n)), np.empty((lanes, n - 1))
-    per_lane, converged = np.empty((6, lanes)), np.empty(lanes, np.bool_)
+    over_buses, after = np.empty((4 if lanes <= FEW else 2, lanes, n)), np.empty((lanes, n - 1))
+    per_lane, converged = np.empty((7, lanes)), np.empty(lanes, np.bool_)
     out = (over_buses, after, per_lane, converged)
-    kernel: Any = _lanes
-    if lanes == 1:
-        failed = kernel(0, lanes, *given, *out)
+    if lanes <= FEW:
+        failed = _few_lanes(0, lanes, *given, *out, np.zeros(lanes, np.int64))
     else:
-        failed = over_lanes(lambda first, last: kernel(first, last, *given, *out), lanes)
+        failed = over_lanes(lambda first, last: _many_lanes(first, last, *given, *out), lanes)
     if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, lanes, n))
         load_step(*drawing, *loads)
@@ -84,20 +84,59 @@ def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """What a pass knows of the scenario, as the kernel takes it."""
     feeder: Any = scenario.feeder
     judged, source_pu, band_pu = feeder.load_slice.start, float(scenario.source_voltage_pu), float(scenario.band_pu)
-    return (*constants(feeder, np.float64), source_pu, judged, band_pu)
+    return (*constants(feeder, np.float64), source_pu, TOLERANCE, MAX_SWEEPS, judged, band_pu)
+
+
+@compiled(inner=True)
+def _draw(
+    a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, noise_out, p, q,
+):  # fmt: skip
+    """Draw the loads of the lanes from ``a`` up to ``b`` into p and q, and add the agents' powers."""
+    n, parts = noise.shape[1], nodes.shape[2]
+    load_step(
+        key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed, noise_out[a:b], p, q,
+    )  # fmt: skip
+    for lane in range(a, b):
+        for agent in range(nodes.shape[1]):
+            for part in range(parts):
+                at = nodes[lane, agent, part] - lane * n
+                p[lane - a, at] += p_agent[lane, agent] / parts
+                q[lane - a, at] += -q_agent[lane, agent] / parts
 
 
 @compiled(nogil=True)
-def _lanes(
-    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, judged, band_pu,
+def _few_lanes(
+    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
-    over_buses, restart, per_lane, converged,
+    over_buses, restart, per_lane, converged, sweeps,
 ):  # fmt: skip
-    """The pass over the lanes from ``first`` up to ``last``; how many of them have no solution.
+    """The pass over all of up to FEW lanes, without the code for blocks of them; how many have no solution.
 
     One argument an array: tuples of arrays take the compiler's dispatcher several times as long to look through.
     """
-    n, failed, parts = noise.shape[1], 0, nodes.shape[2]
+    noise_out, v_pu, p, q = over_buses[0], over_buses[1], over_buses[2], over_buses[3]
+    _draw(
+        first, last, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
+        noise_out, p, q,
+    )  # fmt: skip
+    none, v0_pu = noise[:0], per_lane[6]
+    v0_pu[:] = source_pu
+    failed = distflow_lanes(
+        order, parent, r, x, shunt_g, shunt_b, ratio, p, q, v0_pu, warm, tolerance, max_sweeps,
+        (v_pu, none, none, restart, per_lane[4], converged, sweeps, per_lane[5]),
+    )  # fmt: skip
+    fill_figures(v_pu, first, last, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    return failed
+
+
+@compiled(nogil=True)
+def _many_lanes(
+    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
+    key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
+    over_buses, restart, per_lane, converged,
+):  # fmt: skip
+    """The pass over the lanes from ``first`` up to ``last``, in chunks; how many of them have no solution."""
+    n, failed = noise.shape[1], 0
     noise_out, v_pu = over_buses[0], over_buses[1]
     most, none = min(CHUNK, last - first), np.empty((0, 0))
     p, q = np.empty((most, n)), np.empty((most, n))
@@ -105,20 +144,21 @@ def _lanes(
     for a in range(first, last, CHUNK):
         b = min(a + CHUNK, last)
         m = b - a
-        load_step(
-            key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed,
-            noise_out[a:b], p[:m], q[:m],
+        _draw(
+            a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
+            noise_out, p[:m], q[:m],
         )  # fmt: skip
-        for lane in range(a, b):
-            for agent in range(nodes.shape[1]):
-                for part in range(parts):
-                    at = nodes[lane, agent, part] - lane * n
-                    p[lane - a, at] += p_agent[lane, agent] / parts
-                    q[lane - a, at] += -q_agent[lane, agent] / parts
-        solved = (v_pu[a:b], none, none, restart[a:b], per_lane[4, a:b], converged[a:b], sweeps[:m], residual[:m])
-        failed += distflow_lanes(
-            order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], TOLERANCE, MAX_SWEEPS,
-            solved,
-        )  # fmt: skip
+        out = (v_pu[a:b], none, none, restart[a:b], per_lane[4, a:b], converged[a:b], sweeps[:m], residual[:m])
+        sweeps[:m], unsettled = 0, m
+        if m > FEW and n <= MOST_IN_BLOCKS:
+            unsettled = distflow_blocks(
+                order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], tolerance,
+                max_sweeps, out,
+            )  # fmt: skip
+        if unsettled > 0:
+            failed += distflow_lanes(
+                order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], tolerance,
+                max_sweeps, out,
+            )  # fmt: skip
         fill_figures(v_pu, a, b, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
     return failed

@@ -20,7 +20,7 @@ class VoltageFigures(NamedTuple):
     highest_pu: np.ndarray
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _sums(v_pu, lane, first, n, band_pu):
     """Sums of |V - 1| and of its excess over ``n`` nodes, in the order in which ``np.add.reduce`` adds up a row.
 

@@ -96,6 +96,7 @@ ELSEWHERE = {
     "python docs/replay_picture.py": "tests/dcgrid_env/rendering/test_replay_in_browser.py",  # there with a Chromium
     "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
     "python docs/paired_speed.py": "tests/docs/test_paired_speed.py",
+    "python docs/first_step.py": "tests/docs/test_first_step.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "python docs/examples/sb3_vec_env.py": "tests/docs/test_examples.py",
     "dcgrid export-sb3": "tests/agents/from_sb3",

@@ -8,7 +8,7 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.devices.ride_through.rules import ALL_BACK
 
 
-@compiled
+@compiled(inner=True)
 def _note(ages_s, age_s, window_s):
     """Put a new age in front of the others, and say whether the oldest then lies within the window."""
     n = ages_s.shape[0]

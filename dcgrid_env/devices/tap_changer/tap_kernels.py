@@ -24,7 +24,7 @@ def relay_volts(settings, v_re, v_im, i_re, i_im):
     return out
 
 
-@compiled
+@compiled(inner=True)
 def _direct(settings, controlled, volts, tap, wanted):
     """Put into ``wanted`` which way each regulator of a lane is to go; the number of those that are to go anywhere."""
     asking = 0

@@ -10,11 +10,11 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.grid.feeder import Feeder
-from dcgrid_env.powerflow.balanced import compiled
+from dcgrid_env.powerflow.balanced.compiled import distflow_lanes, lindistflow_lanes
+from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
 from dcgrid_env.powerflow.solution import Solution, raise_not_finite
 
 _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float32)}
-_KERNELS = {"distflow": compiled.distflow_lanes, "lindistflow": compiled.lindistflow_lanes}
 
 
 @cached_on_owner
@@ -49,7 +49,7 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
         over_branches[2],
         per_lane[0],
         np.empty(n_lanes, np.bool_),
-        np.empty(n_lanes, np.int64),
+        np.zeros(n_lanes, np.int64),
         per_lane[1],
     )
     kernel, of_feeder = _KERNELS[method], constants(feeder, dtype.type)
@@ -63,6 +63,20 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
         return Solution(*out, restart=out[3])
     shaped = tuple(a.reshape(*shape, *a.shape[1:]) if shape else a[0] for a in out)
     return Solution(*shaped, restart=shaped[3])
+
+
+def _distflow(*given: Any) -> int:
+    """Solve lanes by ``distflow_lanes``, after ``distflow_blocks`` where there are many; the number without a solution.
+
+    Two kernels and not one, so that a single environment does not compile what many need.
+    """
+    n_lanes, n = given[7].shape
+    if n_lanes > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*given) == 0:
+        return 0
+    return distflow_lanes(*given)
+
+
+_KERNELS: dict[str, Any] = {"distflow": _distflow, "lindistflow": lindistflow_lanes}
 
 
 def _part(kernel: Any, of_feeder: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:

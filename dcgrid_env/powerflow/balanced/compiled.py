@@ -19,7 +19,7 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK_SWEEPS, PER_KVA, distflow_blocks
+from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK_SWEEPS, NOT_IN_BLOCKS, PER_KVA
 from dcgrid_env.powerflow.solution import (
     LINEAR_SWEEPS,
     LINEAR_TOLERANCE,
@@ -28,11 +28,8 @@ from dcgrid_env.powerflow.solution import (
     V_SQ_FLOOR,
 )
 
-FEW = 10  # up to this many lanes one at a time beats a mostly empty block
-MOST_IN_BLOCKS = 3000  # buses: a block is three times as fast there as one lane at a time, and no faster at 10,000
 
-
-@compiled(nogil=True)
+@compiled(inner=True)
 def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     """Put a lane's loads into column b; whether all of them are finite."""
     p, q, _, _, v, _ = scratch
@@ -45,14 +42,14 @@ def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
     return check == 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _start(b, lane, order, warm, l):
     l[0, b] = 0.0
     for k in range(1, order.shape[0]):
         l[k, b] = warm[lane, order[k] - 1] if warm.shape[0] > 0 else 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _clear(scratch):
     """No solution at all: no flow, and the lowest voltage but at the substation."""
     _, _, P, Q, v, l = scratch
@@ -61,7 +58,7 @@ def _clear(scratch):
         v[k, 0] = V_SQ_FLOOR
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _add_shunts(shunt_g, shunt_b, scratch, before):
     """Add the power of shunts at the voltages of the last sweep to the flows, and keep these voltages."""
     _, _, P, Q, v, _ = scratch
@@ -72,7 +69,7 @@ def _add_shunts(shunt_g, shunt_b, scratch, before):
             before[k, b] = v[k, b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _add_change(shunt_g, shunt_b, v, before, off):
     """Raise the residual of each column to the largest change of a shunt's power in this sweep."""
     for k in range(shunt_g.shape[0]):
@@ -81,7 +78,7 @@ def _add_change(shunt_g, shunt_b, v, before, off):
             off[b] = max(off[b], abs(v[k, b] - before[k, b]) * size)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     _, _, P, Q, v, l = scratch
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
@@ -103,7 +100,7 @@ def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
     residual_kva[lane] = residual * S_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch
@@ -142,14 +139,10 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
 
     ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A lane that does not settle from there
     starts again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
+    A lane whose iterations are positive is settled already and left out; of one that is NOT_IN_BLOCKS the start is.
     Returns the number of lanes without a solution.
     """
     n_lanes, n = p_kw.shape
-    few = n_lanes <= FEW or n > MOST_IN_BLOCKS
-    if not few:
-        distflow_blocks(
-            order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out
-        )
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     before = np.empty((shunt_g.shape[0], 1), p_kw.dtype)
@@ -157,11 +150,11 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
     cold = warm[:0]
     failed = 0
     for lane in range(n_lanes):
-        if not few and out[6][lane] > 0:
+        if out[6][lane] > 0:
             continue
         sweeps, residual = 0, np.inf
         finite = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
-        if few and finite:
+        if finite and out[6][lane] != NOT_IN_BLOCKS:
             _start(0, lane, order, warm, scratch[5])
             most = min(BLOCK_SWEEPS, max_sweeps)
             sweeps, residual = _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, most)

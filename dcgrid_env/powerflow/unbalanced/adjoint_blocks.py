@@ -11,7 +11,7 @@ from dcgrid_env.powerflow.unbalanced.plan import REGULATOR
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import U2, U3, U4, leg_admittance
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
     """Set N to the derivatives of currents by voltages: all legs to ground of a node together, then each other leg.
 
@@ -61,7 +61,7 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
             N[m + U3 * W + b] += g_p + to_im * im
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def legs_transposed(plan, wide, N, G, Y, X):
     """Add G and N^T Y to X."""
     W, n_node = np.uint64(len(wide)), np.uint64(plan.up.shape[0])
@@ -85,7 +85,7 @@ def legs_transposed(plan, wide, N, G, Y, X):
             X[j + W + b] -= to_im
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
     """Put solutions into V and J and the weights of voltages into G; whether anything of currents is weighed."""
     volts, amperes = solved
@@ -127,7 +127,7 @@ def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
     return g_amperes.shape[0] > 0 or g_lane.shape[1] > 0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, loss):
     """Make of lanes without a solution ones that draw nothing and weigh nothing."""
     W = np.uint64(len(wide))
@@ -145,7 +145,7 @@ def clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, l
             P[k * W + b] = Q[k * W + b] = 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K):
     """Set K to the weights of the branches' currents, taken down the tree: K_m = weight + A K_n."""
     g_amperes, g_lane = weights[2], weights[3]
@@ -177,7 +177,7 @@ def weights_of_currents(first, count, plan, wide, weights, converged, V, J, rati
                     K[o + W + b] += p * V[o + W + b] - q * V[o + b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
     """Turn vbar (X) and ibar (Y) into the derivatives by the inputs."""
     d_p, d_q, d_source, d_ratio, d_on = out
@@ -223,7 +223,7 @@ def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
                 _by_ratio(k, lane, b, plan, W, V, J, X, Y, ratio, loss, d_ratio)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _by_ratio(k, lane, b, plan, W, V, J, X, Y, ratio, loss, d_ratio):
     n, size = plan.first[k], plan.first[k + 1] - plan.first[k]
     for i in range(size):

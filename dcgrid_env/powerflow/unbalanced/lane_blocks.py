@@ -25,7 +25,7 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
 PER_KVA = 1.0 / PHASE_BASE_KVA
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def workspace(plan, wide, given):
     """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each.
 
@@ -42,7 +42,7 @@ def workspace(plan, wide, given):
     return V, J, P, Q, DP, DQ, np.zeros(2 * W), ratio, on, np.zeros(6 * W), np.zeros(W)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
     """List the nodes at which any of these lanes has a device that draws; their number. ``drawn`` is scratch."""
     n_node, skip = np.uint64(nodes.shape[0]), np.uint64(n_leg)
@@ -59,7 +59,7 @@ def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
     return found
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def load_lane(b, lane, plan, wide, given, nodes, n_device, work):
     """Put a lane's inputs into column b, and the ideal source's voltage; whether all of them are finite."""
     p_kw, q_kvar, source_pu, ratios, states = given
@@ -90,7 +90,7 @@ def load_lane(b, lane, plan, wide, given, nodes, n_device, work):
     return check == 0.0
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def start_lane(b, lane, plan, wide, start, work):
     """Put the voltages to start from into column b, where there are any: a lane of zeros is none."""
     V = work[0]
@@ -104,7 +104,7 @@ def start_lane(b, lane, plan, wide, start, work):
         V[at + W] = start[lane, n_node + n]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def begin(plan, wide, work):
     """Voltages without any load: the cold start of a block."""
     V, J, _, _, _, _, _, ratio, _, T, off = work
@@ -113,7 +113,7 @@ def begin(plan, wide, work):
     go_down(plan, wide, 1.0, ratio, J, V, T, off)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def sweep_block(plan, wide, nodes, n_device, work):
     """One backward and forward sweep; the squared change of the voltages stands in the last row."""
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
@@ -126,7 +126,7 @@ def sweep_block(plan, wide, nodes, n_device, work):
     go_down(plan, wide, 1.0, ratio, J, V, T, off)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _loss(plan, wide, V, J, ratio, loss):
     """Set ``loss`` to what branches and cores lose, p.u.
 
@@ -155,7 +155,7 @@ def _loss(plan, wide, V, J, ratio, loss):
             loss[b] += plan.core_g[k] * (re * re + im * im)
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def store_lanes(columns, count, first, plan, wide, work, sweeps, is_good, out):
     """Hand over the first ``count`` of these columns of a block whose first lane is ``first``.
 

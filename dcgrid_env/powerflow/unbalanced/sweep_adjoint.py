@@ -31,14 +31,14 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     go_down,
     shunt_currents,
 )
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, error_sq
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import error_sq
 
 SWEEPS = 400
 TOLERANCE = 1e-9
 """Largest estimated error of ibar, as a share of its largest after the first sweep."""
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _transposed(plan, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
     shunt_currents(plan, wide, -1.0, Y, X)
@@ -47,11 +47,11 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
     legs_transposed(plan, wide, N, G, Y, X)
 
 
-@compiled(nogil=True)
-def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off, is_good):
-    """Sweep until ibar (Y) stands still in the first ``count`` columns; X is then vbar, added up.
+@compiled(inner=True)
+def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good):
+    """Sweep ``least`` times and until ibar (Y) stands still in the first ``count`` columns; the number of sweeps.
 
-    ``is_good`` says in which it does.
+    X is then vbar, added up, and ``is_good`` says in which columns ibar stands still.
     """
     before, scale = np.ones(len(wide)), np.zeros(len(wide))
     for k in range(Y.shape[0]):
@@ -70,13 +70,22 @@ def _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off, is_good):
                 is_good[b] = error <= TOLERANCE * TOLERANCE
                 settled = settled and is_good[b]
                 before[b] = off[b] / scale[b]
-        if settled:
-            break
+        if settled and sweep + 1 >= least:
+            return sweep + 1
+    return SWEEPS
 
 
 @compiled(nogil=True)
-def _blocks(plan, wide, given, solved, weights, converged, settled, out):
-    """Take the lanes through in blocks of the given width."""
+def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, settled, out):
+    """Fill ``out`` with derivatives of sum(weights * figures), a block of lanes of width ``wide`` after the other.
+
+    ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
+    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
+    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
+    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
+    ``settled`` (lane,) says whose derivative was found. Each block takes ``least`` sweeps or more; returns the most
+    sweeps of a block.
+    """
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
     work = workspace(plan, wide, given)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
@@ -85,6 +94,7 @@ def _blocks(plan, wide, given, solved, weights, converged, settled, out):
     N = np.zeros((n_node + plan.leg_is_z.shape[0]) * 4 * width)
     loss, is_good = np.zeros(width), np.ones(width, np.bool_)
     off_on = np.empty_like(on)
+    most = 0
     nodes = np.arange(n_node).astype(np.uint64)
     for first in range(0, n_lanes, width):
         count = min(width, n_lanes - first)
@@ -103,26 +113,11 @@ def _blocks(plan, wide, given, solved, weights, converged, settled, out):
             _transposed(plan, wide, N, off_on, G, K, X)
             for k in range(2 * n_node * width):
                 G[k] = X[k]
-        _settle(plan, wide, count, N, off_on, ratio, G, Y, X, T, off, is_good)
+        most = max(most, _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good))
         for b in range(count):
             settled[first + b] = is_good[b]
         if has_currents:
             for k in range(2 * n_node * width):
                 Y[k] += K[k]
         hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out)
-
-
-@compiled(nogil=True)
-def sweep_adjoint_lanes(plan, given, solved, weights, converged, settled, out):
-    """Fill ``out`` with derivatives of sum(weights * figures).
-
-    ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
-    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
-    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
-    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0. ``settled``
-    (lane,) says whose derivative was found.
-    """
-    if converged.shape[0] <= FEW:
-        _blocks(plan, ONE, given, solved, weights, converged, settled, out)
-    else:
-        _blocks(plan, WIDE, given, solved, weights, converged, settled, out)
+    return most

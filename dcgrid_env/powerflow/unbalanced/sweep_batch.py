@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import sweep_lanes
+from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, sweep_blocks, sweep_lanes
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _NO_ROWS = np.empty((0, 0))
@@ -33,11 +33,11 @@ def solve_batch(
         np.empty((n_lanes, 2 * n)),
         np.empty((4, n_lanes)),
         np.empty(n_lanes, np.bool_),
-        np.empty(n_lanes, np.int64),
+        np.zeros(n_lanes, np.int64),
     )
     plan, failed = plan_of(feeder), 0
     if n_lanes == 1:
-        failed = sweep_lanes(plan, rows, start, tolerance_pu, max_sweeps, out)
+        failed = sweep_lanes(plan, ONE, rows, start, tolerance_pu, max_sweeps, out)
     elif n_lanes:
         failed = over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
     if failed:
@@ -57,8 +57,8 @@ def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, o
         volts = high_voltage_solution(feeder, tuple(a[lane] for a in rows))
         if volts is None:
             continue
-        found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.empty(1, int))
-        if sweep_lanes(plan, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
+        found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
+        if sweep_lanes(plan, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
             for figures, of_lane in zip(_cut(out, one), found, strict=True):
                 figures[...] = of_lane
 
@@ -67,9 +67,13 @@ def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, 
     cut = slice(first, last)
     part = _cut(out, cut)
     per_lane = part[3].copy()  # contiguous, as the kernel takes it
-    failed = sweep_lanes(
-        plan, tuple(a[cut] for a in rows), start[cut], tolerance, max_sweeps, (*part[:3], per_lane, *part[4:])
-    )
+    given, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_lane, *part[4:])
+    # Two kernels and not one, so that a single environment does not compile what many need.
+    failed = last - first
+    if failed > FEW:
+        failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, figures)
+    if failed:
+        failed = sweep_lanes(plan, ONE, given, start, tolerance, max_sweeps, figures)
     part[3][...] = per_lane
     return failed
 

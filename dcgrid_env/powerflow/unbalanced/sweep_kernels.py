@@ -16,7 +16,7 @@ from dcgrid_env.powerflow.unbalanced.plan import LINE, REGULATOR
 U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def shunt_currents(plan, wide, sign, V, J):
     """Set J to what the susceptances at each bus draw at V, times ``sign``, -1 for the conjugate."""
     W = np.uint64(len(wide))
@@ -84,7 +84,7 @@ def leg_admittance(law, k, wide, V, i, j, H):
                 H[W + b] = law[k, 13] + law[k, 14] * inverse
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def load_currents(plan, wide, V, P, Q, H, J):
     """Add to J what the loads' legs draw at V; P and Q hold their rows in the plan's order, scaled by the law's."""
     W = np.uint64(len(wide))
@@ -115,7 +115,7 @@ def load_currents(plan, wide, V, P, Q, H, J):
                 J[j + b] -= H[b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def device_currents(nodes, count, wide, V, P, Q, J):
     """Add to J what devices draw at V, a constant power at each of the first ``count`` nodes of the list."""
     W = np.uint64(len(wide))
@@ -130,7 +130,7 @@ def device_currents(nodes, count, wide, V, P, Q, J):
             J[i + W + b] += p * im - q * re
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def capacitor_currents(plan, wide, V, on, J):
     """Add to J what the capacitors draw at V; ``on`` has a row for each bank."""
     W = np.uint64(len(wide))
@@ -150,7 +150,7 @@ def capacitor_currents(plan, wide, V, on, J):
                 J[j + W + b] -= b_pu * on[at + b] * re
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def core_currents(plan, wide, sign, V, J):
     """Add to J what the transformers' cores draw at V; ``sign`` times the susceptance, -1 for the conjugate."""
     W = np.uint64(len(wide))
@@ -167,7 +167,7 @@ def core_currents(plan, wide, sign, V, J):
             J[j + W + b] -= g * im + s * re
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def add_up(plan, wide, ratio, J):
     """Backward: add the currents of each bus to those of the bus that feeds it, I_n = A^T I_m."""
     W = np.uint64(len(wide))
@@ -201,7 +201,7 @@ def add_up(plan, wide, ratio, J):
                         J[u + b] += a * J[o + j * U2 * W + b]
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def go_down(plan, wide, sign, ratio, J, V, T, off):
     """Forward: V_m = A V_n - B I_m for each bus; ``sign`` times the reactance, -1 for the conjugate.
 

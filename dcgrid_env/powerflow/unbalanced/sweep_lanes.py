@@ -21,11 +21,12 @@ WIDE = (0,) * 32
 """Lanes innermost, the tuple's length."""
 FEW = 6  # up to this many lanes one at a time beats a mostly empty block
 BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
+NOT_IN_BLOCKS = -1  # sweeps of a lane that its block left without a solution
 ROUNDING = 1e-28  # a squared change of voltage that is rounding alone
 DIVERGED = 1e8  # a squared change of voltage that no sweep on its way to a solution has
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def error_sq(change, before):
     """Estimate the squared error left after a sweep by its squared change of voltage and that of the sweep before it.
 
@@ -38,7 +39,7 @@ def error_sq(change, before):
     return change * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else np.inf
 
 
-@compiled(nogil=True)
+@compiled(inner=True)
 def _clear(plan, work):
     """No solution at all: no current, and the lowest voltage."""
     V, J = work[0], work[1]
@@ -48,11 +49,15 @@ def _clear(plan, work):
 
 
 @compiled(nogil=True)
-def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
-    """Solve all lanes in blocks; those that did not settle within BLOCK_SWEEPS keep ``iterations`` 0."""
+def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
+    """Solve what ``sweep_lanes`` solves, in blocks of lanes of width ``wide`` from their starts.
+
+    Returns the number of lanes that did not settle within BLOCK_SWEEPS, whose sweeps are then NOT_IN_BLOCKS.
+    """
     p_kw, q_kvar = given[0], given[1]
-    width, n_lanes, n_leg = len(WIDE), p_kw.shape[0], plan.leg_order.shape[0]
-    work = workspace(plan, WIDE, given)
+    tolerance_sq = tolerance_pu * tolerance_pu
+    width, n_lanes, n_leg = len(wide), p_kw.shape[0], plan.leg_order.shape[0]
+    work = workspace(plan, wide, given)
     off = work[10]
     nodes = np.empty(plan.up.shape[0], np.uint64)
     drawn = np.empty(plan.up.shape[0])
@@ -65,15 +70,15 @@ def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
         count = min(width, n_lanes - first)
         n_device = active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes)
         for b in range(width):
-            finite[b] = load_lane(b, first + min(b, count - 1), plan, WIDE, given, nodes, n_device, work)
+            finite[b] = load_lane(b, first + min(b, count - 1), plan, wide, given, nodes, n_device, work)
             done[b] = b >= count
             before[b] = 1.0
-        begin(plan, WIDE, work)
+        begin(plan, wide, work)
         for b in range(width):
-            start_lane(b, first + min(b, count - 1), plan, WIDE, start, work)
+            start_lane(b, first + min(b, count - 1), plan, wide, start, work)
         left = count
         for sweep in range(1, most + 1):
-            sweep_block(plan, WIDE, nodes, n_device, work)
+            sweep_block(plan, wide, nodes, n_device, work)
             settled = 0
             for b in range(count):
                 change = off[b]
@@ -91,24 +96,31 @@ def _blocks(plan, given, start, tolerance_sq, max_sweeps, out):
                 done[b] = True
                 left -= 1
             if settled > 0:
-                store_lanes(columns, settled, np.uint64(first), plan, WIDE, work, sweep, True, out)
+                store_lanes(columns, settled, np.uint64(first), plan, wide, work, sweep, True, out)
             if left == 0:
                 break
+    unsettled = 0
+    for lane in range(n_lanes):
+        if out[5][lane] <= 0:  # 0 where the voltages that it settled at cannot be
+            out[5][lane] = NOT_IN_BLOCKS
+            unsettled += 1
+    return unsettled
 
 
-@compiled(nogil=True)
-def _one(lane, plan, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
-    """Sweep one lane to the tolerance; the sweeps done, and whether it settled."""
-    off = work[10]
-    finite = load_lane(0, lane, plan, ONE, given, nodes, n_device, work)
+@compiled(inner=True)
+def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
+    """Sweep one lane, alone in a block of width 1, to the tolerance; the sweeps done, and whether it settled."""
+    off, finite = work[10], True
+    for b in range(len(wide)):  # no literal 0, for which the compiler would make a second version
+        finite = load_lane(b, lane, plan, wide, given, nodes, n_device, work)
     off[0] = np.inf
     if not finite:
         return 0, False
-    begin(plan, ONE, work)
-    start_lane(0, lane, plan, ONE, start, work)
+    begin(plan, wide, work)
+    start_lane(0, lane, plan, wide, start, work)
     before = 1.0
     for sweep in range(1, max_sweeps + 1):
-        sweep_block(plan, ONE, nodes, n_device, work)
+        sweep_block(plan, wide, nodes, n_device, work)
         change = off[0]
         off[0] = error_sq(change, before)
         before = change
@@ -121,43 +133,41 @@ def _one(lane, plan, given, start, tolerance_sq, max_sweeps, nodes, n_device, wo
 
 
 @compiled(nogil=True)
-def sweep_lanes(plan, given, start, tolerance_pu, max_sweeps, out):
+def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     """Solve each lane of ``given`` into the arrays of ``out``; the number of lanes without a solution.
 
     ``given`` holds p_kw, q_kvar (lane, leg), source_pu (lane,), the regulators' ratios (lane, regulator) and the
     capacitors' states (lane, bank); ``start`` voltages (lane, 2 node), real parts first, or no rows. ``out`` holds
     v_pu (lane, node), voltages in p.u. and currents in A (lane, 2 node), loss, source power and residual (4, lane),
-    whether it converged, and sweeps (lane,). A lane that does not settle from its start in a block starts again
-    from no load, with ``max_sweeps``.
+    whether it converged, and sweeps (lane,). A lane that does not settle from its start starts again from no load,
+    with ``max_sweeps``. A lane whose sweeps are positive is settled already and left out; of one that is NOT_IN_BLOCKS
+    the start is.
     """
     p_kw, q_kvar = given[0], given[1]
     n_lanes, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
     tolerance_sq = tolerance_pu * tolerance_pu
-    few = n_lanes <= FEW
-    if not few:
-        _blocks(plan, given, start, tolerance_sq, max_sweeps, out)
-    work = workspace(plan, ONE, given)
+    work = workspace(plan, wide, given)
     nodes = np.empty(n_node, np.uint64)
     drawn = np.empty(n_node)
     column = np.zeros(1, np.uint64)
     cold = start[:0]
     failed = 0
     for lane in range(n_lanes):
-        if not few and out[5][lane] > 0:
+        if out[5][lane] > 0:
             continue
         place = np.uint64(lane)
         n_device = active_devices(p_kw, q_kvar, lane, 1, n_leg, drawn, nodes)
-        if few and start.shape[0] > 0:
+        if start.shape[0] > 0 and out[5][lane] != NOT_IN_BLOCKS:
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, settled = _one(lane, plan, given, start, tolerance_sq, most, nodes, n_device, work)
-            if settled and store_lanes(column, 1, place, plan, ONE, work, sweeps, True, out) == 0:
+            sweeps, settled = _one(lane, plan, wide, given, start, tolerance_sq, most, nodes, n_device, work)
+            if settled and store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out) == 0:
                 continue
-        sweeps, settled = _one(lane, plan, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        sweeps, settled = _one(lane, plan, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
         if work[10][0] == np.inf:
             _clear(plan, work)
         if settled:
-            settled = store_lanes(column, 1, place, plan, ONE, work, sweeps, True, out) == 0
+            settled = store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out) == 0
         if not settled:
-            store_lanes(column, 1, place, plan, ONE, work, sweeps, False, out)
+            store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out)
             failed += 1
     return failed

@@ -142,6 +142,24 @@ def test_a_kernel_that_uses_what_has_no_lasting_text_is_refused():
         compiled(_of_an_object)()
 
 
+def test_a_kernel_that_only_others_call_refuses_a_call_from_python():
+    with pytest.raises(TypeError, match="_twice is a kernel that only other kernels call"):
+        _twice(2.0)
+    assert _four_times(2.0) == 8.0
+    with pytest.raises(TypeError, match="_twice is a kernel that only other kernels call"):
+        _twice(2.0)
+
+
+@compiled(inner=True)
+def _twice(x):
+    return 2.0 * x
+
+
+@compiled
+def _four_times(x):
+    return _twice(_twice(x))
+
+
 def test_every_kernel_is_compiled_by_the_one_decorator():
     folders = ("dcgrid_env", "baselines", "agents", "traces")
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):

@@ -1,0 +1,37 @@
+"""What a single environment compiles: nothing for batches, and one version of each kernel."""
+
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import sys
+import dcgrid_env
+from dcgrid_env.engine import grid_pass
+from dcgrid_env.powerflow.balanced import compiled, compiled_blocks
+from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_lanes
+
+env = dcgrid_env.DcgridEnv(sys.argv[1])
+env.reset(seed=0)
+env.step(env.action_space.sample())
+for kernel in (
+    compiled.distflow_lanes, compiled_blocks.distflow_blocks, grid_pass._few_lanes, grid_pass._many_lanes,
+    sweep_lanes.sweep_lanes, sweep_lanes.sweep_blocks, sweep_adjoint.sweep_adjoint_lanes,
+):
+    if kernel.signatures:
+        print(kernel.__name__, len(kernel.signatures))
+"""
+
+
+@pytest.mark.parametrize(
+    ("preset", "compiled"),
+    [
+        ("ieee33-weak", {"distflow_lanes": 1, "_few_lanes": 1}),
+        ("ieee34-3ph", {"sweep_lanes": 1, "sweep_adjoint_lanes": 1}),
+    ],
+)
+def test_a_single_environment_compiles_no_kernel_for_batches(preset, compiled):
+    done = subprocess.run([sys.executable, "-c", CODE, preset], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert {line.split()[0]: int(line.split()[1]) for line in done.stdout.splitlines()} == compiled
