@@ -27,7 +27,9 @@ def user_s(python: str, preset: str, cache: str) -> float:
     """Seconds of processor time that a process takes to make an environment, reset it and step once."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-    subprocess.run([python, "-c", CODE, preset], env=environment, check=True, stderr=subprocess.DEVNULL)
+    # In the folder of the cache: that of a clone would be imported in place of what is installed.
+    command = [python, "-c", CODE, preset]
+    subprocess.run(command, env=environment, cwd=cache, check=True, stderr=subprocess.DEVNULL)
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
 
 
@@ -38,7 +40,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--against", help="interpreter of the environment with another version")
     options = parser.parse_args()
-    versions = {"this version": sys.executable} | ({"the other": options.against} if options.against else {})
+    versions = {"this version": sys.executable} | ({"the other": os.path.abspath(options.against)} if options.against else {})
     print("| preset | version | empty cache, s | full cache, s |\n|---|---|---|---|")
     for preset in options.presets:
         found: dict[str, list[tuple[float, float]]] = {name: [] for name in versions}

@@ -66,7 +66,7 @@ def derivatives(
         given_part, solved_part, out_part = (tuple(a[cut] for a in arrays) for arrays in (rows, solved, out))
         of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_lane[:, cut]))
         return sweep_adjoint_lanes(
-            plan, width, given_part, solved_part, of_part, good[cut], settled[cut], least, out_part
+            plan, width, given_part, solved_part, of_part, good[cut], least, settled[cut], out_part
         )
 
     if groups is not None:

@@ -51,7 +51,7 @@ def _transposed(plan, wide, N, off_on, G, Y, X):
 def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good):
     """Sweep ``least`` times and until ibar (Y) stands still in the first ``count`` columns; the number of sweeps.
 
-    X is then vbar, added up. ``is_good`` says in which columns ibar stands still.
+    X is then vbar, added up, and ``is_good`` says in which columns ibar stands still.
     """
     before, scale = np.ones(len(wide)), np.zeros(len(wide))
     for k in range(Y.shape[0]):
@@ -76,14 +76,14 @@ def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good
 
 
 @compiled(nogil=True)
-def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, settled, least, out):
+def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), a block of lanes of width ``wide`` after the other.
 
     ``given`` is what ``sweep_lanes`` was given; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
     ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
     (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
-    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0. ``settled``
-    (lane,) is set to whether the derivative was found. Each block takes ``least`` sweeps or more; returns the most
+    ratio (lane, regulator) and state (lane, bank). A lane without a solution has no derivative and gets 0.
+    ``settled`` (lane,) says whose derivative was found. Each block takes ``least`` sweeps or more; returns the most
     sweeps of a block.
     """
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]

@@ -57,8 +57,7 @@ def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, o
         volts = high_voltage_solution(feeder, tuple(a[lane] for a in rows))
         if volts is None:
             continue
-        found = tuple(np.empty_like(a) for a in _cut(out, one))
-        found[5][:] = 0
+        found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
         if sweep_lanes(plan, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
             for figures, of_lane in zip(_cut(out, one), found, strict=True):
                 figures[...] = of_lane
@@ -68,14 +67,13 @@ def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, 
     cut = slice(first, last)
     part = _cut(out, cut)
     per_lane = part[3].copy()  # contiguous, as the kernel takes it
-    of_part = (*part[:3], per_lane, *part[4:])
-    given, start = tuple(a[cut] for a in rows), start[cut]
+    given, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_lane, *part[4:])
     # Two kernels and not one, so that a single environment does not compile what many need.
     failed = last - first
     if failed > FEW:
-        failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, of_part)
+        failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, figures)
     if failed:
-        failed = sweep_lanes(plan, ONE, given, start, tolerance, max_sweeps, of_part)
+        failed = sweep_lanes(plan, ONE, given, start, tolerance, max_sweeps, figures)
     part[3][...] = per_lane
     return failed
 
