@@ -23,7 +23,6 @@ class List(Command):
         """Print the tables."""
         from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
         from dcgrid_env.agents import Card
-        from dcgrid_env.agents.controllers import BEST_KNOWN
         from dcgrid_env.agents.controllers import ENTRIES as POLICIES
         from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
         from dcgrid_env.baselines import CONTROLLER_REGISTRY
@@ -44,10 +43,7 @@ class List(Command):
             "controller": {
                 name: text for name, text in controllers.items() if name not in POLICIES or name.endswith(":")
             },
-            "policy": {
-                **{name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
-                **{name: POLICIES[name][0] for name in BEST_KNOWN},
-            },
+            "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
             "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
             "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
         }
