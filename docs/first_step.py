@@ -40,7 +40,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--against", help="interpreter of the environment with another version")
     options = parser.parse_args()
-    versions = {"this version": sys.executable} | ({"the other": os.path.abspath(options.against)} if options.against else {})
+    versions = {"this version": sys.executable} | (
+        {"the other": os.path.abspath(options.against)} if options.against else {}
+    )
     print("| preset | version | empty cache, s | full cache, s |\n|---|---|---|---|")
     for preset in options.presets:
         found: dict[str, list[tuple[float, float]]] = {name: [] for name in versions}

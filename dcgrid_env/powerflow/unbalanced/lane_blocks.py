@@ -15,7 +15,6 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     U4,
     add_up,
     capacitor_currents,
-    core_currents,
     device_currents,
     go_down,
     load_currents,
@@ -111,6 +110,23 @@ def begin(plan, wide, work):
     for k in range(J.shape[0]):
         J[k] = 0.0
     go_down(plan, wide, 1.0, ratio, J, V, T, off)
+
+
+@compiled(inner=True)
+def core_currents(plan, wide, sign, V, J):
+    """Add to J what the transformers' cores draw at V; ``sign`` times the susceptance, -1 for the conjugate."""
+    W = np.uint64(len(wide))
+    for k in range(plan.core_g.shape[0]):
+        i = plan.core_ends[k, 0] * U2 * W
+        j = plan.core_ends[k, 1] * U2 * W
+        g, s = plan.core_g[k], sign * plan.core_b[k]
+        for b in range(W):
+            re = V[i + b] - V[j + b]
+            im = V[i + W + b] - V[j + W + b]
+            J[i + b] += g * re - s * im
+            J[i + W + b] += g * im + s * re
+            J[j + b] -= g * re - s * im
+            J[j + W + b] -= g * im + s * re
 
 
 @compiled(inner=True)

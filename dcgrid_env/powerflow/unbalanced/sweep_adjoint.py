@@ -23,11 +23,10 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     load_weights,
     weights_of_currents,
 )
-from dcgrid_env.powerflow.unbalanced.lane_blocks import load_lane, workspace
+from dcgrid_env.powerflow.unbalanced.lane_blocks import core_currents, load_lane, workspace
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     add_up,
     capacitor_currents,
-    core_currents,
     go_down,
     shunt_currents,
 )

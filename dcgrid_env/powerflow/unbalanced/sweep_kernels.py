@@ -151,23 +151,6 @@ def capacitor_currents(plan, wide, V, on, J):
 
 
 @compiled(inner=True)
-def core_currents(plan, wide, sign, V, J):
-    """Add to J what the transformers' cores draw at V; ``sign`` times the susceptance, -1 for the conjugate."""
-    W = np.uint64(len(wide))
-    for k in range(plan.core_g.shape[0]):
-        i = plan.core_ends[k, 0] * U2 * W
-        j = plan.core_ends[k, 1] * U2 * W
-        g, s = plan.core_g[k], sign * plan.core_b[k]
-        for b in range(W):
-            re = V[i + b] - V[j + b]
-            im = V[i + W + b] - V[j + W + b]
-            J[i + b] += g * re - s * im
-            J[i + W + b] += g * im + s * re
-            J[j + b] -= g * re - s * im
-            J[j + W + b] -= g * im + s * re
-
-
-@compiled(inner=True)
 def add_up(plan, wide, ratio, J):
     """Backward: add the currents of each bus to those of the bus that feeds it, I_n = A^T I_m."""
     W = np.uint64(len(wide))
