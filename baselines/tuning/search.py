@@ -35,7 +35,7 @@ class Tuned(NamedTuple):
     """Mean J, or over several scenarios the mean share of no control's."""
     trials: int
     spectral_radius: float | None = None
-    """Of a droop's linearised closed loop, see :class:`laws.stability.ClosedLoops`; None for other laws."""
+    """Spectral radius of a droop's closed loop (:class:`laws.stability.ClosedLoops`); None for other laws."""
 
 
 class Trial(NamedTuple):

@@ -1,8 +1,8 @@
 """One pass of compiled code over the lanes of a balanced feeder, in place of one for each part of it.
 
 A lane's loads are drawn, its agents' powers are added, its power flow is solved and its voltages are summed up while
-all of it is in the processor's cache, and lanes are spread over threads once a step. Each part is the kernel that also
-stands alone (``core.random.load_step``, ``powerflow.balanced.compiled``, ``voltage_figures``), and so are the bits.
+all of it is in the processor's cache, and lanes are spread over threads once a step. Each part is also used alone
+(``core.random.load_step``, ``powerflow.balanced.distflow_kernels``, ``voltage_figures``), with the same bits.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from dcgrid_env.engine.voltage_figures import VoltageFigures, fill_figures
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
-from dcgrid_env.powerflow.balanced.compiled import distflow_lanes
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
 from dcgrid_env.powerflow.solution import raise_not_finite
 from dcgrid_env.scenario.scenario import Scenario
 

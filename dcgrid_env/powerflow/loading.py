@@ -44,7 +44,7 @@ def rated_nodes(feeder: Any) -> NDArray[np.intp]:
 
 
 class RatingCoverage(NamedTuple):
-    """Of how many branches of a feeder a rating is known, and of which it is not."""
+    """Number of a feeder's branches with a known rating, and the names of those without."""
 
     known: int
     of: int

@@ -10,8 +10,8 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_lanes
 from dcgrid_env.grid.feeder import Feeder
-from dcgrid_env.powerflow.balanced.compiled import distflow_lanes, lindistflow_lanes
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes, lindistflow_lanes
 from dcgrid_env.powerflow.solution import Solution, raise_not_finite
 
 _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float32)}

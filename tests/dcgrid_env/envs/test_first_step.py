@@ -9,14 +9,14 @@ CODE = """
 import sys
 import dcgrid_env
 from dcgrid_env.engine import grid_pass
-from dcgrid_env.powerflow.balanced import compiled, compiled_blocks
+from dcgrid_env.powerflow.balanced import compiled_blocks, distflow_kernels
 from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_lanes
 
 env = dcgrid_env.DcgridEnv(sys.argv[1])
 env.reset(seed=0)
 env.step(env.action_space.sample())
 for kernel in (
-    compiled.distflow_lanes, compiled_blocks.distflow_blocks, grid_pass._few_lanes, grid_pass._many_lanes,
+    distflow_kernels.distflow_lanes, compiled_blocks.distflow_blocks, grid_pass._few_lanes, grid_pass._many_lanes,
     sweep_lanes.sweep_lanes, sweep_lanes.sweep_blocks, sweep_adjoint.sweep_adjoint_lanes,
 ):
     if kernel.signatures:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dcgrid_env import Feeder, PowerFlowError, distflow, lindistflow
-from dcgrid_env.powerflow.balanced.compiled import distflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
 
 BOTH = pytest.mark.parametrize("method", [distflow, lindistflow])
 NAN, INF = float("nan"), float("inf")

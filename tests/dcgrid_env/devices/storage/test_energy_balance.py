@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dcgrid_env import Storages
 from dcgrid_env.devices.storage import energy_balance
 
-SHARES = st.floats(0.0, 1.0)
+SHARES = st.floats(0.0, 1.0, allow_subnormal=False)
 
 
 def storages(**figures) -> Storages:
@@ -32,7 +32,7 @@ CASES = st.fixed_dictionaries(
         "energy_kwh": st.floats(0.01, 100.0),
         "charge_efficiency": st.floats(0.3, 1.0),
         "discharge_efficiency": st.floats(0.3, 1.0),
-        "standby_share_per_h": st.floats(0.0, 0.9),
+        "standby_share_per_h": st.floats(0.0, 0.9, allow_subnormal=False),
         "initial_share": SHARES,
         "returned_share": st.floats(0.05, 1.0),
     }

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dcgrid_env import Solution, distflow, lindistflow
-from dcgrid_env.powerflow.balanced.compiled import distflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
 
 SHAPES = {
     "v_pu": 6, "p_branch_kw": 5, "q_branch_kvar": 5, "current_sq_pu": 5,
