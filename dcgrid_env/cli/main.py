@@ -25,6 +25,7 @@ from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
+from dcgrid_env.cli.interruption import interrupted_between_imports
 from dcgrid_env.cli.leaderboard import Leaderboard
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
@@ -125,7 +126,7 @@ def main(args: list[str] | None = None) -> None:
         return
     command: Command | None = None
     try:
-        with ends_unread(), terminated_in_order(), command_of(words):
+        with interrupted_between_imports(), ends_unread(), terminated_in_order(), command_of(words):
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")
