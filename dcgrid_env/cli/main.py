@@ -25,6 +25,7 @@ from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
+from dcgrid_env.cli.interruption import interrupted_between_imports
 from dcgrid_env.cli.leaderboard import Leaderboard
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
@@ -37,7 +38,7 @@ from dcgrid_env.cli.sag_study import Sags
 from dcgrid_env.cli.sb3_export import ExportSb3
 from dcgrid_env.cli.ship import Rescore, Ship
 from dcgrid_env.cli.submit import Submit
-from dcgrid_env.cli.terminal import ends_unread
+from dcgrid_env.cli.terminal import any_characters, ends_unread
 from dcgrid_env.cli.traces import Fetch, Record, Show
 from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.cli.transfer import Transfer
@@ -125,7 +126,13 @@ def main(args: list[str] | None = None) -> None:
         return
     command: Command | None = None
     try:
-        with ends_unread(), terminated_in_order(), command_of(words):
+        with (
+            interrupted_between_imports(),
+            any_characters(),
+            ends_unread(),
+            terminated_in_order(),
+            command_of(words),
+        ):
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
             command = COMMANDS.parse([word for word in words if word != TRACEBACK], "dcgrid")

@@ -79,7 +79,13 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
             f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected!r}), as its files or "
             "the package have changed; run again"
         )
-    return StoredRun(command, scenario, costs)
+    run = StoredRun(command, scenario, costs)
+    for name in run.controllers:
+        if (name, command.seed) not in costs:
+            raise ValueError(
+                f"{path}: episodes has none of {name!r} and seed {command.seed}, its command has; run again"
+            )
+    return run
 
 
 def _command(path: Path, words: list[str]) -> Run:

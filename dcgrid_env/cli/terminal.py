@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -28,6 +29,21 @@ def ends_unread() -> Iterator[None]:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed when Python ends
         raise SystemExit(UNREAD) from None
+
+
+@contextmanager
+def any_characters() -> Iterator[None]:
+    """Let standard output show ``?`` for what its encoding lacks, as that of ASCII terminals does."""
+    output = sys.stdout
+    if not isinstance(output, TextIOWrapper):
+        yield
+        return
+    errors = output.errors
+    output.reconfigure(errors="replace")
+    try:
+        yield
+    finally:
+        output.reconfigure(errors=errors)
 
 
 def plain_console() -> Console:

@@ -1,6 +1,7 @@
 """Entries of the leaderboard: submitted, run again, listed; and what is noticed where something was changed."""
 
 import json
+import random
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
+from helpers.fuzzing import mutated_bytes
 from helpers.places import ROOT
 
 PRESET, POLICY = "toy6", FOLDER / "toy6-analytic.safetensors"
@@ -302,6 +304,28 @@ def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said
     changed(folder / file, **fields)
     with pytest.raises(SubmissionError, match=said):
         listed(folder)
+
+
+@pytest.mark.parametrize("file", ["submission.json", "verified.json", "card and weights"])
+def test_a_damaged_folder_is_refused_by_its_file_or_reads_as_the_same(file, entry, tmp_path, monkeypatch):
+    monkeypatch.setattr("dcgrid_env.agents.leaderboard.page.PUBLISHED_EPISODES", 4)
+    folder, same, refused = Path(shutil.copytree(entry, tmp_path / "entry")), listed(entry), 0
+    names = [file] if file.endswith(".json") else sorted(json.loads((entry / "submission.json").read_text())["files"])
+    whole_files, rng = {name: (folder / name).read_bytes() for name in names}, random.Random(3)
+    assert whole_files
+    for _ in range(300):
+        for name, content in mutated_bytes(whole_files, rng).items():
+            (folder / name).write_bytes(content)
+        said = None
+        try:
+            assert listed(folder) == same
+        except SubmissionError as error:
+            said = str(error)
+        if said is not None:
+            refused += 1
+            assert said.startswith(str(folder))
+            assert said.isprintable()  # one line
+    assert refused > 200
 
 
 def test_a_report_against_another_reference_or_other_hindsight_is_not_listed(whole, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.cli import dataset
 from dcgrid_env.cli.main import main
 
 SHORT = ("--set", "horizon=4", "--episodes", "3")
@@ -114,3 +115,23 @@ def test_a_data_set_that_is_there_stays(here, capsys):
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
     assert "mine-v0 is there already" in refused(capsys, "--controller", "droop", "--name", "mine", *SHORT)
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+
+
+def test_a_second_command_that_writes_the_same_data_set_is_one_line(here, capsys, monkeypatch):
+    ours, words = dataset._episodes, ("--controller", "none", "--name", "mine", *SHORT)
+    said = []
+
+    def beside(*arguments):
+        said.append(refused(capsys, *words))
+        main(["dataset", "--controller", "none", "--name", "other", *SHORT])  # another of the same folder
+        return ours(*arguments)
+
+    monkeypatch.setattr(dataset, "_episodes", lambda *a: monkeypatch.setattr(dataset, "_episodes", ours) or beside(*a))
+    main(["dataset", *words])
+    (line,) = said[0].splitlines()
+    assert "another data set (process " in line
+    assert line.endswith("; give another --name, or wait until it has ended")
+    folder = here / "results/datasets/dcgrid/ieee33-weak"
+    assert sorted(path.name for path in folder.iterdir()) == ["mine-v0", "other-v0"]
+    for name in ("mine-v0", "other-v0"):
+        assert minari.MinariDataset(folder / name / "data").total_episodes == 3

@@ -1,0 +1,74 @@
+"""Ctrl-C while modules load ends a command, whatever swallows the exception on its way."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from dcgrid_env.cli.interruption import interrupted_between_imports
+
+SWALLOWED = """
+import signal, sys
+class Swallowing:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            print("asked for", file=sys.stderr)
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except BaseException:
+                pass
+sys.meta_path.insert(0, Swallowing())
+sys.argv = ["dcgrid", *{words!r}]
+from dcgrid_command import main
+main()
+"""
+COMMANDS = {
+    "list": ["list"],
+    "run": ["run", "--scenario", "toy6", "--episodes", "1", "--out", "out"],
+    "train": ["train", "analytic", "--scenario", "toy6", "--num-envs", "4", "--updates", "1", "--out", "out"],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [
+        ("list", "dcgrid_env"),
+        ("list", "gymnasium"),
+        ("list", "dcgrid_env.cli.main"),
+        ("list", "dcgrid_env.traces.recordings"),
+        ("run", "numba"),
+        ("run", "matplotlib.figure"),
+        ("train", "torch"),
+    ],
+)
+def test_an_interruption_that_a_library_swallows_ends_the_command(tmp_path, name, module):
+    code = SWALLOWED.format(module=module, words=COMMANDS[name])
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    lines = done.stderr.splitlines()
+    assert (done.returncode, lines[0], len(lines)) == (130, "asked for", 2), done.stderr
+    assert lines[1].startswith("dcgrid: interrupted")
+    assert not (tmp_path / "out" / "results.json").exists()
+
+
+def test_a_module_that_never_ends_loading_is_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setattr("dcgrid_env.cli.interruption.LONGEST_S", 0.1)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "never_loaded.py").write_text(
+        "import signal, time\nsignal.raise_signal(signal.SIGINT)\ntime.sleep(60)\n"
+    )
+    began, before = time.monotonic(), signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), interrupted_between_imports():
+        __import__("never_loaded")
+    assert time.monotonic() - began < 30
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_signal_that_the_shell_has_ignored_stays_ignored():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with interrupted_between_imports():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
