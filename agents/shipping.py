@@ -119,7 +119,7 @@ def _scored(
         score=(found.value, found.low, found.high),
         seeds=seeds,
         seed_scores=scores,
-        over_seeds=None if over_seeds is None else tuple(over_seeds),
+        over_seeds=None if over_seeds is None else (over_seeds.value, over_seeds.low, over_seeds.high),
         droop_J=droop.means["J"],
         seed_J=seed_j,
         seed_validation_J=validation_j,

@@ -95,7 +95,7 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
 
 def saved_pct(j: ArrayLike, j_reference: ArrayLike) -> float:
     """How much less a controller costs than a reference, in per cent of the reference's mean cost."""
-    return float(100.0 * (1.0 - np.mean(j) / np.mean(j_reference)))
+    return float(100.0 * (1.0 - np.asarray(j).mean() / np.asarray(j_reference).mean()))
 
 
 def mean_over_seeds(seed_scores: Sequence[float], error: float, episodes: int) -> Estimate:

@@ -16,7 +16,7 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.score import REFERENCE
 
-SHOWN = ("ieee123", "ieee33-weak", "mixed", "ieee34-3ph", "smoothing", "routing")
+SHOWN = ("ieee123", "ieee33-weak", "bursty", "mixed", "ieee34-3ph", "routing")
 BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
 BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
 LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic"}

@@ -11,6 +11,8 @@ that excites a slowly decaying mode. The inputs are held because demand that alt
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dcgrid_env import Scenario
@@ -65,10 +67,10 @@ def with_held_inputs(scenario: Scenario) -> Scenario:
     return scenario.replace(**held, **silent, horizon=STEPS)
 
 
-def drawn_back(loops: ClosedLoops, parameters: dict[str, float]) -> dict[str, float]:
+def drawn_back(loops: ClosedLoops, parameters: dict[str, Any]) -> dict[str, Any]:
     """A droop's gains times the largest factor up to 1 with which its closed loop is stable."""
 
-    def at(factor: float) -> dict[str, float]:
+    def at(factor: float) -> dict[str, Any]:
         return {name: float(f"{factor * gain:.4g}") for name, gain in parameters.items()}
 
     def stable(factor: float) -> bool:
