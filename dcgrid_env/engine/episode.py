@@ -166,7 +166,7 @@ def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarr
 
 
 def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Power that sites ask for in windows from ``start`` on, which broadcasts against ``step`` (n,), kW, (n, n_site)."""
+    """Power that sites ask for in windows from ``start`` on, broadcast against ``step`` (n,), kW, (n, n_site)."""
     p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * full_trace_kw(scenario)
     if scenario.full_load_s is None:
         return p_kw
