@@ -1,4 +1,4 @@
-"""What stands behind a result, as documents show it."""
+"""Documents show the command that made a result."""
 
 import shlex
 
