@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from dcgrid_env import METRICS, Metric
 from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
 from dcgrid_env.baselines.score import Estimate
+from dcgrid_env.core.versions import code_block
 
 COLUMNS = (
     METRICS["J"],
@@ -54,7 +55,8 @@ def brief(table: Table, *headings: str) -> Table:
 def page(title: str, made_by: str, *parts: str) -> str:
     """A page of Markdown with the command that makes it."""
     return (
-        "\n\n".join((f"# {title}", f"Made by\n\n    {made_by}", *(part.strip("\n") for part in parts if part))) + "\n"
+        "\n\n".join((f"# {title}", f"Made by\n\n{code_block(made_by)}", *(part.strip("\n") for part in parts if part)))
+        + "\n"
     )
 
 

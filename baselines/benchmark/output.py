@@ -11,6 +11,7 @@ from dcgrid_env.baselines.benchmark.benchmark_figures import draw, png, score_fi
 from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, saved_table, scenario_table, score_table
 from dcgrid_env.baselines.benchmark.gather import Results
 from dcgrid_env.core.files import write_json, write_text
+from dcgrid_env.core.versions import code_block
 from dcgrid_env.core.work.unit import Place, Unit
 
 
@@ -28,7 +29,7 @@ def write_results(out: Path, results: Sequence[Results], meta: Mapping[str, Any]
     }
     write_json(out / "results.json", content)
     tables = [score_table(summaries), saved_table(summaries), *map(scenario_table, summaries)]
-    head = f"# dcgrid benchmark\n\n    {meta['command']}\n\n" + "\n\n".join(LEGEND) + "\n"
+    head = f"# dcgrid benchmark\n\n{code_block(meta['command'])}\n\n" + "\n\n".join(LEGEND) + "\n"
     write_text(out / "results.md", "\n".join([head, *(table.markdown() for table in tables)]))
 
 

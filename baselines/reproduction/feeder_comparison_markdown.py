@@ -10,6 +10,7 @@ from dcgrid_env.baselines.reproduction.drawing import LABELS
 from dcgrid_env.baselines.reproduction.feeder_comparison import LEFT_OUT
 from dcgrid_env.baselines.reproduction.markdown import load_note, table, where_sites_stand, wrapped
 from dcgrid_env.baselines.reproduction.ranking import ranks
+from dcgrid_env.core.versions import code_block
 
 Records = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
@@ -47,7 +48,7 @@ def _head(records: Records) -> str:
             "# The paper's study on the unbalanced feeder",
             wrapped(f"{s['paper']}. The study on the balanced equivalent alone: [reproduction.md](reproduction.md)."),
             "Made by",
-            f"    {records['meta']['command']}",
+            code_block(records["meta"]["command"]),
             wrapped(setting),
             wrapped(sites),
             columns,

@@ -12,6 +12,7 @@ from dcgrid_env.baselines.reproduction.markdown_tables import table, wrapped
 from dcgrid_env.baselines.reproduction.paper import RECORDING, TABLE_ONE
 from dcgrid_env.baselines.reproduction.public_code import render_limits
 from dcgrid_env.baselines.reproduction.verdict import VERDICTS
+from dcgrid_env.core.versions import code_block
 
 Records = dict[str, Any]
 
@@ -64,7 +65,7 @@ def _head(records: Records) -> str:
         "[reproduction-3ph.md](reproduction-3ph.md)."
     )
     title = f"# The paper's study, run again\n\n{s['paper']}.\n\n{wrapped(order)}"
-    command = f"    {records['meta']['command']}"
+    command = code_block(records["meta"]["command"])
     return "\n\n".join((title, "Made by", command, wrapped(setting), wrapped(beside)))
 
 

@@ -46,6 +46,11 @@ def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
     return installed
 
 
+def code_block(command: str) -> str:
+    """A command as code in Markdown: on one line, line breaks and control characters in its words escaped."""
+    return "    " + "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in command)
+
+
 def meta() -> dict[str, Any]:
     """Command, versions and machine behind a result."""
     return {

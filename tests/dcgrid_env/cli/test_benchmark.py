@@ -389,3 +389,13 @@ def test_ctrl_c_with_two_processes_loses_nothing_that_was_done(tmp_path):
     assert kept
     for path in kept:
         assert len(json.loads(path.read_text())["episodes"]) == 25
+
+
+def test_a_line_break_in_the_command_stays_within_its_line_of_the_results(tmp_path):
+    out = tmp_path / "line\n# break"
+    words = ["benchmark", "--scenarios", "toy6", "--set", "horizon=4", "--controllers", "none", "--episodes", "1"]
+    main([*words, "--workers", "1", "--out", str(out)])
+    head = (out / "results.md").read_text(encoding="utf-8").split("\n\n")
+    assert head[0] == "# dcgrid benchmark"
+    assert head[1].startswith("    dcgrid benchmark ")
+    assert head[1].endswith("line\\n# break'")
