@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from dcgrid_env import PRESETS
+from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 from helpers.places import ROOT
 
 EXTENSIONS = ROOT / "docs" / "extensions"
@@ -39,10 +40,12 @@ def test_every_preset_stands_in_one_family():
 def test_headroom_is_that_of_the_benchmark_and_the_cards():
     headroom = runpy.run_path(str(EXTENSIONS / "headroom.py"))
     for preset in PRESETS:
+        assert headroom["headroom"](preset).episodes >= PUBLISHED_EPISODES
         rows = {row.what.strip("`"): row for row in headroom["headroom"](preset).rows}
         best = rows.get("hindsight") or rows["best known"]
         assert float(best.j) < float(rows["droop-tuned"].j) < float(rows["none"].j)
         (card,) = [headroom["best_card"](preset)]
+        assert card.scored.episodes >= PUBLISHED_EPISODES
         assert rows[f"{preset}-{card.algorithm}"].j == f"{card.scored.J:.4f}"
     weak = headroom["headroom"]("ieee33-weak")
     assert (weak.page, weak.episodes, weak.rows[2].what) == ("benchmark", 100, "`constant-q-tuned`")
