@@ -1,4 +1,4 @@
-"""Published figures, computed here: what ``golden.json`` holds and ``test_golden.py`` compares, to the bit.
+"""Published figures, computed here: what ``golden.json`` contains and ``test_golden.py`` compares.
 
     python tests/golden/published.py
 

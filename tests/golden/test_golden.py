@@ -1,4 +1,8 @@
-"""What has been published comes out again, to the bit: hashes, costs, observations and rewards of every preset."""
+"""What has been published comes out again: hashes, costs, observations and rewards of every preset, to the bit.
+
+Costs under policies agree to a relative 1e-7 alone: their networks are products of matrices in single precision, whose
+last bits depend on the processor.
+"""
 
 import importlib.util
 import json
@@ -40,4 +44,8 @@ def test_published_figures_come_out_again(preset):
     held, found = GOLDEN[preset], json.loads(json.dumps(published.of_preset(preset)))
     apart = np.abs(np.subtract(found["random_actions"]["rewards"], held["random_actions"]["rewards"])).max()
     assert apart == 0.0, f"rewards under random actions differ by up to {apart:.3g}"
-    assert found == held
+    policies = [name for name in held["J"] if name != "droop-tuned"]
+    assert found["J"].keys() == held["J"].keys()
+    for name in policies:
+        assert found["J"].pop(name) == pytest.approx(held["J"][name], rel=1e-7, abs=0.0), name
+    assert found == held | {"J": {"droop-tuned": held["J"]["droop-tuned"]}}
