@@ -88,9 +88,9 @@ def one_bus(feeder):
     return type(feeder).from_network(Network(name="one bus", source=network.source, node=node))
 
 
-def steps(scenario: Scenario):
-    """Three steps of two environments under random actions."""
-    env = DcgridVectorEnv(2, scenario.replace(horizon=3, split="test"))
+def steps(scenario: Scenario, lanes=2):
+    """Three steps of environments in a batch under random actions."""
+    env = DcgridVectorEnv(lanes, scenario.replace(horizon=3, split="test"))
     env.action_space.seed(0)
     env.reset(seed=0)
     for _ in range(3):
@@ -116,6 +116,7 @@ def run():
         unbalanced(feeder)
     for preset in ("toy6", "ieee13-3ph", "ieee123-3ph-day", "ride-through", "ieee33-weak-ups", "routing", "robust"):
         steps(make_scenario(preset))
+    steps(make_scenario("toy6"), WIDTHS[-1])
     steps(three_phase.one_phase())
     control = GridControl(capacitors="controlled")
     steps(make_scenario("ieee13-3ph").replace(feeder=with_banks(ieee13, "675", 60), grid_control=control))
