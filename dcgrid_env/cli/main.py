@@ -5,6 +5,7 @@ This is the one room that sees all others; commands import what they need when t
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 
@@ -25,7 +26,6 @@ from dcgrid_env.cli.gradient_cosine import GradientCosine
 from dcgrid_env.cli.grid_export import ExportMatpower, ExportPandapower, ExportPowerGridModel
 from dcgrid_env.cli.grid_import import ImportMatpower, ImportPandapower, ImportPowerGridModel
 from dcgrid_env.cli.hindsight import HindsightValues
-from dcgrid_env.cli.interruption import interrupted_between_imports
 from dcgrid_env.cli.leaderboard import Leaderboard
 from dcgrid_env.cli.listing import List
 from dcgrid_env.cli.opendss_import import ImportOpenDss
@@ -46,6 +46,7 @@ from dcgrid_env.cli.tune import Tune
 from dcgrid_env.cli.unit_overhead import UnitOverhead
 from dcgrid_env.cli.unseen_feeders import UnseenFeeders
 from dcgrid_env.cli.verify import Verify
+from dcgrid_env.core.signals import raising
 from dcgrid_env.core.versions import command_of
 from dcgrid_env.core.work.worker import terminated_in_order
 
@@ -127,7 +128,7 @@ def main(args: list[str] | None = None) -> None:
     command: Command | None = None
     try:
         with (
-            interrupted_between_imports(),
+            raising(signal.SIGINT, KeyboardInterrupt),
             any_characters(),
             ends_unread(),
             terminated_in_order(),

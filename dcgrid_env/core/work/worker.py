@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
+from dcgrid_env.core.signals import raising
 from dcgrid_env.core.versions import command_of
 from dcgrid_env.core.work.unit import Lost
 
@@ -118,17 +119,11 @@ def _end_worker(number: int, frame: object) -> None:
 @contextlib.contextmanager
 def terminated_in_order() -> Iterator[None]:
     """Let SIGTERM end the process by an exception, so that what is half written goes, as under Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, _end)
     try:
-        yield
+        with raising(signal.SIGTERM, Terminated(128 + signal.SIGTERM)):
+            yield
     except Terminated as terminated:
         raise SystemExit(terminated.args[0]) from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _end(number: int, frame: object) -> None:
-    raise Terminated(128 + number)
 
 
 class Terminated(BaseException):

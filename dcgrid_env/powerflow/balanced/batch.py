@@ -19,7 +19,7 @@ _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float3
 
 @cached_on_owner
 def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
-    """What the kernels know of a feeder: see ``compiled``."""
+    """What the kernels know of a feeder: see ``distflow_kernels``."""
     order, parent = feeder.depth_first.order.copy(), feeder.depth_first.parent.copy()  # writable, as kernels want them
     z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
     none = np.empty(0, dtype)

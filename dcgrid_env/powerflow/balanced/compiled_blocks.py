@@ -1,6 +1,6 @@
 """Compiled DistFlow sweeps of many feeders at once: the innermost loops run over a block of lanes, as vectors.
 
-The arithmetic is that of ``compiled``, whose conventions these kernels share, so that a lane's figures have the same
+The arithmetic is that of ``distflow_kernels``, whose conventions these kernels share, so that a lane has the same
 bits there and here. Scratch arrays are (n_bus, BLOCK) in depth-first order and per unit; ``load`` and ``flow`` are
 (n_bus, 2 BLOCK), active power in the first half of a row and reactive power in the second: one loop adds both up.
 """

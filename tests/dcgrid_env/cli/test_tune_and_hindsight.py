@@ -77,8 +77,8 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     main([*command.split()[1:], "--workers", "1", "--out", str(out)])
     laws = json.loads(out.read_text())["laws"]
     found = tune("droop-q", [make_scenario("toy6", split="validation")], episodes=1)
-    record = {"parameters": found.parameters, "J": found.score, "trials": found.trials}
-    record |= {"spectral_radius": found.spectral_radius, "command": command}
+    record = {"parameters": found.parameters, "J": found.score, "trials": found.trials, "command": command}
+    record["spectral_radius"] = found.spectral_radius
     assert laws == {"droop": other["droop"], "droop-q": other["droop-q"] | {"toy6": record}}
     assert f"k_q_mvar_per_pu_s = {found.parameters['k_q_mvar_per_pu_s']}" in capsys.readouterr().out.replace("\n", " ")
 
