@@ -37,7 +37,7 @@ class Environment:
         tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
         for part in tool["package-dir"].values():
             shutil.copytree(ROOT / part, self.source / part, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in ("pyproject.toml", "README.md", "LICENSE"):
+        for name in ("pyproject.toml", "README.md", "LICENSE", *(f"{module}.py" for module in tool["py-modules"])):
             shutil.copy(ROOT / name, self.source)
 
     def install(self, *options):
