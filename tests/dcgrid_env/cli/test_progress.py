@@ -3,10 +3,11 @@
 import io
 import time
 
+import numba
 from rich.console import Console
 
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.core.compiled import compiled, compiling_s
+from dcgrid_env.core.compiled import compiling_s
 
 
 def test_the_clock_stands_still_while_a_kernel_compiles():
@@ -18,7 +19,7 @@ def test_the_clock_stands_still_while_a_kernel_compiles():
     assert clock() - shown <= time.monotonic() - real - compiling + 1e-6
 
 
-@compiled(nogil=False)
+@numba.njit  # in no cache
 def _sum_of_squares(n):
     total = 0.0
     for i in range(n):
