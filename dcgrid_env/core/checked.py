@@ -47,7 +47,11 @@ class FieldError(ValueError):
 
 def is_number(value: Any) -> bool:
     """Whether it is a real number, no bool, and not so small that arithmetic loses its digits (subnormal)."""
-    return isinstance(value, Real) and not isinstance(value, bool) and not 0 < abs(value) < _SMALLEST
+    return isinstance(value, Real) and not isinstance(value, bool) and not _is_subnormal(value)
+
+
+def _is_subnormal(value: Any) -> bool:
+    return 0 < abs(value) < _SMALLEST
 
 
 def number(low: float, high: float | str, default: Any = MISSING) -> Any:
@@ -125,7 +129,7 @@ def _check_number(owner: Any, f: dataclasses.Field[Any]) -> None:
 
 
 def _not_subnormal(value: Any) -> str:
-    subnormal = isinstance(value, Real) and 0 < abs(value) < _SMALLEST
+    subnormal = isinstance(value, Real) and _is_subnormal(value)
     return f", 0 or of at least {_SMALLEST:.1e} in size" if subnormal else ""
 
 

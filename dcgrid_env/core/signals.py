@@ -50,7 +50,7 @@ def raising(number: int, error: type[BaseException] | BaseException) -> Iterator
         if hasattr(signal, "pthread_kill"):  # ends a system call that waits, too
             signal.pthread_kill(main, number)
         else:
-            _thread.interrupt_main(number)
+            _thread.interrupt_main(signal.Signals(number))
 
     signal.signal(number, handle)
     try:
