@@ -12,6 +12,7 @@ from types import ModuleType
 
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.core.files import write_text
+from dcgrid_env.core.install import from_clone
 
 PUBLIC = Path(str(files("dcgrid_env.agents.leaderboard") / "verifier.pub"))
 """File of the verifier's public key, in hexadecimal digits."""
@@ -72,6 +73,6 @@ def _ed25519() -> ModuleType:
         from cryptography.hazmat.primitives.asymmetric import ed25519
     except ImportError:
         raise SubmissionError(
-            "signatures need the package cryptography; pip install 'dcgrid-env[leaderboard]'"
+            f"signatures need the package cryptography; install it, {from_clone('leaderboard')}"
         ) from None
     return ed25519

@@ -95,6 +95,6 @@ def test_the_interval_over_seeds_covers_the_algorithm():
     """Five seeds that lie far apart, of which the mean over all that could be is 0.5."""
     rng, covered, runs = np.random.default_rng(0), 0, 400
     for _ in range(runs):
-        found = mean_over_seeds(rng.normal(0.5, 0.2, 5) + rng.normal(0.0, 0.05), 0.05, 100)
+        found = mean_over_seeds((rng.normal(0.5, 0.2, 5) + rng.normal(0.0, 0.05)).tolist(), 0.05, 100)
         covered += found.low < 0.5 < found.high
     assert 0.92 <= covered / runs <= 0.98

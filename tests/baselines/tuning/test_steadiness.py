@@ -19,6 +19,7 @@ SWINGING = Droop(11.2, 0.07105, 0.1109)
 def test_the_tuned_droop_of_every_preset_is_steady(law, preset):
     scenario = make_scenario(preset, split="validation")
     droop = make_controller(f"{law}-tuned", scenario)
+    assert isinstance(droop, Droop)
     assert is_stable(ClosedLoops([scenario]).largest_radius(droop))
     assert not has_limit_cycle(scenario, droop, 20)
 
@@ -35,7 +36,9 @@ def test_demand_that_alternates_is_no_limit_cycle():
     scenario = make_scenario("training", split="validation")
     held = with_held_inputs(scenario)
     assert held.load_sigma == held.voltage_noise_pu == 0.0
-    assert not has_limit_cycle(scenario, make_controller("droop-tuned", scenario), 4)
+    droop = make_controller("droop-tuned", scenario)
+    assert isinstance(droop, Droop)
+    assert not has_limit_cycle(scenario, droop, 4)
 
 
 def test_gains_are_drawn_back_to_the_bound_and_no_further():
@@ -56,6 +59,7 @@ def test_the_radius_of_several_scenarios_is_the_largest():
     droop = Droop(1.0, 20.0, 0.1)
     each = [ClosedLoops([scenario]).largest_radius(droop) for scenario in (toy, weak)]
     assert ClosedLoops([toy, weak]).largest_radius(droop) == max(each)
+    assert weak.datacenter_buses is not None
     where = weak.datacenter_buses + weak.inverter_buses
     assert each[1] == spectral_radius(weak, where, 1.0, 20.0, alpha_per_s=0.1)
 

@@ -45,7 +45,7 @@ def quick(monkeypatch):
     """What takes long is replaced; the writing is the commands' own."""
     solved = SimpleNamespace(J=1.0, bound=1.0, rounds=1)
     monkeypatch.setattr("dcgrid_env.baselines.model_based.hindsight.hindsight", lambda scenario, seed: solved)
-    tuned = SimpleNamespace(parameters={}, score=1.0, trials=1)
+    tuned = SimpleNamespace(parameters={}, score=1.0, trials=1, spectral_radius=None)
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", lambda law, scenarios, episodes: tuned)
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: {"claims": []})
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])

@@ -352,7 +352,7 @@ def test_a_fork_goes_on_from_the_lanes_that_it_copies_bit_for_bit(scenario):
     for action in actions[:3]:
         batch.step(action)
     copied = [2, 0, 2, 2]
-    fork = batch.fork(copied)
+    fork, seen = batch.fork(copied), []
     for action in actions[3:]:
         _, rewards, *_ = batch.step(action)
         seen, rewards_of_fork, *_ = fork.step(action[copied])
