@@ -14,7 +14,7 @@ from dcgrid_env.grid.formats.opendss import circuit_process, read_opendss
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 
 pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
-ENDLESS = "Set maxiterations=2000000000 tolerance=1e-300\nSolve"
+ENDLESS = "Set maxiterations=2000000000 tolerance=-1\nSolve"
 MEMORY = "New Transformer.t windings=90 phases=90"
 REPORTED = "New Fuse.f monitoredobj=line.l1\nNew Capacitor.c bus1=n kv=12.47 kvar=90"
 
