@@ -1,7 +1,7 @@
 # A node of a Ray cluster that has dcgrid, on the CPU (docs/clusters.md).
 FROM python:3.12-slim
 WORKDIR /opt/dcgrid
-COPY pyproject.toml README.md LICENSE dcgrid_command.py ./
+COPY pyproject.toml README.md LICENSE ./
 COPY dcgrid_env dcgrid_env
 COPY baselines baselines
 COPY agents agents

@@ -14,7 +14,7 @@ from helpers.places import ROOT
 
 ROOMS = ("core", "traces", "grid", "powerflow", "devices", "scenario", "engine", "rendering", "envs")
 """Each room may import those before it, and itself; then comes what the package gives under its own name."""
-ABOVE = ("", "baselines", "agents", "speed", "cli")
+ABOVE = ("", "baselines", "agents", "speed", "cli", "command")
 """These use public names: of the package, of its rooms, and all of core and of traces."""
 ORDER = (*ROOMS, *ABOVE)
 FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}

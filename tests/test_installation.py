@@ -36,8 +36,10 @@ class Environment:
         (self.site / "shared.pth").write_text("\n".join(sorted(shared)))
         tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
         for part in tool["package-dir"].values():
-            shutil.copytree(ROOT / part, self.source / part, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in ("pyproject.toml", "README.md", "LICENSE", *(f"{module}.py" for module in tool["py-modules"])):
+            shutil.copytree(
+                ROOT / part, self.source / part, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True
+            )
+        for name in ("pyproject.toml", "README.md", "LICENSE"):
             shutil.copy(ROOT / name, self.source)
 
     def install(self, *options):

@@ -19,11 +19,11 @@ TOOL = PROJECT["tool"]["setuptools"]
 
 def tracked():
     """Files of the installed packages: (package, name), of those that git knows."""
-    for package, folder in TOOL["package-dir"].items():
-        listed = subprocess.run(["git", "ls-files", "-z", folder], cwd=ROOT, capture_output=True, text=True, check=True)
-        for path in filter(None, listed.stdout.split("\0")):
-            inside = Path(path).relative_to(folder)
-            yield ".".join([package, *inside.parent.parts]), inside.name
+    packages = {Path(folder): package for package, folder in TOOL["package-dir"].items()}
+    listed = subprocess.run(["git", "ls-files", "-z", *packages], cwd=ROOT, capture_output=True, text=True, check=True)
+    for path in map(Path, filter(None, listed.stdout.split("\0"))):
+        folder = next(parent for parent in path.parents if parent in packages)
+        yield ".".join([packages[folder], *path.relative_to(folder).parent.parts]), path.name
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: git does not say which files there are")

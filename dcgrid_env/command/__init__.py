@@ -1,11 +1,11 @@
-"""Where the command ``dcgrid`` begins: outside the package, so that Ctrl-C is handled before the package loads."""
+"""Entry point of the command ``dcgrid``, a separate package: it handles Ctrl-C before ``dcgrid_env`` loads."""
 
 import os
 import signal
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends the process at once while nothing but modules is loaded, and after the end."""
+    """Run the command line. Before and after it, Ctrl-C ends the process at once."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the shell has it ignored
         signal.signal(signal.SIGINT, _end)
     from dcgrid_env.cli.main import main as command_line
@@ -14,6 +14,6 @@ def main() -> None:
 
 
 def _end(number: int, frame: object) -> None:
-    """No exception, which libraries and Python's own import swallow now and then."""
+    """End the process without an exception, which libraries and Python's import may suppress."""
     os.write(2, b"dcgrid: interrupted\n")
     os._exit(130)
