@@ -8,28 +8,11 @@ import pytest
 
 from dcgrid_env.agents import Policy, PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER
-from helpers.fuzzing import mutated_bytes
+from helpers.fuzzing import ODD_JSON, mutated_bytes
 
 NAME = "toy6-ppo"
 CARD = (FOLDER / f"{NAME}.json").read_bytes()
-ODD = [
-    None,
-    True,
-    "",
-    "x",
-    "\x1b[2J",
-    [],
-    {},
-    [1],
-    {"x": 1},
-    -1,
-    1.5,
-    10**400,
-    float("nan"),
-    float("inf"),
-    [[]],
-    "0" * 64,
-]
+ODD = [*ODD_JSON, "0" * 64]
 FREE = {"version", "algorithm", "command", "training_s", "seed", "validation_J", "format", "scored", "inputs"}
 """Fields of a card that other values can have too: nothing in the weights contradicts them."""
 

@@ -8,27 +8,10 @@ from types import SimpleNamespace
 import pytest
 
 from dcgrid_env.cli.main import main
-from helpers.fuzzing import mutated_bytes
+from helpers.fuzzing import ODD_JSON, mutated_bytes
 
 WORDS = ("run", "--scenario", "toy6", "--set", "horizon=4", "--episodes", "1", "--seed", "3", "--controllers", "none")
-ODD = [
-    None,
-    True,
-    "",
-    "x",
-    "\x1b[2J",
-    [],
-    {},
-    [1],
-    -1,
-    1.5,
-    10**400,
-    float("nan"),
-    float("inf"),
-    [[]],
-    "'",
-    "dcgrid run",
-]
+ODD = [*ODD_JSON, "'", "dcgrid run"]
 
 
 @pytest.fixture(scope="module")

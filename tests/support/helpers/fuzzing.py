@@ -21,6 +21,8 @@ SECONDS = 20
 ODD = ["nan", "inf", "-inf", "1e400", "-1", "0", "1e-320", "", "abc", "null", "true", "[]", "{}", '"7"',
        "99999999999999999999",        "1.5", "-0.0", "1e17", "0x10", "1,5", "1;2", "3 4"]  # fmt: skip
 """What a figure may become: words that programs write for none, and figures of the wrong kind or size."""
+ODD_JSON = [None, True, "", "x", "\x1b[2J", [], {}, [1], {"x": 1}, [[]], -1, 1.5, 10**400, float("nan"), float("inf")]
+"""What a value of a JSON file may become."""
 
 
 @dataclass(frozen=True)
