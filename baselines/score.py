@@ -146,10 +146,11 @@ def _ratio(amount: np.ndarray, base: np.ndarray, seed: int) -> Estimate:
     else:
         weights = _resamples(n, seed)
         mean = weights @ base
-        ratios = (weights @ amount) / mean
-        squares = weights @ amount**2 - 2.0 * ratios * (weights @ (amount * base)) + ratios**2 * (weights @ base**2)
-        errors = np.sqrt(np.maximum(squares, 0.0) / (n - 1)) / np.abs(mean)
-        known = errors > 1e-6 * error  # not an episode drawn n times
+        with np.errstate(divide="ignore", invalid="ignore"):  # a resample may have nothing to gain
+            ratios = (weights @ amount) / mean
+            squares = weights @ amount**2 - 2.0 * ratios * (weights @ (amount * base)) + ratios**2 * (weights @ base**2)
+            errors = np.sqrt(np.maximum(squares, 0.0) / (n - 1)) / np.abs(mean)
+        known = np.isfinite(errors) & (errors > 1e-6 * error)  # not an episode drawn n times
         steps = np.quantile((ratios[known] - value) / errors[known], ends)
     low, high = (value - error * steps).tolist()
     return Estimate(value, low, high)

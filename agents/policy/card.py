@@ -151,7 +151,10 @@ class Card:
             if of_seeds is None:
                 continue
             there = of_seeds[scored.seeds.index(seed)]
-            if value is None or not math.isclose(value, there, rel_tol=1e-6):  # two ways to the same figure
+            agrees = value is not None and math.isclose(
+                value, there, rel_tol=1e-6, abs_tol=1e-9
+            )  # computed in two ways
+            if not agrees:
                 raise PolicyError(f"card: {name} is {value}, {column} has {there} for seed {seed}; give one figure")
 
     @classmethod

@@ -71,18 +71,20 @@ class BestKnownValues(OverWorkers):
             raise ValueError(f"rounds is {self.rounds}; give at least 0")
         spec, names = ScenarioSpec(self.scenario, self.set), split_names(self.controllers)
         place, scenario, console = self.place, spec.make(self.split), plain_console()
-        kept = kept_episodes(self.out, scenario)
-        actions = recorded_actions(scenario, self.out) if kept else {}
-        found = {
-            seed: Known(record["J"], record["start"], record["rounds"], actions[seed]) for seed, record in kept.items()
-        }
+        kept_episodes(self.out, scenario, best_known=True)  # ValueError before a folder is made
         seeds = range(self.episodes)
         parts = [seeds[i : i + EPISODES] for i in seeds[::EPISODES]]
-        tasks = [
-            Task(spec, self.split, own, tuple(names), self.rounds, {i: found[i] for i in own if i in found})
-            for own in parts
-        ]
         with alone_in(self.out, "dcgrid dev best-known"), progress_bar(console) as progress:
+            kept = kept_episodes(self.out, scenario, best_known=True)
+            actions = recorded_actions(scenario, self.out) if kept else {}
+            found = {
+                seed: Known(record["J"], record["start"], record["rounds"], actions[seed])
+                for seed, record in kept.items()
+            }
+            tasks = [
+                Task(spec, self.split, part, tuple(names), self.rounds, {i: found[i] for i in part if i in found})
+                for part in parts
+            ]
             bar = progress.add_task("episodes", total=self.episodes)
             units = [Unit(f"{scenario.name}, seeds {t.seeds[0]} to {t.seeds[-1]}", search, t) for t in tasks]
             for unit, known in place.results(units, carried(place, [spec.where], names)):

@@ -157,14 +157,20 @@ def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     )
 
 
-def kept_episodes(folder: Path, scenario: Scenario) -> dict[int, dict[str, Any]]:
-    """Episodes that a folder holds of a scenario; ValueError where its file is damaged or of another scenario."""
+def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) -> dict[int, dict[str, Any]]:
+    """Return the episodes of a scenario in a folder, by seed.
+
+    ValueError if the file is damaged, of another scenario or of the other command: ``best_known`` says of which.
+    """
     from dcgrid_env import scenario_hash
-    from dcgrid_env.baselines.hindsight_costs import hindsight_file, read_hindsight
+    from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file, read_hindsight
 
     content = read_hindsight(folder, scenario.name)
     if content is None:
         return {}
+    if (content.get("kind") == BEST_KNOWN) != best_known:
+        other = "dcgrid dev hindsight" if best_known else "dcgrid dev best-known"
+        raise ValueError(f"{hindsight_file(folder, scenario.name)} was written by {other}; choose another --out")
     if content["scenario_hash"] != scenario_hash(scenario):
         raise ValueError(
             f"{hindsight_file(folder, scenario.name)} is of another {scenario.name}; move it away, or choose another "

@@ -7,6 +7,7 @@ processes never conflict, and a file starts with the hash of its content, so a d
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import multiprocessing
 import os
@@ -24,6 +25,8 @@ DAY_S = 86_400
 UNUSED_S = 30 * DAY_S
 """A file that no process has read for so long is deleted."""
 
+_refused: dict[Path, OSError] = {}
+"""Folders that cannot be used at all, and why."""
 _unwritable: set[Path] = set()
 _pruned: set[Path] = set()
 
@@ -47,7 +50,12 @@ def read(name: str) -> bytes | None:
 def write(name: str, content: bytes) -> None:
     """Write a file into the first folder that can be written; report on stderr once where another one has to do."""
     data = hashlib.sha256(content).digest() + content
-    for folder in folders():
+    usable = folders()
+    for folder, error in _refused.items():
+        if folder not in _unwritable:
+            _unwritable.add(folder)
+            _report(folder, error)
+    for folder in usable:
         if folder in _unwritable:
             continue
         try:
@@ -62,28 +70,37 @@ def write(name: str, content: bytes) -> None:
 
 @cache
 def folders() -> list[Path]:
-    """Folders to read from and write to, the preferred one first."""
+    """Return the folders to read from and write to, the preferred one first; each belongs to this user alone."""
     import platformdirs
 
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folders = [(Path(chosen) / "dcgrid" if chosen else platformdirs.user_cache_path("dcgrid")) / "kernels"]
-    with contextlib.suppress(OSError):  # there may be no temporary folder
-        folders.append(_temporary())
-    return folders
+    user = os.getuid() if hasattr(os, "getuid") else None  # on Windows the temporary folder is the user's
+    preferred = (Path(chosen) / "dcgrid" if chosen else platformdirs.user_cache_path("dcgrid")) / "kernels"
+    candidates = [preferred]
+    with contextlib.suppress(FileNotFoundError):  # there is no temporary folder
+        name = "dcgrid-kernels" if user is None else f"dcgrid-kernels-{user}"
+        candidates.append(Path(tempfile.gettempdir()) / name)
+    found = []
+    for folder in candidates:
+        try:
+            _make_private(folder, user)
+        except OSError as error:
+            _refused[folder] = error
+        else:
+            found.append(folder)
+    return found
 
 
-def _temporary() -> Path:
-    """Return a temporary folder of this user, which no other user can write; OSError if there is none.
+def _make_private(folder: Path, user: int | None) -> None:
+    """Make a folder; OSError if that fails, or if another user but root can write it.
 
     The files are pickles, so a folder that others can write would run their code.
     """
-    user = os.getuid() if hasattr(os, "getuid") else None  # on Windows the temporary folder is the user's
-    folder = Path(tempfile.gettempdir()) / ("dcgrid-kernels" if user is None else f"dcgrid-kernels-{user}")
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or (user is not None and (found.st_uid != user or found.st_mode & 0o022)):
-        raise PermissionError(f"{folder} belongs to another user or can be written by others")
-    return folder
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    status = folder.lstat()
+    is_others = user is not None and (status.st_uid not in (user, 0) or status.st_mode & 0o022)
+    if not stat.S_ISDIR(status.st_mode) or is_others:
+        raise PermissionError(errno.EPERM, "belongs to another user or can be written by others")
 
 
 def _report(folder: Path, error: OSError) -> None:

@@ -9,17 +9,13 @@ from typing import Any
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.network_checks import check_numbers
-from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LOAD_MODELS, WINDINGS, Matrix
+from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LOAD_MODELS, RATINGS, WINDINGS, Matrix
 from dcgrid_env.grid.topology import FeederError
 
 PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
 NUMBER = {"a": 1, "b": 2, "c": 3}
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
 TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core")
-RATINGS = {
-    "phase_line": "rating_a", "switch": "rating_a", "transformer": "rating_kva", "regulator": "rating_kva_per_phase",
-}  # fmt: skip
-"""The optional column of each kind of branch that says what it is rated for."""
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""

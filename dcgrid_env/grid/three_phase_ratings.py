@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.three_phase_tables import FALLBACKS, RATINGS
 from dcgrid_env.grid.three_phase_tree import Branch, Tree
 
 
@@ -26,14 +27,13 @@ def ratings_a(network: Network, tree: Tree) -> NDArray[np.float64]:
 
 
 def _of_phases(network: Network, branch: Branch) -> Iterator[tuple[str, float]]:
-    table = getattr(network, branch.kind)
+    table, column = getattr(network, branch.kind), RATINGS[branch.kind]
+    ratings = getattr(table, column) or getattr(table, FALLBACKS[column] or "", ())
     for row in branch.rows:
+        amps = ratings[row] if ratings else math.nan
         if branch.kind == "transformer":
-            kva = (table.rating_kva or table.kva)[row]
-            amps = kva / (len(branch.phases) * table.kv_ll_to[row] / math.sqrt(3.0))
+            amps /= len(branch.phases) * table.kv_ll_to[row] / math.sqrt(3.0)
         elif branch.kind == "regulator":
-            amps = (table.rating_kva_per_phase or table.kva_per_phase)[row] / table.kv_ln[row]
-        else:
-            amps = table.rating_a[row] if table.rating_a else math.nan
+            amps /= table.kv_ln[row]
         for phase in table.phases[row]:
             yield phase, amps

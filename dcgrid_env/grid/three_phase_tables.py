@@ -18,6 +18,15 @@ Legs = Sequence[float]
 CONNECTIONS = ("wye", "delta")
 LOAD_MODELS = ("PQ", "I", "Z", "CVR", "ZIP")
 WINDINGS = (("wye_grounded", "wye_grounded"), ("delta", "wye_grounded"), ("delta", "delta"))
+RATINGS = {
+    "phase_line": "rating_a",
+    "switch": "rating_a",
+    "transformer": "rating_kva",
+    "regulator": "rating_kva_per_phase",
+}
+"""Optional column with the rating of each kind of branch."""
+FALLBACKS = {"rating_a": None, "rating_kva": "kva", "rating_kva_per_phase": "kva_per_phase"}
+"""Column that is the rating where the optional one is missing; None if the rating is then unknown."""
 """Connections of a transformer's from-side and to-side that can be compiled."""
 
 

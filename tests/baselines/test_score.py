@@ -36,6 +36,14 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(n):
     assert 0.92 <= covered / runs <= 0.98
 
 
+def test_one_episode_with_headroom_among_eight_has_an_interval():
+    """Resamples without that episode have nothing to gain, and no ratio."""
+    droop = np.ones(8)
+    found = score(droop - np.eye(8)[0] * 0.4, droop, droop - np.eye(8)[0] * 0.5)
+    assert found.score.value == pytest.approx(0.8)
+    assert np.isfinite(found.score).all()
+
+
 def test_few_episodes_have_the_interval_of_student():
     """By hand: gains 1 and 2 of 2 each, a ratio of 0.75; standard error 0.25, and t of one degree of freedom 12.706."""
     found = score([2.0, 1.0], [3.0, 3.0], [1.0, 1.0]).score

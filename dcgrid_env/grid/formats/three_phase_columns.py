@@ -17,21 +17,20 @@ from dcgrid_env.grid.network import (
     SwitchTable,
     TransformerTable,
 )
+from dcgrid_env.grid.three_phase_tables import FALLBACKS
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TEXTS = ("name", "bank", "bus", "from_bus", "to_bus", "phases", "state", "connection", "connection_from")
 _TEXTS += ("connection_to", "model", "sensed_phase")
-RATINGS = {"rating_a": None, "rating_kva": "kva", "rating_kva_per_phase": "kva_per_phase"}
-"""Columns of ratings, which a table may lack, and the column that is the rating then."""
-_UNKNOWN = ("length_m", *RATINGS)
+_UNKNOWN = ("length_m", *FALLBACKS)
 _WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
 
 
 def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
     """Whether a column of ratings says what its absence would: it is empty, all unknown, or the column that counts."""
-    if column not in RATINGS:
+    if column not in FALLBACKS:
         return False
-    values, instead = columns[column], RATINGS[column]
+    values, instead = columns[column], FALLBACKS[column]
     return not values or (all(map(math.isnan, values)) if instead is None else values == columns[instead])
 
 

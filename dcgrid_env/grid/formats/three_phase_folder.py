@@ -21,9 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.grid.formats.three_phase_columns import FILES, RATINGS, Column, File, says_nothing
+from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
 from dcgrid_env.grid.three_phase_checks import NUMBER, PHASES, check_three_phase
+from dcgrid_env.grid.three_phase_tables import FALLBACKS
 from dcgrid_env.grid.topology import FeederError
 
 _HEAD = ("name", "frequency_hz", "source_of_facts", "source")
@@ -143,7 +144,7 @@ def _read_table(folder: Path, file: File) -> Any:
     found: dict[str, list[Any]] = {column.field: [] for column in file.columns}
     for line, row in _rows(path, needed, more, RESULTS.get(file.name, ())):
         for column in file.columns:
-            if column.field in RATINGS and column.field not in row:
+            if column.field in FALLBACKS and column.field not in row:
                 continue
             found[column.field].append(_read_cells(path, line, row, column))
     return file.table(**{name: values for name, values in found.items() if not says_nothing(name, found)})

@@ -66,7 +66,7 @@ class Equations:
     def __init__(self, feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any, source_pu: Any, ratio: Any, state: Any):
         plan, n = plan_of(feeder), feeder.n_node
         self.n, self._law, self._is_z = n, plan.leg_law.T, plan.leg_is_z
-        load, device = p_kw[: -n or None] - 1j * q_kvar[: -n or None], p_kw[-n:] - 1j * q_kvar[-n:]
+        load, device = p_kw[:-n] - 1j * q_kvar[:-n], p_kw[-n:] - 1j * q_kvar[-n:]
         self._load = load[plan.leg_order.astype(np.intp)] * plan.leg_law[:, 0]
         self._device = device / PHASE_BASE_KVA
         nodes = np.arange(n)

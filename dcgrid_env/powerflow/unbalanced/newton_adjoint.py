@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+from dcgrid_env.powerflow.solution import PowerFlowError
 from dcgrid_env.powerflow.unbalanced.newton import Equations, places, tap_of_nodes
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 
@@ -49,7 +50,13 @@ def derivative(
 
     equations = Equations(feeder, *given)
     slope = equations.at(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
-    mu = splu(slope).solve(np.concatenate((to_v.real, to_i.real, to_v.imag, to_i.imag)), trans="T")
+    try:
+        factors = splu(slope)
+    except RuntimeError:  # exactly singular
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: there is no derivative at the largest load that the feeder can carry; reduce p_kw"
+        ) from None
+    mu = factors.solve(np.concatenate((to_v.real, to_i.real, to_v.imag, to_i.imag)), trans="T")
     mu_v, mu_i = mu[:n] + 1j * mu[2 * n : 3 * n], mu[n : 2 * n] + 1j * mu[3 * n :]
     d_p, d_q = _by_powers(feeder, equations, grounded, np.append(mu_i, 0.0))
     d_source = (np.conj(mu_v[:3]) * (plan.source[:, 0] + 1j * plan.source[:, 1])).real.sum()

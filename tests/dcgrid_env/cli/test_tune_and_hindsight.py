@@ -18,6 +18,7 @@ from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.tuning.search import Tuned, tune
 from dcgrid_env.cli.main import main
+from helpers.places import ROOT
 
 
 def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys):
@@ -49,6 +50,16 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
 
 
 @pytest.mark.slow
+def test_best_known_costs_are_of_the_other_command(tmp_path, capsys):
+    written = ROOT / "baselines" / "data" / "hindsight" / "ride-through.json"
+    (tmp_path / written.name).write_bytes(written.read_bytes())
+    with pytest.raises(SystemExit, match="2"):
+        main(["dev", "hindsight", "--scenarios", "ride-through", "--episodes", "1", "--out", str(tmp_path)])
+    assert capsys.readouterr().err.endswith(
+        "ride-through.json was written by dcgrid dev best-known; choose another --out\n"
+    )
+
+
 def test_two_processes_solve_what_one_does(tmp_path):
     for jobs in ("1", "2"):
         main(

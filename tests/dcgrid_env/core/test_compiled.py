@@ -165,3 +165,18 @@ def test_every_kernel_is_compiled_by_the_one_decorator():
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         if path.name != "compiled.py" or path.parent.name != "core":
             assert not re.search(r"njit|@jit|cache=True\)$", path.read_text(), re.MULTILINE), path
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a folder has no permissions for others there")
+def test_a_folder_that_others_can_write_is_not_read(kernels):
+    kernels.run()
+    (folder,) = {path.parent for path in kernels.files()}
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert kernels.run()[:2] == (6.0, 0)
+    folder.chmod(0o777)
+    temporary = kernels.folder / "temporary"
+    temporary.mkdir()
+    value, compilations, stderr = kernels.run(TMPDIR=str(temporary))
+    assert (value, compilations) == (6.0, 2)
+    assert f"{folder}: belongs to another user or can be written by others; using {temporary}" in stderr

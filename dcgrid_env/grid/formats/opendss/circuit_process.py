@@ -91,8 +91,7 @@ def _crashed(master: str, code: int, errors: str) -> str:
             how = f"crashed with {signal.Signals(-code).name}"
     said = f" ({errors.strip().splitlines()[-1]})" if errors.strip() else ""
     return (
-        f"{master}: OpenDSS {how} while it read the circuit{said}; leave elements out to find the one that it cannot "
-        "read"
+        f"{master}: the process that reads it {how}{said}; leave elements out to find the one that OpenDSS cannot read"
     )
 
 
