@@ -1,4 +1,4 @@
-"""The section on settings that come close to Table I: the guesses beside one another, and what they fail."""
+"""The section on settings that come close to Table I: a comparison of the guesses, and what they fail."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Records = dict[str, Any]
 
 
 def render_guesses(records: Records) -> str:
-    """The guesses beside the default: settings, distance from Table I, and figures that no search looked at."""
+    """Compare the guesses with the default: settings, distance from Table I, and figures that were not fitted."""
     columns: dict[str, Records] = records["guesses"]["columns"]
     text = (
         f"The paper leaves {len(VALUES)} settings open that Table I depends on. `dcgrid dev fit-paper` tried 231 "

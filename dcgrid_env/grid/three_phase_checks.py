@@ -19,7 +19,7 @@ TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "cap
 RATINGS = {
     "phase_line": "rating_a", "switch": "rating_a", "transformer": "rating_kva", "regulator": "rating_kva_per_phase",
 }  # fmt: skip
-"""The optional column of each kind of branch that says what it is rated for."""
+"""The optional column with the rating, by kind of branch."""
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
