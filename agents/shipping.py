@@ -142,7 +142,7 @@ def _weights(folder: Path) -> Path:
 
 
 def _read(folder: Path) -> tuple[Policy, Card]:
-    """A run's policy and card; PolicyError unless they belong together and the card says how it was made."""
+    """Read a run's policy and card; PolicyError unless they match and the card describes the training."""
     policy, path = Policy.load(_weights(folder)), folder / "policy.json"
     card = policy.card
     if card is None:

@@ -4,8 +4,9 @@ The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenar
 made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
 differs in any field has none of them.
 
-Where sites trip, or agents smooth their power, there is no linear program. Their files contain the best known cost
-instead (``dcgrid dev best-known``), say so in their ``kind``, and the actions behind it are in ``recorded_actions``.
+If sites trip or agents smooth their power, no linear program describes the episode. The files of such presets contain
+the best known cost instead (``dcgrid dev best-known``), which their ``kind`` states. Its actions are in
+``recorded_actions``.
 """
 
 from __future__ import annotations

@@ -67,6 +67,6 @@ def notebook_output_with_the_site(app: Any) -> None:
 
 
 def setup(app: Any) -> None:
-    """Connect what stands in this file."""
+    """Connect the functions of this file."""
     app.connect("source-read", without_empty_globs)
     app.connect("builder-inited", notebook_output_with_the_site, priority=900)  # after myst_nb has set its own

@@ -1,7 +1,7 @@
 """Processor time to the first step of an environment with an empty cache of compiled kernels, and with a full one.
 
-Each measurement is a process of its own. With the interpreter of another version's environment, both are measured by
-turns, so that other work on the machine slows both alike.
+Each measurement runs in a separate process. With the interpreter of another version's environment, measurements of both
+alternate, so other work on the machine slows both alike.
 
     python docs/first_step.py ieee33-weak ieee34-3ph
     python docs/first_step.py ieee33-weak --rounds 3 --against ../before/.venv/bin/python

@@ -1,4 +1,4 @@
-"""Installed from a copy of the tree into environments of their own: one way after the other, and read-only."""
+"""Installed from a copy of the tree into separate environments: one way after the other, and read-only."""
 
 import os
 import shutil

@@ -228,7 +228,7 @@ class Learner:
 
 
 def check_settings(cfg: Analytic) -> None:
-    """Raise ValueError, naming the field, for settings that cannot be."""
+    """Raise ValueError, naming the field, if a setting is invalid."""
     check(cfg)
 
 

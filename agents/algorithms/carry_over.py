@@ -135,7 +135,7 @@ def tensor(array: np.ndarray) -> torch.Tensor:
 
 
 def check_settings(cfg: CarryOver) -> None:
-    """Raise ValueError, naming the field, for settings that cannot be."""
+    """Raise ValueError, naming the field, if a setting is invalid."""
     check(cfg)
     plain = CarryOver()
     for field in ("scenario", "set", "view", "observe", "preview", "act", "device"):

@@ -41,7 +41,7 @@ class Ppo(sb3.Config):
     """Train a policy with PPO."""
 
     outputs: Outputs = "setpoint"
-    """Whether the networks give setpoints, changes of what holds all as it is, or corrections of a droop."""
+    """Network outputs: setpoints, changes from the action that keeps the current state, or corrections of a droop."""
     gains: tuple[float, float, float] | None = None
     """Gains of that droop: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s. Those of the tuned droop by default."""
     steps: int = 10_000_000

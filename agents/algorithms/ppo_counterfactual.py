@@ -220,7 +220,7 @@ class CounterfactualPpo(BaseAlgorithm):
 
 
 def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
-    """The vector environment of the training split; ValueError for a setting or a scenario that cannot be."""
+    """The vector environment of the training split; ValueError if a setting or the scenario is invalid."""
     check(cfg)
     if cfg.view != "shared":
         raise ValueError(f"view is {cfg.view!r}; an advantage is a single agent's: give shared, or train ppo")

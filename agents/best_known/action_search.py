@@ -1,8 +1,8 @@
-"""Search the best known cost of episodes for which there is no linear program.
+"""Search the best known cost of episodes that no linear program describes.
 
-Trips are not a linear program, and neither is smoothing by settings that are held for seconds. So there is no optimum
-to compare with. The best known cost of the same episode takes its place. The search begins with the best trajectory of
-some controllers, or with a recorded one, and changes single actions. The result is not a bound.
+A linear program describes neither trips nor smoothing by settings that stay constant for seconds. Hence an optimum to
+compare with is missing, and the best known cost of the same episode replaces it. The search begins with the best
+trajectory of some controllers, or with a recorded one, and changes single actions. The result is not a bound.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The process of a controller: it receives observations over a socket and returns actions.
 
-``python -m dcgrid_env.agents.leaderboard.controller_process FD`` serves the other end of the socket FD, of
-``remote.ControllerProcess``. Neither seeds nor an environment are here. Each message is one byte that names it, the
+``python -m dcgrid_env.agents.leaderboard.controller_process FD`` answers ``remote.ControllerProcess`` over the
+socket FD. The process has neither seeds nor an environment. Each message is one byte that names it, the
 length of its content in 8 bytes, and the content.
 """
 

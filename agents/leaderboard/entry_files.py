@@ -1,4 +1,4 @@
-"""What a folder of the leaderboard holds: submission.json, what it names, and verified.json once it was run again.
+"""Contents of a leaderboard folder: submission.json, the files that it names, and verified.json once it is verified.
 
 ``verified.json`` is a report of ``dcgrid verify``, with the hashes of the submission and of the policy in it. It ends
 in a signature over all that it says (``signing``), so that only reports of the verifier are listed.
@@ -84,7 +84,7 @@ class Submission:
     episodes_hash: str
     """SHA-256 over the hashes of those episodes and their published costs."""
     scope: str
-    """What the controller is sent (``scopes``): chosen for code of the submitter, measured for others."""
+    """Scope of the data sent to the controller (``scopes``): chosen for code of the submitter, measured for others."""
     learned_on: Learned
     """Split that it was learned or tuned on, as its submitter declares it."""
     versions: dict[str, str | None]
@@ -96,7 +96,7 @@ class Submission:
 
 @dataclass(frozen=True)
 class Verified:
-    """What was found when an entry was run again."""
+    """Results of the verification of an entry."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -110,7 +110,7 @@ class Verified:
     reference: str
     """The controller of score 0 with its parameters."""
     scope: str
-    """What the controller was sent."""
+    """Scope of the data that was sent to the controller."""
     found: Figures
     """On the claimed episodes."""
     score: Score

@@ -28,7 +28,7 @@ from dcgrid_env.core.files import write_text
 
 _NBSP = "\u00a0"
 BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
-"""What stands before and behind the tables in the page."""
+"""Comments before and after the tables in the page."""
 HEADER = (
     "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
     "episodes | sent | learned on |"

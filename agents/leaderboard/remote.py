@@ -43,7 +43,7 @@ LONGEST_ERROR = 8000
 
 
 class ProcessError(RuntimeError):
-    """A controller's process that failed, took too long, or answered what is no answer."""
+    """A controller's process failed, took too long, or sent an invalid answer."""
 
 
 class ControllerProcess:
@@ -52,7 +52,7 @@ class ControllerProcess:
     Parameters
     ----------
     of_submitter
-        Whether it is to run code of a submitter, in a folder of its own and without this process's environment.
+        Whether it runs code of a submitter, in a separate folder and without this process's environment variables.
     """
 
     def __init__(self, of_submitter: bool = False):
@@ -90,9 +90,9 @@ class ControllerProcess:
         Raises
         ------
         ProcessError
-            Where there is no such answer in time.
+            If no such answer arrives in time.
         ValueError
-            Where the controller refuses the scenario.
+            If the controller refuses the scenario.
         """
         limit_s = STEP_S if name == ACT and self._folder is not None else START_S
         try:
@@ -176,7 +176,7 @@ class RemoteController:
             self._parts.append((process, part))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """The joint action for joint observations, (lane, n_action)."""
+        """Return the joint action for joint observations, (n_env, n_action)."""
         action = np.empty((len(observations), self._n_action))
         for process, part in self._parts:
             seen = np.ascontiguousarray(observations[:, part.seen], np.float32)
@@ -198,10 +198,10 @@ class PlacedRemoteController(RemoteController):
 def remote(
     spec: str, scenario: Scenario, tuned: Path, scope: Scope, code: bytes | None = None, confined: bool = True
 ) -> Iterator[Controller]:
-    """Run a controller in processes of its own for the block.
+    """Run a controller in separate processes for the block.
 
-    Code of a submitter has a process for each agent, or one for all agents under a joint scope. What comes with the
-    package, and weights, are run by the package's own code in one process.
+    Code of a submitter has a process for each agent, or one for all agents under a joint scope. For bundled
+    controllers and weights, the package's own code runs in one process.
 
     Parameters
     ----------

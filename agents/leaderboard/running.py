@@ -1,4 +1,4 @@
-"""Running an entry: its processes, the scenario it is scored on, and its figures beside the tuned droop's."""
+"""Run an entry: its processes, the scenario that it is scored on, and its figures next to the tuned droop's."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def controller_of(spec: str, scenario: Scenario) -> Controller:
 def run(runner: Runner, scenario: Scenario, parts: Sequence[range], name: str) -> list[Run]:
     """Run an entry and the tuned droop through parts of the test split.
 
-    All episodes are one batch in an order that is drawn, so that no position in it says which episode it is.
+    All episodes are one batch in random order, so a position in the batch does not identify the episode.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def run(runner: Runner, scenario: Scenario, parts: Sequence[range], name: str) -
 
 
 def _run(scenario: Scenario, seeds: range, metrics: Sequence[Mapping[str, float]]) -> Run:
-    """Metrics of an entry on some episodes, beside the tuned droop's."""
+    """Metrics of an entry on some episodes, and those of the tuned droop."""
     means = {key: float(np.mean([of_episode[key] for of_episode in metrics])) for key in metrics[0]}
     own = Evaluation(scenario, tuple(seeds), np.array([of_episode["J"] for of_episode in metrics]), means)
     droop = _droop(scenario, tuple(seeds))

@@ -77,12 +77,12 @@ def submit(
     learned_on
         Declaration of the split that it was learned or tuned on.
     scope
-        What code of one's own is to be sent, see ``scopes``; that of others is measured.
+        Scope of the data sent to own code, see ``scopes``; the scope of other controllers is measured.
 
     Raises
     ------
     ValueError
-        For what cannot be entered or scored, before anything is written.
+        If the entry is invalid or cannot be scored, before anything is written.
     """
     check_words(name=name, paper=paper)
     entry = _entry(policy)

@@ -138,7 +138,7 @@ class Card:
             self._check_seed(self.seed, self.scored)
 
     def _check_seed(self, seed: int, scored: Scored) -> None:
-        """PolicyError unless the figures of the policy are those of its own seed."""
+        """Raise PolicyError unless the policy's figures belong to its seed."""
         if seed not in scored.seeds:
             raise PolicyError(f"card: seed is {seed}; give one of scored.seeds, {', '.join(map(str, scored.seeds))}")
         pairs = (

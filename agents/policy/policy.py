@@ -116,7 +116,7 @@ class Policy:
         self.made_with = made_with
         self.source = "policy"
         self.card: Card | None = None
-        """How it was made, where it was read from a file with a card."""
+        """Card of the policy, if it was read from a file with a card."""
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""

@@ -120,10 +120,10 @@ def stored_config(folder: Path) -> dict[str, Any] | None:
 
 
 def trained_on(cfg: Training) -> str:
-    """What a policy's file says it was trained on: the preset, or the words that name another scenario."""
+    """Name of the training scenario for a policy's file: the preset, or a description of another scenario."""
     return ScenarioSpec(cfg.scenario, cfg.set).label
 
 
 def check(cfg: Training) -> None:
-    """ValueError, naming the field, for a figure that cannot be."""
+    """Raise ValueError, naming the field, if a figure is invalid."""
     check_figures(vars(cfg))

@@ -15,7 +15,7 @@ VIEW = "shared"
 def settings(algorithm: str, scenario: str, view: str = VIEW) -> dict[str, Any]:
     """What differs from an algorithm's defaults on a scenario: fields of its configuration by name.
 
-    Empty where nothing was found: for another view, several scenarios, or one that is no preset.
+    Empty where nothing was found: for another view, several scenarios, or a scenario that is not a preset.
     """
     found = _all().get(algorithm, {}).get(scenario, {}) if view == VIEW else {}
     return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}

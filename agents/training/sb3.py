@@ -86,7 +86,7 @@ class OffPolicy(Config):
 def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> Iterator[tuple[Run, JointVecEnv]]:
     """The run's folder, held for the block, and the vector environment of the training split.
 
-    ValueError for a setting that cannot be, TrainingError for a folder that cannot be gone on from.
+    Raise ValueError if a setting is invalid, and TrainingError if the training in the folder cannot be continued.
     """
     vec_env = vec_env_for(cfg, outputs, gains)
     with run_of(cfg) as run:
@@ -94,13 +94,13 @@ def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None
 
 
 def run_of(cfg: Training) -> AbstractContextManager[Run]:
-    """The run's folder, held for the block; TrainingError for one that cannot be gone on from."""
+    """The run's folder, locked for the block; TrainingError if the training in it cannot be continued."""
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     return open_run(cfg.folder, cfg, cfg.resume, [judged_on])
 
 
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
-    """The vector environment of the training split; ValueError for a setting that cannot be."""
+    """The vector environment of the training split; ValueError if a setting is invalid."""
     check(cfg)
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)

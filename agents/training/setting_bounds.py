@@ -43,7 +43,7 @@ WIDEST = 65_536
 
 
 def check_figures(settings: Mapping[str, Any]) -> None:
-    """ValueError, naming the field, for a figure out of its bounds; None is no figure."""
+    """Raise ValueError, naming the field, if a figure is out of its bounds; None is ignored."""
     for field, value in settings.items():
         if value is None:
             continue

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NONE = "–"
 SAVED = "J saved, %"
-"""Heading of what a controller saves of the reference's cost."""
+"""Column name of the share of the reference's cost that a controller saves."""
 
 COLUMNS = tuple(
     METRICS[name]
@@ -34,18 +34,20 @@ COLUMNS = tuple(
 """Columns that are means over episodes."""
 
 LEGEND = (
-    f"Score: 0 is {REFERENCE}, 1 is perfect foresight, or where a table says so the best known; mean(J_ref - J) / "
-    "mean(J_ref - J_hindsight) over the same test episodes. In parentheses 95 % intervals over episodes.",
-    f"J saved: mean(J_ref - J) / mean(J_ref), in per cent of the cost of {REFERENCE}. What hindsight saves is the "
-    "headroom: where it is small, so is all that a score says.",
-    "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. Voltage, "
-    "violation, delay, unserved work and effort stand beside it so that voltage bought with delay shows.",
-    "observes: the scope of observation; a controller with the feeder's model is also told where the agents stand.",
+    f"Score: mean(J_ref - J) / mean(J_ref - J_hindsight) over the same test episodes; 0 is {REFERENCE}, 1 is perfect "
+    "foresight. Where a table has a best known cost, this cost replaces J_hindsight. 95 % intervals over episodes are "
+    "in parentheses.",
+    f"J saved: mean(J_ref - J) / mean(J_ref), in per cent of the cost of {REFERENCE}. The headroom is the share "
+    "that hindsight saves. If the headroom is small, even a score of 1 saves little.",
+    "J is the benchmark's cost, lower is better; IQM is the mean over the middle half of the episodes. The "
+    "columns for voltage, violation, delay, unserved work and effort show whether a better voltage is paid for with "
+    "delay.",
+    "observes: the scope of observation; a controller with the feeder's model also receives the buses of the agents.",
 )
 
 IS_NO_BOUND = (
-    "There is no linear program of this scenario: a score of 1 is the best known cost of each episode, found by a "
-    "search of that episode and by controllers. It is no bound, and may be beaten."
+    "No linear program describes this scenario. A score of 1 is the best known cost of each episode, found by a search "
+    "of that episode and by controllers. It is not a bound: a controller may score more than 1."
 )
 
 
@@ -142,7 +144,7 @@ def scenario_table(summary: ScenarioSummary) -> Table:
 
 
 def headroom_lines(costs: Published, j_reference: ArrayLike) -> list[str]:
-    """How much of the reference's J hindsight saves, and that the best known is not a bound."""
+    """Lines with the headroom, and a note that the best known cost is not a bound."""
     name = "the best known" if costs.is_best_known else "hindsight"
     line = f"headroom: {name} saves {saved_pct(costs.J, j_reference):.1f} % of the J of {REFERENCE}"
     return [line, IS_NO_BOUND] if costs.is_best_known else [line]

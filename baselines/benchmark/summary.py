@@ -58,7 +58,7 @@ class Hindsight(NamedTuple):
 
 
 class BestKnownCost(NamedTuple):
-    """What stands in hindsight's place where there is no linear program, and bounds nothing."""
+    """Replacement of hindsight's cost where no linear program describes the scenario; it is not a bound."""
 
     J: float
     """Mean of the least cost that is known of each episode."""
@@ -83,7 +83,7 @@ class ScenarioSummary:
 
     @property
     def headroom_pct(self) -> float | None:
-        """How much of the reference's J hindsight saves, %; None where either is not known."""
+        """Share of the reference's J that hindsight saves, %; None if either is unknown."""
         reference = next((row.means for row in self.working if row.controller == REFERENCE), None)
         return saved_pct(self.hindsight.J, reference["J"]) if reference and self.hindsight else None
 

@@ -165,7 +165,7 @@ def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
 def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
     """The samples in which buses come nearest to a limit with a site of these sizes, in steps, that nobody controls.
 
-    They are found at the price of no control, and are what every controller is tried in first.
+    They are found without control, and every controller is tried in them first.
     """
     by_size = dict[int, list[int]]()
     for i, size in enumerate(sizes):

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 REMEDY = from_clone("minari")
 ROOT_VARIABLE = "MINARI_DATASETS_PATH"
-"""Environment variable that tells Minari where data sets are."""
+"""Environment variable with the folder of Minari's data sets."""
 CARD = "card.json"
 AGENTS = "agents"
-"""Key of Minari's metadata that says where each agent stands in the joint observation and action."""
+"""Key of Minari's metadata with each agent's place in the joint observation and action."""
 BYTES_OF_EPISODE = 2**18
 """Bytes that HDF5 takes for the names and layout of an episode, at most."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]+")

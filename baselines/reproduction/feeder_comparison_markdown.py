@@ -186,8 +186,8 @@ def claims_table(records: Records) -> Table:
 
 
 def _claims(records: Records) -> str:
-    left_out = "; ".join(f"*{claim}*: {why}" for claim, why in LEFT_OUT.items())
-    note = wrapped(f"Claims that this feeder does not answer: {left_out}.")
+    left_out = "\n".join(wrapped(f"- *{claim}*: {why}.") for claim, why in LEFT_OUT.items())
+    note = f"Claims that this page leaves out:\n\n{left_out}"
     return f"## Claims\n\n{table(*claims_table(records))}\n\n{note}"
 
 

@@ -1,4 +1,4 @@
-"""The search for a guess that comes close to Table I: one setting at a time, until none improves it; then anew."""
+"""Search for a guess close to Table I: one setting at a time until none improves it, then from another guess."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Trial(NamedTuple):
 def search(
     setting: Setting, most: int, on_trial: Callable[[Trial], None] = lambda trial: None, place: Place = ONE_PROCESS
 ) -> list[Trial]:
-    """Improve the study's own settings one at a time, until none improves; then begin anew at a random guess.
+    """Improve the study's own settings one at a time until none improves, then start at a random guess.
 
     Parameters
     ----------
@@ -68,5 +68,5 @@ def search(
 
 
 def _try(guess: Guess) -> Distance:
-    """How far a guess is from Table I."""
+    """Compute the distance of a guess from Table I."""
     return distance(cells(Runs(shared(_SETTING)), guess))

@@ -143,7 +143,7 @@ def figures(run: Run, guess: Guess) -> dict[str, float]:
 
 
 class Distance(NamedTuple):
-    """How far Table I under a guess is from the paper's: mean absolute errors over the 15 cells."""
+    """Distance of Table I under a guess from the paper's: mean absolute errors over the 15 cells."""
 
     deviation_pu: float
     delay_s: float
@@ -152,7 +152,7 @@ class Distance(NamedTuple):
 
 
 def distance(rows: list[Records]) -> Distance:
-    """How far the cells of a guess are from Table I."""
+    """Compute the distance of the cells of a guess from Table I."""
     paper = [TABLE_ONE[row["n_datacenters"], row["k_p"]] for row in rows]
     errors, means = {}, {}
     for key in ("deviation_pu", "delay_s"):
@@ -163,7 +163,7 @@ def distance(rows: list[Records]) -> Distance:
 
 
 def guesses(runs: Runs) -> dict[str, Any]:
-    """The study's own settings beside :data:`FOUND` and :data:`LARGER`, and what each setting of FOUND does."""
+    """Compare the study's own settings, :data:`FOUND` and :data:`LARGER`; put each setting of FOUND back alone."""
     return {
         "columns": {name: _record(runs, guess) for name, guess in COLUMNS.items()},
         "put_back": [

@@ -20,7 +20,7 @@ class Load(NamedTuple):
     """"recorded" or "generated"."""
     description: str
     fields: dict[str, Any]
-    """The scenario's fields that say so."""
+    """The scenario's fields that select this load."""
 
     def trace(self) -> PowerTrace:
         """The recording as a whole, or ten minutes of the generator."""

@@ -35,8 +35,8 @@ def step_series(runs: Runs, change: str) -> dict[str, Series]:
 def step_response(runs: Runs) -> dict[str, Any]:
     """The voltage at the data centre before and after each change, and what it would be with the load as an injection.
 
-    ``runs`` has the mean over 10 s before the change, 10 s after it, and the last 10 s; ``site_pu`` is the voltage with
-    the rating of the data centre counted as an injection, ``substation_pu`` that of the substation.
+    ``runs`` has the mean over 10 s before the change, 10 s after it, and the last 10 s. ``site_pu`` is the voltage with
+    the rating of the data centre counted as an injection. ``substation_pu`` is the voltage of the substation.
     """
     records = []
     for change in CHANGES:

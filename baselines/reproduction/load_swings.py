@@ -1,4 +1,4 @@
-"""What the load itself does: its ramps, four models beside one another, and dips under a feeder's own regulators."""
+"""Analyse the load itself: its ramps, four models next to one another, and dips under a feeder's own regulators."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IDLE_SHARE = 0.2
 
 
 def ramps(runs: Runs) -> list[dict[str, Any]]:
-    """How the ramps of the study's load beyond 5 % of its peak are distributed."""
+    """Compute the distribution of the ramps of the study's load beyond 5 % of its peak."""
     trace = runs.setting.load.trace()
     records = []
     for interval_s in INTERVALS_S:

@@ -27,18 +27,18 @@ def where_sites_stand(setting: Records) -> str:
     """Where the data centres of a study's setting stand."""
     if setting["placement"] == "published":
         return f"at the first n of the buses {', '.join(map(str, setting['sites']))} of the public code"
-    return "drawn among the load buses, anew in each episode"
+    return "drawn among the load buses, separately in each episode"
 
 
 def load_note(setting: Records) -> str:
-    """Where the paper's recording comes from, or is to be had; empty for a load that has nothing to do with it."""
+    """Source of the paper's recording, or how to use it; empty for a load that is unrelated to it."""
     if setting["load"] == "generated":
         return (
             f" The paper's own recording is used where `dcgrid traces fetch {RECORDING}` has put it into the cache, or "
             "`--trace FILE` names it."
         )
     if RECORDING in setting["load_description"]:
-        return f" The recording is what `dcgrid traces fetch {RECORDING}` puts into the cache."
+        return f" `dcgrid traces fetch {RECORDING}` puts the recording into the cache."
     return ""
 
 
@@ -61,8 +61,8 @@ def _head(records: Records) -> str:
     )
     beside = (
         "Here the feeder is a balanced single-phase equivalent. `dcgrid reproduce --scenario ieee123-3ph` repeats "
-        "Table I and the claims on the feeder with its phases and its regulators, beside these: "
-        "[reproduction-3ph.md](reproduction-3ph.md)."
+        "Table I and the claims on the feeder with its phases and its regulators. "
+        "[reproduction-3ph.md](reproduction-3ph.md) compares both."
     )
     title = f"# The paper's study, run again\n\n{s['paper']}.\n\n{wrapped(order)}"
     command = code_block(records["meta"]["command"])
@@ -96,9 +96,9 @@ def _table_one(records: Records) -> str:
     head = ["sites", "k_p", "paper: deviation (p.u.)", "ours: volts", "ours: squared voltage"]
     head += ["paper: delay (s)", "ours: backlog kept", "ours: one-step backlog"]
     text = (
-        "The 30 numbers of Table I and their standard deviations, beside ours with the defaults. The paper reports the "
-        "voltage magnitude, its public code computes V², so both are here: abs(V - 1) and abs(V² - 1). The backlog is "
-        "kept until it is served, or forgotten after a step, as equation (6) prints it. The last row "
+        "The 30 numbers of Table I and their standard deviations, next to ours with the defaults. The paper reports "
+        "the voltage magnitude and its public code computes V². Both are listed: abs(V - 1) and abs(V² - 1). The "
+        "backlog is kept until it is served, or forgotten after a step, as equation (6) prints it. The last row "
         "is the mean absolute difference from the paper over the 15 cells."
     )
     return f"## Table I\n\n{wrapped(text)}\n\n{table(head, rows)}\n\n{wrapped(_reading(errors))}"

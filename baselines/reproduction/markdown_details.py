@@ -33,9 +33,9 @@ def _table_one(records: Records) -> str:
     head = ["sites", "k_p (MW/p.u.)", *four, *(f"one-step: {name}" for name in four), "spectral radius"]
     return f"""## Table I with unserved work and cost
 
-Ours alone, with the cumulative backlog and with the one-step form that the paper prints; beside the delay the work left
-unserved at the end. A spectral radius above 1 (linear loop, cumulative, the worst of the placements) means that the
-clock oscillates: work comes late and the voltage gains little.
+Ours alone, with the cumulative backlog and with the one-step form that the paper prints. The column next to
+the delay is the work left unserved at the end. A spectral radius above 1 (linear loop, cumulative, the worst of the
+placements) means that the clock oscillates: work comes late and the voltage gains little.
 
 {table(head, rows)}"""
 

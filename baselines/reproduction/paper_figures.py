@@ -48,8 +48,8 @@ def captions(runs: Runs, seed: int) -> dict[int, str]:
         "counterparts, of eight seeds each the one that moves most.",
         2: "Four models under the same waves of queries. The paper's recordings are not published; these are "
         "generated.",
-        3: "toy6: the voltage at the data centre when its 2.5 MW come on, and when they go off. The paper does not say "
-        "which of the two its figure shows.",
+        3: "toy6: the voltage at the data centre when its 2.5 MW come on, and when they go off. The paper does not "
+        "state which of the two its figure shows.",
         4: "IEEE 123-bus equivalent with the inverters and the eight data-centre buses of the public code, at base "
         "load with every site at its rating and no control.",
         5: f"Deviation against the number of data centres. {_split(runs)}",

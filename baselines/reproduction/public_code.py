@@ -1,4 +1,4 @@
-"""What cannot be reproduced and why, and what the authors' public code computes, as it was read."""
+"""List what cannot be reproduced and why, and describe what the authors' public code computes."""
 
 from __future__ import annotations
 

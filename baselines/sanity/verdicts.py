@@ -58,7 +58,7 @@ class Figures:
     """What was found of a scenario."""
 
     reached: Mapping[str, Reached]
-    """By name: what stands in the table, all of the same episodes, and two further ones."""
+    """Controllers by name: those in the table, all on the same episodes, and two further ones."""
     lowest_bus: str
     """Bus of the lowest mean voltage without control."""
     refused: str
@@ -194,7 +194,7 @@ def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
 
 
 def _to_gain(scenario: Scenario, reached: Mapping[str, Reached], best: Reached) -> Verdict:
-    """How far the best rule is from hindsight."""
+    """Compare the best rule with hindsight."""
     rules = {name: reached[name].mean("J") for name in (NONE, PAPER, DROOP, CONSTANT)}
     name = min(rules, key=lambda rule: rules[rule])
     j = best.mean("J")

@@ -6,8 +6,8 @@ middle of the bounds; laws of up to three parameters, and those whose cost has s
 evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are
 scipy's. The same call finds the same parameters.
 
-A droop must also be steady (``steadiness``): where the cheapest gains are not, the search is repeated with each set of
-gains drawn back to where the closed loop is stable, and the cheapest without a limit cycle is the result.
+A droop must also be steady (``steadiness``). If the cheapest gains are not, the search is repeated with each set of
+gains reduced until the closed loop is stable. The result is the cheapest set without a limit cycle.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 The zero of the score must not be a law that oscillates. Two conditions are checked on the validation split:
 
 - The spectral radius of the linearised closed loop (``laws.stability``) is at most 1 in every placement.
-- There is no limit cycle: with every input held constant, the clocks and reactive set points come to rest.
+- The loop has no limit cycle: with constant inputs, the clocks and reactive set points settle.
 
 The second condition covers what the linear model leaves out: limits, the steeper voltage of the exact power flow, noise
-that excites a slowly decaying mode. The inputs are held because demand that alternates moves every law to and fro.
+that excites a slowly decaying mode. The inputs are constant because alternating demand moves every law to and fro.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dcgrid_env.traces import PowerTrace
 DEMAND_SHARES = (0.3, 0.5, 0.7, 0.85, 1.0)
 """Demand of a site in an episode with held inputs, share of its rating; each site draws one."""
 STEPS = 100
-"""Steps of such an episode; the second half must be at rest."""
+"""Steps of such an episode; in the second half the settings must not change."""
 SWING = 0.05
 """Swing of a setting that counts, as a share of its range."""
 TURNS = 4.0

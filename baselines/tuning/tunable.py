@@ -105,7 +105,7 @@ def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
 
 def _distances(scenario: Scenario) -> np.ndarray:
-    """R_ii and X_ii wherever an agent may stand, (n, 2)."""
+    """R_ii and X_ii of every possible bus of an agent, (n, 2)."""
     first, rows = 0, []
     for device in scenario.devices:
         buses = device.buses
@@ -191,7 +191,7 @@ TUNABLE: dict[str, Tunable] = {
 
 
 def _rounded(value: float) -> float:
-    """To four significant digits: nobody sets a gain more finely, and what is printed is what was tried."""
+    """Round to four significant digits, so the printed gain equals the gain that was tried."""
     return float(f"{round(float(value), 9):.4g}")
 
 

@@ -29,10 +29,10 @@ EPISODES = 16
 class BestKnownValues(OverWorkers):
     """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
 
-    Each episode is searched alone and over its actions, with all of it known: from the best trajectory of the named
-    controllers, or from the one that the file contains, whichever costs less. The costs are written in the place of
-    hindsight's and marked as best known, and the actions next to them. They are not a bound: the same command goes on
-    from what the file contains, and never makes a cost higher.
+    Each episode is searched alone and over its actions, with all of it known. The search starts from the best
+    trajectory of the named controllers, or from the one in the file, whichever costs less. The costs replace
+    hindsight's and are marked as best known. The actions are written next to them. The costs are not a bound: the same
+    command goes on from what the file contains, and never makes a cost higher.
     """
 
     scenario: str = "ride-through"
@@ -54,7 +54,7 @@ class BestKnownValues(OverWorkers):
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been found is where the search begins."""
+        """How to continue; the search starts from the best that has been found."""
         return GOES_ON
 
     def run(self) -> None:

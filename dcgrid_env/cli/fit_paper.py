@@ -20,12 +20,12 @@ SHOWN = 3
 class FitPaper(OverWorkers):
     """Search for values of what the paper does not state, so that the study comes close to its Table I.
 
-    A setting takes some 1.5 s of CPU time at 20 episodes. docs/reproduction.md shows the best of the search beside the
-    settings of the study.
+    A setting takes some 1.5 s of CPU time at 20 episodes. docs/reproduction.md compares the best of the search with
+    the settings of the study.
     """
 
     tries: int = 231
-    """How many settings are tried."""
+    """Number of settings to try."""
     episodes: int = 20
     """Episodes for each cell, at least 2."""
     trace: str = "auto"
@@ -34,7 +34,7 @@ class FitPaper(OverWorkers):
     """Folder for fit-paper.json, all settings in the order of the search."""
 
     def run(self) -> None:
-        """Search, print the best, write all. ValueError for a setting that cannot be."""
+        """Search, print the best, write all. Raise ValueError if a setting is invalid."""
         from rich import box
         from rich.table import Table
 

@@ -40,7 +40,7 @@ class ImportOpenDss(Command):
     """Run the script as it is, whatever it does to this machine."""
 
     def run(self) -> None:
-        """Read, compile, solve, say what became of each element, and write; nothing is written on an error."""
+        """Read, compile, solve, report what became of each element, and write; nothing is written on an error."""
         from dcgrid_env import ThreePhaseFeeder, rating_coverage
         from dcgrid_env.core.files import whole_folder
         from dcgrid_env.grid.formats.opendss import read_opendss

@@ -24,7 +24,7 @@ class Sags(OverWorkers):
     """Controllers separated by commas, a column of the figure each; the best known stands behind them where it is
     known of all episodes."""
     beside: str = "droop-tuned,ride-through-ppo"
-    """Controllers that stand in the table alone, separated by commas, none for the empty text."""
+    """Controllers that are only in the table, separated by commas; empty for none."""
     episodes: int = 32
     """Number of test episodes: seeds 0, 1, .."""
     seed: int = 1

@@ -71,7 +71,7 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
 
 
 def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
-    """Lines that say which tuned controllers have their gains from a file rather than from what ships."""
+    """Lines that name the tuned controllers whose gains come from a file and are not the bundled ones."""
     from dcgrid_env.baselines import TUNED
     from dcgrid_env.baselines.tuning.tunable import TUNABLE
     from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_parameters

@@ -36,7 +36,7 @@ class Tune(OverWorkers):
 
     A droop's gains are chosen among those whose closed loop is stable: spectral radius at most 1, no limit cycle.
 
-    `dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of one's own scenarios in results/tuned.json;
+    `dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of other scenarios in results/tuned.json;
     with --tuned FILE the first three take them from another file.
     """
 
@@ -63,7 +63,7 @@ class Tune(OverWorkers):
         return "" if self.again else GOES_ON
 
     def run(self) -> None:
-        """Tune what is due, print and write. ValueError for a setting that cannot be, before anything is searched."""
+        """Tune what is due, print and write. Raise ValueError if a setting is invalid, before any search."""
         from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
         specs = scenario_specs(self.scenarios, self.set, SPLIT)

@@ -1,7 +1,7 @@
 """The folders in which the machine code of kernels is kept: one file for each kernel and signature.
 
 A file's name contains a hash of all that its code depends on (``compiled``), so files of several versions and
-processes never conflict, and a file starts with the hash of its content, so a damaged one is recognised.
+processes never conflict. A file starts with the hash of its content, so a damaged one is recognised.
 """
 
 from __future__ import annotations

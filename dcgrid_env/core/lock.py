@@ -21,10 +21,10 @@ class LockedError(OSError):
 def locked(
     folder: Path, what: str, remedy: str = "give another --out, or wait until it has ended", part: str = ""
 ) -> Iterator[None]:
-    """Hold a folder for the block; nothing of the lock is left behind.
+    """Lock a folder for the block, and leave no trace of the lock behind.
 
-    The operating system keeps the lock (``filelock``), so one that a killed process held is free. Beside it stands a
-    note for those who are refused: process, host and beginning.
+    The operating system keeps the lock (``filelock``), so one that a killed process held is free. A note next to
+    it names process, host and beginning for those who are refused.
 
     Parameters
     ----------

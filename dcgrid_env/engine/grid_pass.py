@@ -1,7 +1,7 @@
-"""One pass of compiled code over the lanes of a balanced feeder, in place of one for each part of it.
+"""One compiled pass over the environments of a batch on a balanced feeder, instead of one pass for each part.
 
-A lane's loads are drawn, its agents' powers are added, its power flow is solved and its voltages are summed up while
-all of it is in the processor's cache, and lanes are spread over threads once a step. Each part is also used alone
+The pass draws an environment's loads, adds its agents' powers, solves its power flow and sums up its voltages while
+they are in the processor's cache. Environments are distributed over threads once a step. Each part is also used alone
 (``core.random.load_step``, ``powerflow.balanced.distflow_kernels``, ``voltage_figures``), with the same bits.
 """
 
@@ -91,7 +91,7 @@ def _fixed(scenario: Scenario) -> tuple[Any, ...]:
 def _draw(
     a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, noise_out, p, q,
 ):  # fmt: skip
-    """Draw the loads of the lanes from ``a`` up to ``b`` into p and q, and add the agents' powers."""
+    """Draw the loads of the environments from ``a`` up to ``b`` into p and q, and add the agents' powers."""
     n, parts = noise.shape[1], nodes.shape[2]
     load_step(
         key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed, noise_out[a:b], p, q,
@@ -110,9 +110,9 @@ def _few_lanes(
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
     over_buses, restart, per_lane, converged, sweeps,
 ):  # fmt: skip
-    """The pass over all of up to FEW lanes, without the code for blocks of them; how many have no solution.
+    """Run the pass over up to FEW environments, without the code for blocks; return how many have no solution.
 
-    One argument an array: tuples of arrays take the compiler's dispatcher several times as long to look through.
+    Each array is an argument, because the compiler's dispatcher takes several times as long for tuples of arrays.
     """
     noise_out, v_pu, p, q = over_buses[0], over_buses[1], over_buses[2], over_buses[3]
     _draw(
@@ -135,7 +135,7 @@ def _many_lanes(
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
     over_buses, restart, per_lane, converged,
 ):  # fmt: skip
-    """The pass over the lanes from ``first`` up to ``last``, in chunks; how many of them have no solution."""
+    """Run the pass over the environments ``first`` up to ``last`` in chunks; return how many have no solution."""
     n, failed = noise.shape[1], 0
     noise_out, v_pu = over_buses[0], over_buses[1]
     most, none = min(CHUNK, last - first), np.empty((0, 0))

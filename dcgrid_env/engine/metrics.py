@@ -198,7 +198,7 @@ class Series:
     def requests(self) -> list[tuple[Any, float]] | None:
         """The requests of each site's row of trace and when the episode begins among them, s; None without any.
 
-        None too where work is asked for that no request stands for, in a period of full load.
+        Also None if a period of full load asks for work without requests.
         """
         pool = trace_pool(self.scenario)
         if not (pool.requests and len(self.trace_start)) or self.scenario.full_load_s is not None:

@@ -2,7 +2,7 @@
 
 A gradient through thousands of steps in sequence is slow, because most of the time is overhead of single operations.
 Here an episode is cut into windows that are stepped together. Each begins in a state of the native environment. The
-gradient of a window by its initial state says what the end of the window before it is worth.
+gradient of a window by its initial state is the value of the final state of the window before it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class TensorWindows:
     Parameters
     ----------
     scenario
-        The scenario; its split says which episodes the seeds mean.
+        The scenario; its split defines which episodes the seeds select.
     seeds
         One episode each.
     starts

@@ -186,7 +186,7 @@ class Feeder(PerUnit, OneNodeABus):
 
     @cached_property
     def branch_names(self) -> tuple[str, ...]:
-        """What branch k is called, as in ``"branch 5-6"``: by the buses that it joins."""
+        """Names of the branches by the buses that they join, as in ``"branch 5-6"``."""
         ids = self.bus_ids
         return tuple(f"branch {ids[i]}-{bus}" for i, bus in zip(self.parent, ids[1:], strict=True))
 

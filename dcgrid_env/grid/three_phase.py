@@ -124,7 +124,7 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @cached_property
     def branch_names(self) -> tuple[str, ...]:
-        """What branch k is called: its kind and its name, as in ``"transformer xfm1"``."""
+        """Names of the branches by kind and name, as in ``"transformer xfm1"``."""
         return tuple(f"{b.kind.removeprefix('phase_')} {b.name}" for b in self._tree.branches)
 
     @cached_property

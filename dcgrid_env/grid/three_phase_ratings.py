@@ -1,7 +1,8 @@
 """Rated currents of the branches of a three-phase feeder, by the nodes that they feed.
 
-A line or switch has an ampacity. A transformer carries its rating at the rated voltage of its to-side, whose line
-currents are those of the windings behind it, but for the turns ratio; a regulator carries its own at its rated voltage.
+A line or switch has an ampacity. A transformer carries its rating at the rated voltage of its to-side. The line
+currents there are those of the windings behind it, apart from the turns ratio. A regulator carries its own rating at
+its rated voltage.
 """
 
 from __future__ import annotations

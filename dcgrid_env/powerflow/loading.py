@@ -1,12 +1,12 @@
-"""How far the current of each branch is to its rating, at the node that it feeds.
+"""Loading of each branch: its current as a share of its rating, at the node that it feeds.
 
     loading = |I| / rating          of a balanced feeder |I| = |S| / (sqrt(3) V), both at the sending end
 
-A balanced feeder has a branch to each bus but the substation; its current is that of the series impedance, without the
-charging of the line, and referred to the substation's base voltage as the rating is. On a three-phase feeder each phase
-of a line, switch or transformer counts, with its current at the to-side. A regulator counts with the larger current of
-its two sides, which differ by the ratio of its tap. Random feeders know the rating of every branch; lanes on
-several of them are taken feeder by feeder.
+A balanced feeder has a branch to each bus except the substation. Its current is that of the series impedance, without
+the charging of the line. It is referred to the substation's base voltage, as the rating is. On a three-phase feeder
+each phase of a line, switch or transformer counts, with its current at the to-side. A regulator counts with the larger
+current of its two sides, which differ by the ratio of its tap. Random feeders have a rating of every branch; rows on
+several of them are computed feeder by feeder.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def of_devices(run: Series) -> Iterator[tuple[Any, Any, range]]:
 
 
 def p_ref_kw(run: Series) -> np.ndarray:
-    """What sites were asked for in the interval that ends at each step, kW, (T + 1, n_site)."""
+    """Power asked of the sites in the interval that ends at each step, kW, (T + 1, n_site)."""
     return episode.asked_kw(run.scenario, run.trace_start, np.arange(len(run.v_pu)))
 
 

@@ -34,7 +34,7 @@ class Workload:
     site_correlation: float = number(0.0, 1.0, default=0.0)
     """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
     compute_share: float = number(0.0, 1.0, default=1.0)
-    """Compute-bound share of the work where the trace does not tell (recordings), for a law of two work classes."""
+    """Compute-bound share of the work if the trace does not define it (recordings), for a law of two work classes."""
     full_load_s: tuple[float, float] | None = None
     """Begin and end of a period of each episode in which all sites are asked for their rating at least, s; None for
     none."""

@@ -189,6 +189,6 @@ class OpenDss:
         return v_pu, float(loss) + self._core_loss_kw(v_pu), -float(power[0]), -float(power[1])
 
     def _core_loss_kw(self, v_pu: np.ndarray) -> float:
-        """What the cores draw, which are reactors to ground here: OpenDSS counts them as no loss."""
+        """Power of the cores, which are reactors to ground here: OpenDSS does not count it as a loss."""
         cores, v = self.feeder.core_legs, np.append(v_pu, 0.0)  # the last for ground, whose index is -1
         return float((cores.p_kw * np.abs((v[cores.node] - v[cores.other]) / cores.rated_pu) ** 2).sum())

@@ -100,7 +100,7 @@ def controllers(preset: str) -> dict[str, tuple[float, str]]:
 
 
 def hindsight(preset: str) -> tuple[bool, float]:
-    """Whether the best known stands in the place of hindsight on a preset, and its mean J."""
+    """Whether the best known cost replaces hindsight on a preset, and its mean J."""
     page, _, text = section(preset)
     found = BEST.search(text)
     if found is None:

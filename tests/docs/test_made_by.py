@@ -50,7 +50,7 @@ def test_commands_in_a_data_file_can_be_read(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_in_a_source_file_exist_with_their_options(path):
-    """Placeholders stand for values there, so the command and the names of its options are what is read."""
+    """Placeholders replace values there, so the test reads only the command and the names of its options."""
     text = re.sub(r'"\s*\n\s*f?"', "", path.read_text(encoding="utf-8"))
     for quoted in QUOTED.findall(text):
         words = quoted.split()

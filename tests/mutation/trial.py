@@ -87,7 +87,7 @@ def begin(copy: Path, tests: list[str], limit_s: float, cache: Path | None, *, f
     """Run tests in a copy until one fails.
 
     Kernels are cached in ``cache``, or in the user's cache folder if it is None; ``first`` keeps compiled Python too,
-    which is right for sources that stay as they are.
+    which is right for sources that do not change.
     """
     output = copy.with_name(copy.name + ".txt")
     process = _fork.Process(target=_child, args=(copy, tests, cache, output, first))

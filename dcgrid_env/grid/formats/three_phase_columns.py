@@ -27,7 +27,7 @@ _WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
 
 
 def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
-    """Whether a column of ratings says what its absence would: it is empty, all unknown, or the column that counts."""
+    """Whether a column of ratings may be left out: it is empty, all unknown, or equal to the column that counts."""
     if column not in FALLBACKS:
         return False
     values, instead = columns[column], FALLBACKS[column]

@@ -5,8 +5,8 @@
 ``loads.csv``, ``capacitors.csv`` and ``cores.csv``: a column for each of ``grid.three_phase_tables``, whose units they
 have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as kw_1, kvar_1, .. or kvar_a, .. . All files but
 buses.csv and feeder.toml may be missing; ``cores.csv`` is written where there are cores.
-What a feeder has no use for is refused by name, but for the results of a reference solution that stand beside the
-figures in published folders (``RESULTS``).
+Unused keys and columns are refused by name. The exceptions are the results of a reference solution in published
+folders (``RESULTS``).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float3
 
 @cached_on_owner
 def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
-    """What the kernels know of a feeder: see ``distflow_kernels``."""
+    """Constants of a feeder for the kernels, see ``distflow_kernels``."""
     order, parent = feeder.depth_first.order.copy(), feeder.depth_first.parent.copy()  # writable, as kernels want them
     z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
     none = np.empty(0, dtype)
@@ -66,9 +66,9 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
 
 
 def _distflow(*given: Any) -> int:
-    """Solve lanes by ``distflow_lanes``, after ``distflow_blocks`` where there are many; the number without a solution.
+    """Solve rows by ``distflow_lanes``, after ``distflow_blocks`` if there are many; return how many have no solution.
 
-    Two kernels and not one, so that a single environment does not compile what many need.
+    Two kernels, so a single environment does not compile code that only many need.
     """
     n_lanes, n = given[7].shape
     if n_lanes > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*given) == 0:

@@ -1,8 +1,8 @@
-"""Compiled DistFlow sweeps of many feeders at once: the innermost loops run over a block of lanes, as vectors.
+"""Compiled DistFlow sweeps of many feeders at once: the innermost loops run over a block of feeders, as vectors.
 
-The arithmetic is that of ``distflow_kernels``, whose conventions these kernels share, so that a lane has the same
-bits there and here. Scratch arrays are (n_bus, BLOCK) in depth-first order and per unit; ``load`` and ``flow`` are
-(n_bus, 2 BLOCK), active power in the first half of a row and reactive power in the second: one loop adds both up.
+Arithmetic and conventions are those of ``distflow_kernels``, so results have the same bits in both. Scratch arrays are
+(n_bus, BLOCK) in depth-first order and per unit. ``load`` and ``flow`` are (n_bus, 2 BLOCK): active power in the first
+half of a row and reactive power in the second, so one loop adds both up.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, 
 def distflow_blocks(
     order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out
 ):
-    """Solve all lanes in blocks; the number of those that did not settle within BLOCK_SWEEPS.
+    """Solve all rows in blocks; return the number of rows that did not settle within BLOCK_SWEEPS.
 
     Their iterations are then NOT_IN_BLOCKS.
     """

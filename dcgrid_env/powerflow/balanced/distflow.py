@@ -9,7 +9,7 @@ M. E. Baran, F. F. Wu, "Network reconfiguration in distribution systems for loss
 IEEE Trans. Power Delivery 4(2), 1989. Solved by backward sums of flow and forward sums of voltage drop; a branch
 without impedance is exact. The residual is the mismatch of the first two equations; the others hold at every sweep.
 The sweeps find the solution of high voltage for loads up to 99.997 % of the feeder's limit, and for injections that
-raise the voltage up to some 1.4 times the substation's; beyond that they may not settle, which ``converged`` tells.
+raise the voltage up to some 1.4 times the substation's. Beyond that they may not settle, see ``converged``.
 
 Shunts of the feeder draw shunt_kw v_j and inject shunt_kvar v_j at bus j, beside its load; the residual is then also
 the change of their power in the last sweep. All quantities are referred to the substation's base voltage, and only the

@@ -137,10 +137,10 @@ def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_s
 def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
 
-    ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A lane that does not settle from there
-    starts again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
-    A lane whose iterations are positive is settled already and left out; of one that is NOT_IN_BLOCKS the start is.
-    Returns the number of lanes without a solution.
+    ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A row that does not settle from there
+    is solved again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
+    A row with positive iterations has settled already and is skipped. A row with NOT_IN_BLOCKS skips its start.
+    Returns the number of rows without a solution.
     """
     n_lanes, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)

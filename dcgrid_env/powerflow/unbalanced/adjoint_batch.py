@@ -30,16 +30,16 @@ def derivatives(
     Parameters
     ----------
     feeder, given
-        What ``solve_batch`` was given.
+        Arguments of ``solve_batch``.
     solved
         Its ``restart``, and its currents, real parts first, shape (..., 2 n_node).
     weights
         Those of v_pu (..., n_node), of ``solved`` and, in a sequence, of loss, source p and source q (...); None is 0.
     converged
-        Which lanes have a solution; the others get 0.
+        Which rows have a solution; the others get 0.
     groups
-        Lanes that sweep as often as the slowest of them, as slices that cover all lanes. The figures then depend
-        neither on the number of threads nor on the width of blocks; the lanes are taken one at a time, whose code
+        Slices that cover all rows; the rows of a slice sweep as often as the slowest of them. The figures then depend
+        neither on the number of threads nor on the width of blocks. The rows are solved one at a time, with code that
         compiles in a third of the time. None for the fastest way, whose last bits depend on the number of threads.
 
     Returns
@@ -81,7 +81,7 @@ def derivatives(
 
 
 def _by_newton(feeder: ThreePhaseFeeder, lane: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
-    """Put the derivatives of a lane whose sweeps did not settle into ``out``."""
+    """Put the derivatives of a row whose sweeps did not settle into ``out``."""
     from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
 
     n = feeder.n_node

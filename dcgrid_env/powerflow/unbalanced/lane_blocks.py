@@ -144,9 +144,9 @@ def sweep_block(plan, wide, nodes, n_device, work):
 
 @compiled(inner=True)
 def _loss(plan, wide, V, J, ratio, loss):
-    """Set ``loss`` to what branches and cores lose, p.u.
+    """Set ``loss`` to the losses of branches and cores, p.u.
 
-    A branch loses Re(I^H B I), which is what goes in less what comes out, and a core what its conductance draws.
+    A branch loses Re(I^H B I), its input less its output. A core loses the draw of its conductance.
     """
     W = np.uint64(len(wide))
     for b in range(W):

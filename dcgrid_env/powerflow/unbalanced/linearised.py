@@ -84,6 +84,6 @@ def linearise(
 
 
 def _groups(n: int) -> list[slice]:
-    """Rows that sweep as often as the slowest of them: of 32, as in blocks of lanes, of each half of many rows."""
+    """Make groups of rows that sweep as often as their slowest row: 32 rows, as in blocks, of each half of many."""
     ends = [0, n] if n < 128 else [0, n // 2, n]
     return [slice(i, min(i + 32, end)) for begin, end in pairwise(ends) for i in range(begin, end, 32)]

@@ -1,13 +1,13 @@
-"""Newton's method for one three-phase power flow: what is tried where the sweep does not settle.
+"""Newton's method for one three-phase power flow, used if the sweep does not settle.
 
 Near the largest load that a feeder can carry, the sweep converges slowly or not at all. Newton's method solves the same
 equations for the voltages V of all nodes and the currents I of their branches,
 
     V_m - A V_n + B I_m = 0          I_m - (what legs, capacitors and susceptances draw at V_m) - sum of A^T I = 0
 
-from the voltages without load. It returns the solution of high voltage, which is the one that a growing load leads to:
-the determinant of the derivative changes its sign where that solution and one of low voltage meet, so its sign must be
-that without load. Where the step to the whole load fails, the load grows in smaller steps.
+from the voltages without load. It returns the solution of high voltage, to which a growing load leads. The determinant
+of the derivative changes its sign where that solution and one of low voltage meet, so its sign must be that without
+load. If the step to the whole load fails, the load grows in smaller steps.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Equations:
         return share * g * across, tuple(share * slope for slope in slopes)
 
     def shares(self, inverse: FloatArray, first: int, line: int) -> tuple[FloatArray, FloatArray]:
-        """H of the legs and u h', of p or of q, whose shares and line stand in these rows of the law."""
+        """Return H of the legs and u h', of p or of q, from the shares and the line in these rows of the law."""
         (z, i, c), (slope, offset) = self._law[first : first + 3], self._law[line : line + 2]
         _, floor, low, very_low = self._law[7:11]
         u = np.maximum(inverse, floor)
@@ -206,7 +206,7 @@ def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Any) -> FloatArray:
 
 @cached_on_owner
 def places(feeder: ThreePhaseFeeder) -> Places:
-    """Where the entries of the branches' matrices are in the equations."""
+    """Find the places of the entries of the branches' matrices in the equations."""
     first = feeder.first_node.astype(np.intp)
     size = np.diff(first)
     bus, i, j = (a.ravel() for a in np.meshgrid(np.arange(feeder.n_bus), range(3), range(3), indexing="ij"))

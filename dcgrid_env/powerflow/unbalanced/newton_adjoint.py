@@ -1,7 +1,7 @@
-"""The derivative of one solved three-phase power flow, from Newton's equations: for where the sweep's does not settle.
+"""The derivative of one solved three-phase power flow from Newton's equations, used if the sweep's does not settle.
 
-At the solution the equations F(x, inputs) = 0 of ``newton`` hold. With g the weights of x and mu the solution of
-(dF/dx)^T mu = g, the derivative of the weighted sum by an input is what it is at a fixed x, less mu^T dF/dinput.
+At the solution the equations F(x, inputs) = 0 of ``newton`` hold. Let g be the weights of x, and mu the solution of
+(dF/dx)^T mu = g. The derivative of the weighted sum by an input is its derivative at a fixed x, less mu^T dF/dinput.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Every branch is Kersting's pair of generalised matrices, V_m = A V_n - B I_m and I_n = A^T I_m (W. H. Kersting,
 "Distribution System Modeling and Analysis"), and every leg draws by its own law. Backward, the currents that all legs
 draw at the last voltages are added up towards the source; forward, the voltages follow from them. The change of the
-voltages falls by a ratio a sweep, by which what is left of the error is estimated; near a collapse the ratio nears 1.
-Where the sweeps of NumPy arrays and CPU tensors do not settle, Newton's method is tried (``newton``).
+voltages falls by a ratio in each sweep. This ratio estimates the remaining error; near a collapse it nears 1.
+If the sweeps of NumPy arrays and CPU tensors do not settle, Newton's method is tried (``newton``).
 docs/decisions/0010-three-phase.md has the derivation.
 """
 

@@ -79,7 +79,7 @@ def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, 
 
 
 def _cut(out: Any, lanes: slice) -> tuple[Any, ...]:
-    """Views of the figures of some lanes."""
+    """Views of the figures of some rows."""
     return (*(a[lanes] for a in out[:3]), out[3][:, lanes], *(a[lanes] for a in out[4:]))
 
 

@@ -50,9 +50,9 @@ def _clear(plan, work):
 
 @compiled(nogil=True)
 def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
-    """Solve what ``sweep_lanes`` solves, in blocks of lanes of width ``wide`` from their starts.
+    """Solve the same rows as ``sweep_lanes`` from their starts, in blocks of width ``wide``.
 
-    Returns the number of lanes that did not settle within BLOCK_SWEEPS, whose sweeps are then NOT_IN_BLOCKS.
+    Returns the number of rows that did not settle within BLOCK_SWEEPS; their sweeps are then NOT_IN_BLOCKS.
     """
     p_kw, q_kvar = given[0], given[1]
     tolerance_sq = tolerance_pu * tolerance_pu
@@ -109,7 +109,7 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
 
 @compiled(inner=True)
 def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
-    """Sweep one lane, alone in a block of width 1, to the tolerance; the sweeps done, and whether it settled."""
+    """Sweep one row in a block of width 1 to the tolerance; return the number of sweeps and whether it settled."""
     off, finite = work[10], True
     for b in range(len(wide)):  # no literal 0, for which the compiler would make a second version
         finite = load_lane(b, lane, plan, wide, given, nodes, n_device, work)
@@ -134,14 +134,14 @@ def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_devi
 
 @compiled(nogil=True)
 def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
-    """Solve each lane of ``given`` into the arrays of ``out``; the number of lanes without a solution.
+    """Solve each row of ``given`` into the arrays of ``out``; return the number of rows without a solution.
 
     ``given`` holds p_kw, q_kvar (lane, leg), source_pu (lane,), the regulators' ratios (lane, regulator) and the
     capacitors' states (lane, bank); ``start`` voltages (lane, 2 node), real parts first, or no rows. ``out`` holds
     v_pu (lane, node), voltages in p.u. and currents in A (lane, 2 node), loss, source power and residual (4, lane),
-    whether it converged, and sweeps (lane,). A lane that does not settle from its start starts again from no load,
-    with ``max_sweeps``. A lane whose sweeps are positive is settled already and left out; of one that is NOT_IN_BLOCKS
-    the start is.
+    whether it converged, and sweeps (lane,). A row that does not settle from its start is solved again from no load,
+    with ``max_sweeps``. A row with positive sweeps has settled already and is skipped. A row with NOT_IN_BLOCKS skips
+    its start.
     """
     p_kw, q_kvar = given[0], given[1]
     n_lanes, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]

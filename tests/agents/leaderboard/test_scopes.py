@@ -1,4 +1,4 @@
-"""Scopes of entries: what is sent, and what a controller of the package is found to use."""
+"""Scopes of entries: the data that is sent, and the data that a bundled controller uses."""
 
 import numpy as np
 import pytest

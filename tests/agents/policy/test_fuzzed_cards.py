@@ -19,7 +19,7 @@ FREE = {"version", "algorithm", "command", "training_s", "seed", "validation_J",
 
 @pytest.fixture
 def load(tmp_path):
-    """Read a copy of a bundled policy with another text for its card; a PolicyError as it is."""
+    """Read a copy of a bundled policy with another text for its card; return a PolicyError, do not raise it."""
     weights = tmp_path / f"{NAME}.safetensors"
     weights.write_bytes((FOLDER / weights.name).read_bytes())
     original = Policy.load(NAME)

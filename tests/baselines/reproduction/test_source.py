@@ -1,4 +1,4 @@
-"""What is said of the paper is what its source says."""
+"""Statements about the paper match its source."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A droop is stable and without a limit cycle, and what is not is drawn back or passed over."""
+"""A droop is stable and without a limit cycle; other gains are reduced or left out."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The cache of compiled kernels, in processes of their own: what is loaded, what is compiled again, and where it is."""
+"""The cache of compiled kernels in separate processes: which kernels are loaded or recompiled, and its folder."""
 
 import os
 import re

@@ -44,15 +44,15 @@ def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool
     allow
         Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
     trust
-        Let OpenDSS run the script as it is, without limits of time and memory. Otherwise it is looked at first: what
-        goes beyond a model's definition, or reads files that are not beneath the master file's folder, is refused.
+        Let OpenDSS run the script unchanged, without limits of time and memory. Otherwise the script is checked first.
+        Commands that go beyond a model's definition, or read files outside the master file's folder, are refused.
 
     Raises
     ------
     FeederError
-        For a command that is refused, naming file and line; for elements that cannot be represented, or that are lost
-        and not allowed, naming them; where OpenDSS crashes, or takes more than ``LONGEST_S`` or
-        ``LARGEST_MEMORY_BYTES``; where OpenDSSDirect.py is missing.
+        If a command is refused, naming file and line. If elements cannot be represented, or are lost and not
+        allowed, naming them. If OpenDSS crashes, or takes more than ``LONGEST_S`` or ``LARGEST_MEMORY_BYTES``.
+        If OpenDSSDirect.py is missing.
     """
     # The child finds modules where this process does.
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"

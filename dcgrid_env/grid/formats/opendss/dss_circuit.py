@@ -186,7 +186,7 @@ def script_of(engine: Any, master: Path) -> Script:
 
 
 def run_command(engine: Any, command: str, where: str) -> None:
-    """Run one command; FeederError, saying where it stands, for one that OpenDSS refuses."""
+    """Run one command; FeederError, naming its place in the script, if OpenDSS refuses it."""
     try:
         engine.Text.Command(command)
     except engine.DSSException as error:

@@ -23,7 +23,7 @@ _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "
 
 
 def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Joint]:
-    """The lines, switches and series reactors that can be represented; the others stand in the report."""
+    """Read the lines, switches and series reactors that can be represented, and report the others."""
     named = [("line", name) for name in circuit.names("line")]
     named += [("reactor", name) for name in circuit.names("reactor") if in_series(circuit, "reactor", name)]
     found = [_line(circuit, report, ratings, kind, name) for kind, name in named]
@@ -100,7 +100,7 @@ def rounded(value: float) -> float:
 
 
 def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: Any, b_us: Any) -> Joint:
-    """A switch in place of a line that is one, or that is open; the report says what it has lost."""
+    """Make a switch of a line that is one, or that is open, and report what is lost."""
     one = z[0, 0]
     alike = np.allclose(z, one * np.eye(len(z)), rtol=0.0, atol=1e-9 * abs(one))
     bare = alike and float(np.abs(b_us).max()) < _SWITCH_B_US

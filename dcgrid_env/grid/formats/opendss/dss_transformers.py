@@ -13,7 +13,7 @@ from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
 from dcgrid_env.grid.three_phase_tables import WINDINGS
 
 _SIZES = {"kva": 0.0, "rating_kva": 0.0}
-"""Columns of a transformer that add up where two stand beside each other."""
+"""Columns that are summed when two transformers between the same buses become one row."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Unit:
 
 
 def read_units(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Unit]:
-    """The transformers that may be represented; the others stand in the report as refused."""
+    """Read the transformers that can be represented, and report the others as refused."""
     found = []
     for name in circuit.names("transformer"):
         unit = _unit(circuit, ratings, name)

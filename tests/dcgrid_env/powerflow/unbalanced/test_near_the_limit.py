@@ -20,7 +20,7 @@ V_PU = 1e-7
 
 
 def grounded(feeder):
-    """Nodes, but for those behind a delta, where OpenDSS has no ground."""
+    """Nodes, except those behind a delta, where OpenDSS has no ground."""
     table = feeder.network.transformer
     deltas = [bus for bus, winding in zip(table.to_bus, table.connection_to, strict=True) if winding == "delta"]
     return np.array([n for n in range(3, feeder.n_node) if feeder.bus_ids[feeder.node_bus[n]] not in deltas])

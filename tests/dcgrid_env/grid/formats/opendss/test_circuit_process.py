@@ -1,4 +1,4 @@
-"""The child process that reads a circuit: what crashes or holds up OpenDSS is one error, and the child ends."""
+"""The child process that reads a circuit: it ends with one error if OpenDSS crashes or hangs."""
 
 import os
 import signal
