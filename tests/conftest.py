@@ -1,6 +1,7 @@
 """Settings of all tests."""
 
 import os
+import signal
 
 from hypothesis import settings
 
@@ -11,6 +12,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # The same examples at every run, and no limit on an example's time: a busy machine is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell starts its background commands so, and they pass it on to the commands whose interruption is tested.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 COMPILED = {"gw0": ("toy6",), "gw1": ("ieee34-3ph", "routing", "ride-through")}
 """Presets whose kernels a worker compiles before its first test where none have been: both would compile all else."""
