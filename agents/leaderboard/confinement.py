@@ -1,21 +1,20 @@
 """Confinement of a process that runs code of a submitter: Landlock and seccomp of Linux, no capabilities, and limits.
 
 The process can read Python, its packages and one empty folder, and write only to that folder. It cannot open the
-files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, start programs or open sockets.
-Decision 0029 lists the channels that remain.
+files of the verifier, its memory (``/proc``, ptrace) or its key, send it signals, start programs, open sockets, lock
+files or change their metadata. Decision 0029 lists the channels that remain.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-import resource
 import struct
 import sys
 from importlib import import_module
 from pathlib import Path
 
-from dcgrid_env.agents.leaderboard.system_calls import is_supported, refuse_system_calls
+from dcgrid_env.agents.leaderboard.system_calls import filter_system_calls, is_supported
 
 MEMORY_BYTES = 8 * 2**30
 """Largest address space; torch alone reserves some GB."""
@@ -57,33 +56,41 @@ def confine(folder: Path) -> None:
     Raises
     ------
     ConfinementError
-        Where Landlock is not available or a call fails.
+        If a part of the confinement is not available or fails; the message names the part.
     """
     number = version()
     if not number:
         raise ConfinementError("this system has no Landlock, or its processor is not x86-64")
     if len(os.listdir("/proc/self/task")) != 1:
         raise ConfinementError("it has several threads")
-    limits = {
-        resource.RLIMIT_AS: MEMORY_BYTES, resource.RLIMIT_CPU: CPU_S, resource.RLIMIT_FSIZE: FILE_BYTES,
-        resource.RLIMIT_CORE: 0,
-    }  # fmt: skip
-    for limit, value in limits.items():
-        hard = resource.getrlimit(limit)[1]
-        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
-        resource.setrlimit(limit, (value, value))
+    _limit_resources()
     libc = _libc()
     handled = next(rights for least, rights in sorted(_FILES.items(), reverse=True) if least <= number)
-    rules = _require(libc.syscall(_CREATE, struct.pack("Q", handled), ctypes.c_size_t(8), 0), "create")
+    rules = _require(libc.syscall(_CREATE, struct.pack("Q", handled), ctypes.c_size_t(8), 0), "Landlock: make rules")
     for path in _readable():
         _allow(libc, rules, path, _READ & handled)
     _allow(libc, rules, folder, handled)
     _require(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0), "no new privileges")
-    _require(libc.syscall(_RESTRICT, rules, 0), "restrict")
+    _require(libc.syscall(_RESTRICT, rules, 0), "Landlock: apply rules")
     os.close(rules)
     header = ctypes.create_string_buffer(struct.pack("II", _CAPABILITY_VERSION, 0))
-    _require(libc.capset(header, bytes(24)), "capabilities")
-    _require(refuse_system_calls(libc), "filter system calls")
+    _require(libc.capset(header, bytes(24)), "drop capabilities")
+    _require(filter_system_calls(libc), "seccomp: filter system calls")
+
+
+def _limit_resources() -> None:
+    """Set the limits of memory, processor time and files."""
+    import resource  # does not exist on Windows
+
+    limits = {"AS": MEMORY_BYTES, "CPU": CPU_S, "FSIZE": FILE_BYTES, "CORE": 0}
+    for name, value in limits.items():
+        limit = getattr(resource, f"RLIMIT_{name}")
+        hard = resource.getrlimit(limit)[1]
+        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        try:
+            resource.setrlimit(limit, (value, value))
+        except (OSError, ValueError) as error:
+            raise ConfinementError(f"resource limit RLIMIT_{name} of {value} fails: {error}") from error
 
 
 def _readable() -> list[Path]:
@@ -100,14 +107,14 @@ def _allow(libc: ctypes.CDLL, rules: int, path: Path, rights: int) -> None:
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         allowed = rights if path.is_dir() else rights & _OF_A_FILE
-        _require(libc.syscall(_ADD, rules, _BENEATH, struct.pack("=Qi", allowed, opened), 0), f"allow {path}")
+        _require(libc.syscall(_ADD, rules, _BENEATH, struct.pack("=Qi", allowed, opened), 0), f"Landlock: allow {path}")
     finally:
         os.close(opened)
 
 
-def _require(result: int, what: str) -> int:
+def _require(result: int, action: str) -> int:
     if result < 0:
-        raise ConfinementError(f"Landlock refuses ({what}: {os.strerror(ctypes.get_errno())})")
+        raise ConfinementError(f"{action} fails: {os.strerror(ctypes.get_errno())}")
     return result
 
 
