@@ -2,7 +2,7 @@
 
 `python docs/leaderboard.py ieee33-weak toy6` makes the entries of two presets and the page of all entries. The fresh
 episodes of a run begin at one seed, which is drawn after the last entry was submitted. Reports are signed with the key
-in $DCGRID_VERIFIER_KEY, by default ~/.config/dcgrid/verifier.key. A new key is made if there is none; reports with
+in $DCGRID_VERIFIER_KEY, by default ~/.config/dcgrid/verifier.key. `--new-key` makes a new one first; reports with
 another signature must then be replaced.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dcgrid_env import PRESETS
 from dcgrid_env.agents.leaderboard.page import write_page
-from dcgrid_env.agents.leaderboard.signing import make_keys
+from dcgrid_env.agents.leaderboard.signing import NEW_KEY, make_keys, private_key, private_key_file
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import draw_seed, verify
 from dcgrid_env.agents.policy.policy import SHIPPED
@@ -48,9 +48,22 @@ def submitted(scenario):
     return folders
 
 
+def require_key(is_new):
+    """Make a new key, or end with one line unless there is the one of verifier.pub."""
+    try:
+        if is_new:
+            make_keys()
+        if private_key() is None:
+            sys.exit(f"there is no key in {private_key_file()}; copy the verifier's, or make a new one with {NEW_KEY}")
+    except ValueError as error:
+        sys.exit(str(error))
+    print(f"signed with {private_key_file()}")
+
+
 if __name__ == "__main__":
-    print(f"signed with {make_keys()}")
-    made = {scenario: submitted(scenario) for scenario in sys.argv[1:] or PRESETS}
+    scenarios = [word for word in sys.argv[1:] if word != "--new-key"]
+    require_key("--new-key" in sys.argv)
+    made = {scenario: submitted(scenario) for scenario in scenarios or PRESETS}
     seed = draw_seed()
     for folders in made.values():
         for folder in folders:

@@ -9,6 +9,7 @@ import os
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.core.files import write_text
@@ -18,6 +19,8 @@ PUBLIC = Path(str(files("dcgrid_env.agents.leaderboard") / "verifier.pub"))
 """File of the verifier's public key, in hexadecimal digits."""
 KEY_VARIABLE = "DCGRID_VERIFIER_KEY"
 """Environment variable with the path of the private key."""
+NEW_KEY = "python docs/leaderboard.py --new-key"
+"""Command that makes a new pair of keys."""
 
 
 def private_key_file() -> Path:
@@ -25,24 +28,52 @@ def private_key_file() -> Path:
     return Path(os.environ.get(KEY_VARIABLE) or Path.home() / ".config" / "dcgrid" / "verifier.key")
 
 
-def make_keys(public: Path | None = None) -> Path:
-    """Make a private key unless there is one, and write its public key; the file of the private key."""
-    keys, path = _ed25519(), private_key_file()
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(keys.Ed25519PrivateKey.generate().private_bytes_raw().hex() + "\n")
-    private = keys.Ed25519PrivateKey.from_private_bytes(_read(path))
-    write_text(public or PUBLIC, private.public_key().public_bytes_raw().hex() + "\n")
+def make_keys() -> Path:
+    """Make a new private key, and write its public key to ``PUBLIC``; the file of the private key.
+
+    Reports that were signed with another key are no longer listed.
+
+    Raises
+    ------
+    SubmissionError
+        If there is a file of a private key, which is kept.
+    """
+    private, path = _ed25519().Ed25519PrivateKey.generate(), private_key_file()
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        raise SubmissionError(f"{path}: there is a key; move it away, or set {KEY_VARIABLE} to another file") from None
+    with os.fdopen(opened, "w") as file:
+        file.write(private.private_bytes_raw().hex() + "\n")
+    write_text(PUBLIC, private.public_key().public_bytes_raw().hex() + "\n")
     return path
+
+
+def private_key() -> Any:
+    """The verifier's private key; None where its file is missing.
+
+    Raises
+    ------
+    SubmissionError
+        If its public key is not the one in ``PUBLIC``.
+    """
+    path = private_key_file()
+    if not path.is_file():
+        return None
+    private = _ed25519().Ed25519PrivateKey.from_private_bytes(_read(path))
+    if private.public_key().public_bytes_raw() != _read(PUBLIC):
+        raise SubmissionError(
+            f"{path}: does not fit the public key in {PUBLIC}; set {KEY_VARIABLE} to the verifier's key, or make a "
+            f"new one with {NEW_KEY}"
+        )
+    return private
 
 
 def sign(content: bytes) -> str:
     """Signature in hexadecimal digits; empty without a private key."""
-    path = private_key_file()
-    if not path.is_file():
-        return ""
-    return _ed25519().Ed25519PrivateKey.from_private_bytes(_read(path)).sign(content).hex()
+    private = private_key()
+    return "" if private is None else private.sign(content).hex()
 
 
 def is_signed(content: bytes, signature: str) -> bool:
@@ -58,13 +89,13 @@ def is_signed(content: bytes, signature: str) -> bool:
 
 
 def _read(path: Path) -> bytes:
-    """A key; SubmissionError, naming the file, for what is none."""
+    """A key; SubmissionError, naming the file, if it contains none."""
     try:
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError) as error:
-        raise SubmissionError(f"{path}: is no key ({error}); make one with python docs/leaderboard.py") from None
+        raise SubmissionError(f"{path}: is not a key ({error}); make one with {NEW_KEY}") from None
     if len(key) != 32:
-        raise SubmissionError(f"{path}: has {len(key)} bytes, a key has 32; make one with python docs/leaderboard.py")
+        raise SubmissionError(f"{path}: has {len(key)} bytes, a key has 32; make one with {NEW_KEY}")
     return key
 
 

@@ -31,7 +31,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     sha256_of,
 )
 from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, reference, run, scenario_of, scored
-from dcgrid_env.agents.leaderboard.signing import is_signed, sign
+from dcgrid_env.agents.leaderboard.signing import is_signed, private_key, sign
 from dcgrid_env.agents.leaderboard.submitting import installed, machine, runner_of
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_json
@@ -73,6 +73,7 @@ def verify(
     """
     if fresh < 2:
         raise SubmissionError(f"fresh is {fresh}; give at least 2")
+    private_key()  # one that does not fit is refused before the episodes are run
     submission = read(folder / SUBMISSION, Submission)
     runner, scenario = checked(folder, submission, trust)
     record = _report(folder, submission, runner, scenario, draw_seed() if seed is None else seed, fresh)

@@ -6,11 +6,12 @@ import time
 from dataclasses import replace
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from dcgrid_env.agents.leaderboard import remote, verifying
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError, Verified, plain, read
 from dcgrid_env.agents.leaderboard.page import listed
-from dcgrid_env.agents.leaderboard.signing import make_keys, sign
+from dcgrid_env.agents.leaderboard.signing import make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import verify
 from dcgrid_env.cli.main import main
@@ -79,12 +80,11 @@ def test_no_field_of_a_submission_chooses_the_fresh_seeds(whole, monkeypatch):
     assert len({first, *seeds}) == 3, "the same submission gets other episodes each time"
 
 
-def test_a_report_that_was_written_by_hand_is_not_listed(whole, tmp_path, monkeypatch):
+def test_a_report_that_was_written_by_hand_is_not_listed(whole):
     honest = read(whole / "verified.json", Verified)
     forged = replace(honest, score=honest.score._replace(value=0.999))
-    monkeypatch.setenv("DCGRID_VERIFIER_KEY", str(tmp_path / "mine.key"))
-    make_keys(tmp_path / "mine.pub")  # the forger's keys
-    for signature in ("", honest.signature, sign(forged.signed_content)):
+    mine = ed25519.Ed25519PrivateKey.generate()
+    for signature in ("", honest.signature, mine.sign(forged.signed_content).hex()):
         (whole / "verified.json").write_text(json.dumps(plain(replace(forged, signature=signature))))
         with pytest.raises(SubmissionError, match="signature is not the verifier's"):
             listed(whole)
