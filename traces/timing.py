@@ -1,6 +1,5 @@
 """Time and memory to make a day of requests and of power: `python -m dcgrid_env.traces.timing`."""
 
-import resource
 import time
 from collections.abc import Iterable
 
@@ -14,6 +13,8 @@ MIB = 2.0**20
 
 def peak_mib() -> float:
     """Largest resident memory of this process so far, MiB."""
+    import resource  # does not exist on Windows
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 

@@ -11,6 +11,7 @@ import ctypes
 import os
 import struct
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def confine(folder: Path) -> None:
     libc = _libc()
     handled = next(rights for least, rights in sorted(_FILES.items(), reverse=True) if least <= number)
     rules = _require(libc.syscall(_CREATE, struct.pack("Q", handled), ctypes.c_size_t(8), 0), "Landlock: make rules")
-    for path in _readable():
+    for path in readable(sys.path):
         _allow(libc, rules, path, _READ & handled)
     _allow(libc, rules, folder, handled)
     _require(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0), "no new privileges")
@@ -93,12 +94,12 @@ def _limit_resources() -> None:
             raise ConfinementError(f"resource limit RLIMIT_{name} of {value} fails: {error}") from error
 
 
-def _readable() -> list[Path]:
-    """Python, what it imports from, and the libraries of the system."""
+def readable(import_path: Sequence[str]) -> list[Path]:
+    """Folders and files that a confined process can read: Python, its import path and the libraries of the system."""
     rooms = ("dcgrid_env", "dcgrid_env.agents", "dcgrid_env.baselines", "dcgrid_env.traces")
     packages = [place for room in rooms for place in import_module(room).__path__]
     system = ["/usr", "/lib", "/lib64", "/dev/null", "/dev/urandom"]
-    places = {sys.prefix, sys.base_prefix, *filter(None, sys.path), *packages, *system}
+    places = {sys.prefix, sys.base_prefix, *filter(None, import_path), *packages, *system}
     return [path for path in map(Path, sorted(places)) if path.exists()]
 
 

@@ -114,13 +114,13 @@ class _Server:
 
     def load(self, content: bytes) -> bytes:
         """Make the controller; a confined process is so before it sees the code."""
-        asked: Loading = pickle.loads(content)
-        if asked.code is not None:
-            os.chdir(asked.code.folder)
-            Path(CONTROLLER).write_bytes(asked.code.content)
-            if asked.code.confined:
-                confine(asked.code.folder)
-        self._controller = find_controller(asked.spec, _scenario(asked.scenario), asked.tuned)
+        loading: Loading = pickle.loads(content)
+        if loading.code is not None:
+            os.chdir(loading.code.folder)
+            Path(CONTROLLER).write_bytes(loading.code.content)
+            if loading.code.confined:
+                confine(loading.code.folder)
+        self._controller = find_controller(loading.spec, _scenario(loading.scenario), loading.tuned)
         return b""
 
     def reset(self, content: bytes) -> bytes:

@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import signal
+import site
 import socket
 import subprocess
 import sys
@@ -32,6 +33,7 @@ from dcgrid_env.agents.leaderboard.controller_process import (
     receive,
     send,
 )
+from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.agents.leaderboard.scopes import Scope
 from dcgrid_env.baselines import Controller
 from dcgrid_env.baselines.rollout import ControllerError
@@ -40,6 +42,9 @@ START_S, STEP_S = 600.0, 60.0
 """Most time for an answer, and for a step of code of a submitter, by the clock."""
 LONGEST_ERROR = 8000
 """Most bytes of an error's text."""
+LONGEST_LINE = 300
+"""Most letters of the last line that a process wrote before it ended."""
+_SINGLE_THREADED = ("OMP", "OPENBLAS", "MKL", "NUMBA", "DCGRID")
 
 
 class ProcessError(RuntimeError):
@@ -58,31 +63,20 @@ class ControllerProcess:
     def __init__(self, of_submitter: bool = False):
         self._folder = tempfile.TemporaryDirectory(prefix="dcgrid-entry-") if of_submitter else None
         self._channel, other = socket.socketpair()
-        arguments = [
-            sys.executable,
-            "-I",
-            "-m",
-            "dcgrid_env.agents.leaderboard.controller_process",
-            str(other.fileno()),
-        ]
-        threads = ("OMP", "OPENBLAS", "MKL", "NUMBA", "DCGRID")
-        environment = {f"{name}_NUM_THREADS": "1" for name in threads}
-        if self._folder is None:
-            environment |= os.environ
-        else:
-            own = self._folder.name
-            environment |= {"PATH": os.defpath, "HOME": own, "TMPDIR": own, "NUMBA_CACHE_DIR": own}
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115, closed by close()
+        module = "dcgrid_env.agents.leaderboard.controller_process"
+        folder = None if self._folder is None else self._folder.name
         with other:
             self._process = subprocess.Popen(
-                arguments, pass_fds=[other.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL, env=environment, cwd=None if self._folder is None else self._folder.name,
-                start_new_session=True,
+                [sys.executable, "-P", "-m", module, str(other.fileno())], pass_fds=[other.fileno()],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._errors,
+                env=_environment(folder), cwd=folder, start_new_session=True,
             )  # fmt: skip
 
     def load(self, spec: str, scenario: Scenario, tuned: Path, code: bytes | None, confined: bool) -> None:
         """Have it make a controller, see ``remote``."""
-        own = None if code is None or self._folder is None else Code(code, Path(self._folder.name), confined)
-        self.ask(LOAD, pickle.dumps(Loading(spec, pickle.dumps(scenario), tuned, own)))
+        submitted = None if code is None or self._folder is None else Code(code, Path(self._folder.name), confined)
+        self.ask(LOAD, pickle.dumps(Loading(spec, pickle.dumps(scenario), tuned, submitted)))
 
     def ask(self, name: bytes, content: bytes, n_bytes: int = 0) -> bytes:
         """Send a message and give the answer, of so many bytes.
@@ -108,18 +102,23 @@ class ControllerProcess:
             self.close()
             raise ProcessError(f"its process gave no answer: {error}") from None
         if answer == FAILED:
-            raise _told(content)
+            raise _reported_error(content)
         if answer != DONE or len(content) != n_bytes:
             self.close()
             raise ProcessError(f"its process sent {len(content)} bytes, expected {n_bytes}")
         return content
 
     def _ended(self) -> str:
+        """How the process ended, and the last line of its standard error."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout=5.0)  # where it ended by itself, so that its own status is reported
+            self._process.wait(timeout=5.0)  # a process that ends by itself has a status to report
+        length = os.fstat(self._errors.fileno()).st_size
+        lines = os.pread(self._errors.fileno(), LONGEST_ERROR, max(length - LONGEST_ERROR, 0)).splitlines()
         self.close()
         code = self._process.returncode
-        return f"signal {-code}" if code < 0 else f"exit status {code}"
+        ending = f"signal {-code}" if code < 0 else f"exit status {code}"
+        last = _printable(lines[-1].decode(errors="replace"))[:LONGEST_LINE] if lines else ""
+        return f"{ending}: {last}" if last else ending
 
     @property
     def runs(self) -> bool:
@@ -129,21 +128,55 @@ class ControllerProcess:
     def close(self) -> None:
         """End the process and those of its group, and delete its folder."""
         self._channel.close()
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
+        self._errors.close()
+        if self._process.returncode is None:  # afterwards its number may be that of another process
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         if self._folder is not None:
             self._folder.cleanup()
 
 
-def _told(content: bytes) -> ValueError | ProcessError:
+def require_system() -> None:
+    """SubmissionError on a system without the processes of Unix."""
+    if sys.platform == "win32":
+        raise SubmissionError("the leaderboard runs entries in processes that need Linux; use Linux, such as in WSL")
+
+
+def _environment(folder: str | None) -> dict[str, str]:
+    """Environment variables of a process: this one's, or a few for a process that runs in its own folder."""
+    environment = {f"{name}_NUM_THREADS": "1" for name in _SINGLE_THREADED}
+    if folder is None:
+        environment |= {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    else:
+        environment |= {"PATH": os.defpath, "HOME": folder, "TMPDIR": folder, "NUMBA_CACHE_DIR": folder}
+    user = {"PYTHONUSERBASE": site.getuserbase()} if site.ENABLE_USER_SITE else {"PYTHONNOUSERSITE": "1"}
+    return environment | user | {"PYTHONPATH": os.pathsep.join(import_path())}
+
+
+def import_path() -> list[str]:
+    """Python's import path, without the folders of the script and of the work, which code of a submitter may not read.
+
+    These remain where PYTHONPATH names them.
+    """
+    chosen = {os.path.abspath(path) for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path}
+    started = {os.getcwd(), str(Path(sys.argv[0]).resolve().parent)} - chosen
+    paths = dict.fromkeys(map(os.path.abspath, sys.path))
+    return [path for path in paths if path not in started and os.path.exists(path)]
+
+
+def _reported_error(content: bytes) -> ValueError | ProcessError:
     """The error that a process reports, whatever it sent."""
     try:
-        told = json.loads(content)
-        text = "".join(letter if letter.isprintable() else " " for letter in " ".join(told["text"].split()))
-        return ValueError(text) if told["refused"] is True else ProcessError(text)
+        report = json.loads(content)
+        text = _printable(report["text"])
+        return ValueError(text) if report["refused"] is True else ProcessError(text)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return ProcessError("its process reported an error that cannot be read")
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split()))
 
 
 class RemoteController:
@@ -180,8 +213,8 @@ class RemoteController:
         action = np.empty((len(observations), self._n_action))
         for process, part in self._parts:
             seen = np.ascontiguousarray(observations[:, part.seen], np.float32)
-            own = process.ask(ACT, seen.tobytes(), 8 * len(seen) * len(part.driven))
-            action[:, part.driven] = np.frombuffer(own).reshape(len(seen), len(part.driven))
+            answer = process.ask(ACT, seen.tobytes(), 8 * len(seen) * len(part.driven))
+            action[:, part.driven] = np.frombuffer(answer).reshape(len(seen), len(part.driven))
         return action
 
 

@@ -25,6 +25,7 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     plain,
     sha256_of,
 )
+from dcgrid_env.agents.leaderboard.remote import require_system
 from dcgrid_env.agents.leaderboard.running import Runner, controller_of, episodes_hash, run, scenario_of, scored
 from dcgrid_env.agents.leaderboard.scopes import Scope, measured_scope
 from dcgrid_env.agents.policy.guard import GuardedPolicy
@@ -84,6 +85,7 @@ def submit(
     ValueError
         If the entry is invalid or cannot be scored, before anything is written.
     """
+    require_system()
     check_words(name=name, paper=paper)
     entry = _entry(policy)
     if (entry.kind == CODE) != bool(scope):

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dcgrid_env import Scenario, scenario_hash
-from dcgrid_env.agents.leaderboard.confinement import version
+from dcgrid_env.agents.leaderboard.confinement import readable, version
 from dcgrid_env.agents.leaderboard.entry_files import (
     CARD,
     CODE,
@@ -30,8 +30,9 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     read,
     sha256_of,
 )
+from dcgrid_env.agents.leaderboard.remote import import_path, require_system
 from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, reference, run, scenario_of, scored
-from dcgrid_env.agents.leaderboard.signing import is_signed, private_key, sign
+from dcgrid_env.agents.leaderboard.signing import KEY_VARIABLE, is_signed, private_key, private_key_file, sign
 from dcgrid_env.agents.leaderboard.submitting import installed, machine, runner_of
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
 from dcgrid_env.core.files import write_json
@@ -71,6 +72,7 @@ def verify(
         Where a file, the scenario or the episodes are not those that were submitted, or a figure is not found again.
         A verified.json that was there stays.
     """
+    require_system()
     if fresh < 2:
         raise SubmissionError(f"fresh is {fresh}; give at least 2")
     private_key()  # one that does not fit is refused before the episodes are run
@@ -95,6 +97,7 @@ def verify_again(folder: Path, *, trust: bool = False) -> tuple[Submission, Veri
     SubmissionError
         Where ``verify`` raises it, and where a figure of the report is not found again.
     """
+    require_system()
     submission, before = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
     require_report(folder, before)
     runner, scenario = checked(folder, submission, trust)
@@ -147,6 +150,8 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, 
             f"{claimed}: policy is {submission.policy!r}, code, which this system cannot confine; verify on Linux 5.13 "
             "or newer with Landlock"
         )
+    if submission.kind == CODE:
+        _require_hidden(private_key_file())
     scenario = scenario_of(submission.scenario)
     if (own := scenario_hash(scenario)) != submission.scenario_hash:
         raise SubmissionError(
@@ -170,6 +175,15 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, 
     if (own := str(runner.scope)) != submission.scope:
         raise SubmissionError(f"{claimed}: scope is {submission.scope!r}, found {own!r}; submit again")
     return runner, scenario
+
+
+def _require_hidden(key: Path) -> None:
+    """SubmissionError if confined code could read the verifier's key."""
+    for path in readable(import_path()):
+        if key.resolve().is_relative_to(path.resolve()):
+            raise SubmissionError(
+                f"{key}: is below {path}, which code of a submitter can read; move it, and set {KEY_VARIABLE}"
+            )
 
 
 def _spec(folder: Path, submission: Submission) -> str:

@@ -216,8 +216,14 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
     changed(Path("made/submission.json"), policy="controller.py")
     assert "policy is 'controller.py', which is none of kind code" in stopped(capsys, "verify", "made", "--trust")
     Path("made/submission.json").write_text(text)
-    monkeypatch.setattr("dcgrid_env.agents.leaderboard.verifying.version", lambda: 0)
-    assert "code, which this system cannot confine" in stopped(capsys, "verify", "made", "--trust")
+    with monkeypatch.context() as patch:
+        patch.setattr("dcgrid_env.agents.leaderboard.verifying.version", lambda: 0)
+        assert "code, which this system cannot confine" in stopped(capsys, "verify", "made", "--trust")
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(tmp_path / "keys")
+        patch.setenv("DCGRID_VERIFIER_KEY", str(tmp_path / "keys" / "below" / "verifier.key"))
+        (tmp_path / "keys").mkdir()
+        assert "which code of a submitter can read; move it" in stopped(capsys, "verify", "made", "--trust")
     with Path("made/controller.py").open("a") as file:
         file.write("print('more')\n")
     assert "controller.py: sha256 is " in stopped(capsys, "verify", "made", "--trust")
