@@ -80,8 +80,13 @@ def confine(folder: Path) -> None:
 
 
 def _limit_resources() -> None:
-    """Set the limits of memory, processor time and files."""
+    """Limit memory, processor time and files; short of memory, the kernel ends this process before the verifier."""
     import resource  # does not exist on Windows
+
+    try:
+        Path("/proc/self/oom_score_adj").write_text("1000")
+    except OSError as error:
+        raise ConfinementError(f"/proc/self/oom_score_adj of 1000 fails: {error}") from error
 
     limits = {"AS": MEMORY_BYTES, "CPU": CPU_S, "FSIZE": FILE_BYTES, "CORE": 0}
     for name, value in limits.items():

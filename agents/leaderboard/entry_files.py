@@ -68,7 +68,7 @@ class Submission:
     paper: str
     """Where it is described."""
     kind: Literal["named", "file", "code"]
-    """Whether the controller is one that has a name, a policy's file, or code of the submitter's own."""
+    """Whether the controller is one that has a name, a policy's file, or the submitter's code."""
     policy: str
     """Its name, or its file within the folder, with class and arguments where it is code."""
     sha256: str
@@ -175,10 +175,12 @@ def check_card(path: Path, submission: Submission) -> None:
             f"{path}: sha256 is {card.sha256[:16]}.., that of the policy is {submission.sha256[:16]}..; give the card "
             "that was saved with it"
         )
-    said, of = card.scored, (submission.scenario_hash, SPLIT, submission.episodes)
-    if said is None or (said.scenario_hash, said.split, said.episodes) != of or submission.policy != POLICY:
+    scored = card.scored
+    if scored is None or submission.policy != POLICY:
         return  # under guard it acts otherwise than its card says
-    for name, one, other in (("J", said.J, submission.claimed.J), ("score", said.score[0], submission.score.value)):
+    if (scored.scenario_hash, scored.split, scored.episodes) != (submission.scenario_hash, SPLIT, submission.episodes):
+        return
+    for name, one, other in (("J", scored.J, submission.claimed.J), ("score", scored.score[0], submission.score.value)):
         if abs(one - other) > SCORE_TOLERANCE * max(1.0, abs(other)):
             raise SubmissionError(
                 f"{path}: scored.{name} is {one:.6g}, claimed is {other:.6g}; give a card that says what the policy "

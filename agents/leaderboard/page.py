@@ -71,8 +71,8 @@ def listed(folder: Path) -> Listed:
         "reference": reference(scenario),
     }  # fmt: skip
     for name, value in now.items():
-        if (said := getattr(record, name)) != value:
-            raise SubmissionError(f"{path}: {name} is {said}, now {value}; submit and verify again")
+        if (reported := getattr(record, name)) != value:
+            raise SubmissionError(f"{path}: {name} is {reported}, now {value}; submit and verify again")
     _, inner = split_prefix(submission.policy)
     if submission.kind == NAMED and inner not in CONTROLLER_REGISTRY:
         raise SubmissionError(f"{path}: policy is {inner!r}, which no longer ships; delete the folder")
@@ -115,9 +115,9 @@ def tables(entries: Sequence[Listed]) -> str:
         "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
     }
     parts = [
-        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 6 + "|---" * 2 + "|", *_rows(own)])
-        for title, own in groups.items()
-        if own
+        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 6 + "|---" * 2 + "|", *_rows(members)])
+        for title, members in groups.items()
+        if members
     ]
     return "\n" + "\n\n".join(parts) + "\n"
 
@@ -164,7 +164,7 @@ def _interval(low: float, high: float, decimals: int) -> str:
 
 
 def _cell(text: str) -> str:
-    """A submitter's text, which cannot break the table or bring markup of its own."""
+    """A submitter's text, which cannot break the table or add markup."""
     for sign in "\\|`*_[]<>":
         text = text.replace(sign, f"\\{sign}" if sign not in "<>" else {"<": "&lt;", ">": "&gt;"}[sign])
     return text

@@ -122,7 +122,7 @@ class ControllerProcess:
 
     @property
     def runs(self) -> bool:
-        """Whether it can be asked."""
+        """Whether it runs and can receive messages."""
         return self._process.poll() is None and self._channel.fileno() >= 0
 
     def close(self) -> None:

@@ -92,11 +92,12 @@ def run(runner: Runner, scenario: Scenario, parts: Sequence[range], name: str) -
 def _run(scenario: Scenario, seeds: range, metrics: Sequence[Mapping[str, float]]) -> Run:
     """Metrics of an entry on some episodes, and those of the tuned droop."""
     means = {key: float(np.mean([of_episode[key] for of_episode in metrics])) for key in metrics[0]}
-    own = Evaluation(scenario, tuple(seeds), np.array([of_episode["J"] for of_episode in metrics]), means)
+    evaluation = Evaluation(scenario, tuple(seeds), np.array([of_episode["J"] for of_episode in metrics]), means)
     droop = _droop(scenario, tuple(seeds))
-    gain = score(own.J, droop.J, np.zeros(len(seeds))).score  # with a cost of 0 in hindsight's place, a share of J
-    delays = own.means["delay_mean_s"], droop.means["delay_mean_s"]
-    return Run(own, droop, Figures(own.means["J"], droop.means["J"], (gain.value, gain.low, gain.high), *delays))
+    gain = score(evaluation.J, droop.J, np.zeros(len(seeds))).score  # costs of 0 in hindsight's place: a share of J
+    delays = evaluation.means["delay_mean_s"], droop.means["delay_mean_s"]
+    figures = Figures(evaluation.means["J"], droop.means["J"], (gain.value, gain.low, gain.high), *delays)
+    return Run(evaluation, droop, figures)
 
 
 @lru_cache(maxsize=4)
@@ -120,5 +121,5 @@ def episodes_hash(scenario: Scenario, episodes: int) -> str:
     n = 0 if costs is None else len(costs.seeds)
     if costs is None or not 2 <= episodes <= n or costs.missing(range(episodes)):
         raise SubmissionError(f"episodes is {episodes}; {scenario.name} has {n} published ones, give 2 to {n}")
-    own = costs.of(range(episodes))
-    return hashlib.sha256(f"{own.episode_hashes}{own.J.tolist()}".encode()).hexdigest()
+    costs = costs.of(range(episodes))
+    return hashlib.sha256(f"{costs.episode_hashes}{costs.J.tolist()}".encode()).hexdigest()

@@ -80,7 +80,7 @@ class Scope:
         """Positions in the joint observation that the process of these agents is sent."""
         withheld = {SENSITIVITIES: {"r", "x"}, TOTALS: totals(scenario)}
         hidden = {name for word, names in withheld.items() if word not in self.words for name in names}
-        names = [(agent, name) for agent, own in field_names(scenario).items() for name in own]
+        names = [(agent, name) for agent, fields in field_names(scenario).items() for name in fields]
         return np.array([i for i, (agent, name) in enumerate(names) if agent in agents and name not in hidden])
 
 
@@ -156,8 +156,8 @@ class _Trial:
         for word, (copy, seen, driven) in list(self._copies.items()):
             try:
                 with np.errstate(all="ignore"):
-                    own = np.asarray(copy.act(np.where(seen, observations, np.float32(np.nan))))
-                equal = np.allclose(own[driven], np.broadcast_to(action, own.shape)[driven], rtol=0.0, atol=EQUAL)
+                    other = np.asarray(copy.act(np.where(seen, observations, np.float32(np.nan))))
+                equal = np.allclose(other[driven], np.broadcast_to(action, other.shape)[driven], rtol=0.0, atol=EQUAL)
             except Exception:  # it cannot act on NaN
                 equal = False
             if not equal:

@@ -72,7 +72,7 @@ def submit(
     out
         Folder to be made.
     scenario
-        Preset on whose test split it is scored; the one that the policy was trained on unless given.
+        Preset on whose test split it is scored; by default the one that the policy was trained on.
     episodes
         Seeds 0, 1, .. of the test split.
     learned_on
@@ -136,7 +136,7 @@ def runner_of(
     code
         The submitter's file, where it is code, which is not run here.
     confined
-        Whether code is confined; wherever the system can, unless given.
+        Whether code is confined; by default where the system can.
     """
     if code is not None:
         before, inner = split_prefix(policy)

@@ -60,9 +60,9 @@ def verify(
     folder
         What ``submit`` wrote.
     seed
-        Seed of the first fresh episode; drawn now unless given, for several folders, by ``draw_seed``.
+        Seed of the first fresh episode; by default drawn now; for several folders, the one of ``draw_seed``.
     trust
-        Whether code of the submitter's own may run.
+        Whether the submitter's code may run.
     fresh
         Number of fresh episodes of the test split.
 
@@ -121,14 +121,14 @@ def _report(
     folder: Path, submission: Submission, runner: Runner, scenario: Scenario, first: int, fresh: int
 ) -> Verified:
     """Run an entry; SubmissionError where the claims are not found."""
-    own, new = run(runner, scenario, [range(submission.episodes), range(first, first + fresh)], submission.name)
-    reached = scored(own)
-    require_found(folder / SUBMISSION, "claimed", submission.claimed, submission.score, own.figures, reached)
+    published, new = run(runner, scenario, [range(submission.episodes), range(first, first + fresh)], submission.name)
+    reached = scored(published)
+    require_found(folder / SUBMISSION, "claimed", submission.claimed, submission.score, published.figures, reached)
     return Verified(
         format=FORMAT, submission=sha256_of(folder / SUBMISSION), policy=submission.sha256,
         scenario_hash=submission.scenario_hash, episodes_hash=submission.episodes_hash,
         reference=reference(scenario), scope=submission.scope,
-        found=own.figures, score=reached, fresh_seed=first, fresh_episodes=fresh, fresh=new.figures,
+        found=published.figures, score=reached, fresh_seed=first, fresh_episodes=fresh, fresh=new.figures,
         versions=installed(), machine=machine(),
     )  # fmt: skip
 
@@ -142,7 +142,7 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, 
     check_contents(folder, submission)
     if submission.kind == CODE and not trust:
         raise SubmissionError(
-            f"{claimed}: policy is {submission.policy!r}, code of the submitter's own; verifying runs it: read it, and "
+            f"{claimed}: policy is {submission.policy!r}, code of the submitter; verifying runs it: read it, and "
             "add --trust"
         )
     if submission.kind == CODE and not version():
@@ -153,15 +153,15 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, 
     if submission.kind == CODE:
         _require_hidden(private_key_file())
     scenario = scenario_of(submission.scenario)
-    if (own := scenario_hash(scenario)) != submission.scenario_hash:
+    if (found := scenario_hash(scenario)) != submission.scenario_hash:
         raise SubmissionError(
-            f"{claimed}: scenario_hash is {submission.scenario_hash}, that of {scenario.name} is {own} here; verify "
+            f"{claimed}: scenario_hash is {submission.scenario_hash}, that of {scenario.name} is {found} here; verify "
             f"with dcgrid-env {submission.versions.get('dcgrid-env')}, or submit again"
         )
-    if (own := episodes_hash(scenario, submission.episodes)) != submission.episodes_hash:
+    if (found := episodes_hash(scenario, submission.episodes)) != submission.episodes_hash:
         raise SubmissionError(
             f"{claimed}: episodes_hash is {submission.episodes_hash[:16]}.., that of the test seeds 0 to "
-            f"{submission.episodes - 1} is {own[:16]}..; submit again"
+            f"{submission.episodes - 1} is {found[:16]}..; submit again"
         )
     code = folder / CONTROLLER if submission.kind == CODE else None
     runner, policy = runner_of(_spec(folder, submission), scenario, submission.scope, code, confined=True)
@@ -172,8 +172,8 @@ def checked(folder: Path, submission: Submission, trust: bool) -> tuple[Runner, 
         )
     if submission.kind == FILE:
         check_card(folder / CARD, submission)
-    if (own := str(runner.scope)) != submission.scope:
-        raise SubmissionError(f"{claimed}: scope is {submission.scope!r}, found {own!r}; submit again")
+    if (measured := str(runner.scope)) != submission.scope:
+        raise SubmissionError(f"{claimed}: scope is {submission.scope!r}, found {measured!r}; submit again")
     return runner, scenario
 
 
@@ -204,10 +204,10 @@ def _spec(folder: Path, submission: Submission) -> str:
     return submission.policy if submission.kind == NAMED else f"{before}{folder / inner}"
 
 
-def require_found(path: Path, part: str, said: Figures, score: Score, found: Figures, reached: Score) -> None:
+def require_found(path: Path, part: str, expected: Figures, score: Score, found: Figures, reached: Score) -> None:
     """SubmissionError, naming the first figure of a part of a file that is not found again within the tolerances."""
     for name in ("J", "J_droop"):
-        one, other = getattr(said, name), getattr(found, name)
+        one, other = getattr(expected, name), getattr(found, name)
         if abs(one - other) > TOLERANCE * abs(other):
             raise SubmissionError(
                 f"{path}: {part}.{name} is {one:.6g}, found {other:.6g}, more than {TOLERANCE:g} of it apart; submit "
@@ -215,9 +215,10 @@ def require_found(path: Path, part: str, said: Figures, score: Score, found: Fig
             )
     figures = [(f"score.{name}", one, getattr(reached, name)) for name, one in score._asdict().items()]
     figures += [
-        (f"{part}.{name}", getattr(said, name), getattr(found, name)) for name in ("delay_mean_s", "droop_delay_mean_s")
+        (f"{part}.{name}", getattr(expected, name), getattr(found, name))
+        for name in ("delay_mean_s", "droop_delay_mean_s")
     ]
-    figures += [(f"{part}.gain", *pair) for pair in zip(said.gain, found.gain, strict=True)]
+    figures += [(f"{part}.gain", *pair) for pair in zip(expected.gain, found.gain, strict=True)]
     for name, one, other in figures:
         if abs(one - other) > SCORE_TOLERANCE * max(1.0, abs(other)):
             raise SubmissionError(

@@ -147,12 +147,12 @@ class Equations:
         return csc_matrix((values, (rows, columns)), (4 * n, 4 * n))
 
 
-def high_voltage_solution(feeder: ThreePhaseFeeder, given: tuple[Any, ...]) -> FloatArray | None:
+def high_voltage_solution(feeder: ThreePhaseFeeder, inputs: tuple[Any, ...]) -> FloatArray | None:
     """Voltages of the solution of high voltage, p.u., real parts first, (2 n_node,); None where none was found.
 
-    ``given`` is one power flow as ``solve_batch`` takes it, without leading dimensions.
+    ``inputs`` is one power flow as ``solve_batch`` takes it, without leading dimensions.
     """
-    equations = Equations(feeder, *given)
+    equations = Equations(feeder, *inputs)
     with np.errstate(all="ignore"):
         x, factors = equations.without_load()
         sign, carried, step = _sign(factors), 0.0, 1.0

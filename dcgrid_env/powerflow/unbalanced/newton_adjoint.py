@@ -19,20 +19,20 @@ from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 
 
 def derivative(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], volts: Any, amperes: Any, weights: tuple[Any, ...]
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], volts: Any, amperes: Any, weights: tuple[Any, ...]
 ) -> tuple[Any, ...]:
     """Derivatives by p_kw, q_kvar, source_pu, ratio and state of one power flow.
 
     Parameters
     ----------
-    feeder, given
-        What the power flow was given, without leading dimensions.
+    feeder, inputs
+        Inputs of the power flow, without leading dimensions.
     volts, amperes
         Its solution, p.u. and A, real parts first, (2 n_node,).
     weights
         Those of v_pu (n_node,), of ``volts`` and ``amperes``, and of loss, source p and source q (3,).
     """
-    plan, n, (_, _, _, ratio, _) = plan_of(feeder), feeder.n_node, given
+    plan, n, (_, _, _, ratio, _) = plan_of(feeder), feeder.n_node, inputs
     v, i = volts[:n] + 1j * volts[n:], (amperes[:n] + 1j * amperes[n:]) / plan.ampere
     of_magnitude, of_volts, of_amperes, (of_loss, of_p, of_q) = *weights[:3], weights[3] * PHASE_BASE_KVA
     to_v = of_magnitude * v / np.abs(v) + of_volts[:n] + 1j * of_volts[n:]
@@ -48,7 +48,7 @@ def derivative(
     np.subtract.at(in_cores, cores[:, 1], lost)
     to_v += in_cores[:n]
 
-    equations = Equations(feeder, *given)
+    equations = Equations(feeder, *inputs)
     slope = equations.at(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
     try:
         factors = splu(slope)

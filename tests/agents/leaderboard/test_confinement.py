@@ -6,10 +6,13 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 
 from dcgrid_env.agents.leaderboard import remote
+from dcgrid_env.agents.leaderboard.running import TUNED, scenario_of
 from helpers.submitted_code import acted, confines, require_refused
 
 pytestmark = confines
@@ -181,6 +184,13 @@ VERIFIER = (
 def test_confined_code_reads_and_writes_nothing_of_the_verifier(tmp_path):
     (tmp_path / "verifier.key").write_text("key")
     require_refused([attack.format(here=tmp_path, pid=os.getpid()) for attack in VERIFIER], errno.EACCES)
+
+
+def test_short_of_memory_the_kernel_ends_confined_code_before_the_verifier():
+    with closing(remote.ControllerProcess(of_submitter=True)) as process:
+        code = b"class Own:\n    def reset(self, env_info): ...\n    def act(self, observations): ..."
+        process.load("controller.py:Own", scenario_of("toy6"), TUNED, code, confined=True)
+        assert Path(f"/proc/{process._process.pid}/oom_score_adj").read_text() == "1000\n"
 
 
 def test_the_memory_of_confined_code_is_limited():
