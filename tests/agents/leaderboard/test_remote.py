@@ -50,6 +50,23 @@ try:
 except confinement.ConfinementError as error:
     print(error)
 """
+WITHOUT_SECCOMP = """
+import ctypes, struct
+from helpers.submitted_code import acted
+
+filters = [
+    (0x20, 0, 0, 0), (0x15, 0, 3, 157), (0x20, 0, 0, 16), (0x15, 0, 1, 22),  # prctl(PR_SET_SECCOMP)
+    (0x06, 0, 0, 0x50000 | 22), (0x06, 0, 0, 0x7FFF0000),  # EINVAL, as of a kernel without it; all else is allowed
+]
+program = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in filters))
+described = ctypes.create_string_buffer(struct.pack("HxxxxxxP", len(filters), ctypes.addressof(program)))
+libc = ctypes.CDLL(None)
+assert libc.prctl(38, 1, 0, 0, 0) == libc.prctl(22, 2, described, 0, 0) == 0
+try:
+    acted("open('ran', 'w')", confined=True)
+except ValueError as error:
+    print(error)
+"""
 
 
 def test_the_modules_are_imported_without_the_modules_of_unix():
@@ -84,6 +101,17 @@ def test_a_part_of_the_confinement_that_fails_is_named(call, start, message, tmp
     ended = subprocess.run(command, env=one_thread, capture_output=True, text=True, check=True)
     assert ended.stdout.count("\n") == 1
     assert re.fullmatch(message, ended.stdout.strip()), ended.stdout
+
+
+@confines
+def test_code_does_not_run_on_a_kernel_without_seccomp():
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(remote.import_path())}
+    command = [sys.executable, "-c", WITHOUT_SECCOMP]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert re.fullmatch(
+        r"controller 'controller.py:Own' fails in loading: .*seccomp: filter system calls fails: Invalid argument.*\n",
+        ended.stdout,
+    )
 
 
 @confines
