@@ -30,7 +30,6 @@ from dcgrid_env.engine.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
-from dcgrid_env.engine.end_costs import end_costs
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.joined_recorder import JoinedRecorder
@@ -38,6 +37,7 @@ from dcgrid_env.engine.metric_list import METRICS, Metric
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
 from dcgrid_env.engine.parquet_course import ParquetCourse
+from dcgrid_env.engine.reward import end_costs
 from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
 from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.info import info_arrays

@@ -16,7 +16,6 @@ from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.leaving import connected_share, leaving, supply
 from dcgrid_env.engine.parameters import Parameters, parameters
 from dcgrid_env.engine.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
-from dcgrid_env.engine.utility_limits import remembered_draws
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import (
     AnySolution,
@@ -28,6 +27,7 @@ from dcgrid_env.powerflow import (
     three_phase_nodes,
     unbalance_factor,
 )
+from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, sum_last, take_last
+from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import (
@@ -48,9 +48,6 @@ class _Group(NamedTuple):
 class _Plan(NamedTuple):
     regulators: _Group
     banks: _Group
-    moving: Array
-    """1 for a regulator, then a bank, that is not fixed, (n_regulator + n_capacitor,)."""
-    n_moving: int
 
 
 def begun(
@@ -74,7 +71,7 @@ def begun(
 def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> Equipment:
     """The equipment over the step whose devices have the given states, from what it measured at the beginning."""
     (regulators, banks), dt_s = before, scenario.dt_s
-    of_regulators, of_banks, _, _ = _plan(scenario, regulators.tap)
+    of_regulators, of_banks = _plan(scenario, regulators.tap)
     regulators = control_taps(of_regulators.settings, regulators, dt_s, of_regulators.controlled)
     if of_regulators.agents is not None:
         own = devices[of_regulators.agents]
@@ -115,33 +112,6 @@ def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None
     return Control(ratio, None, on if connected is None else on * connected)
 
 
-def mean_switching(scenario: Scenario, equipment: Equipment) -> Array:
-    """Taps and switchings of the step, the mean over what is not fixed, (lane,)."""
-    plan = _plan(scenario, equipment.regulators.tap)
-    return sum_last(_moves(equipment) * plan.moving) / max(plan.n_moving, 1)
-
-
-def mean_controlled_switching(scenario: Scenario, equipment: Equipment) -> Array:
-    """Those of the equipment that has a control of its own, over the number of all that is not fixed, (lane,)."""
-    plan = _plan(scenario, equipment.regulators.tap)
-    xp = namespace(plan.moving)
-    controlled = xp.concat((plan.regulators.controlled, plan.banks.controlled), axis=-1)
-    return sum_last(_moves(equipment) * controlled) / max(plan.n_moving, 1)
-
-
-def largest_mean_switching(scenario: Scenario) -> float:
-    """An upper bound of ``mean_switching`` in a step: every regulator from end to end, every bank switched."""
-    settings, n_bank = relay_settings(_feeder(scenario)), _feeder(scenario).n_capacitor
-    most = np.concatenate((settings.highest - settings.lowest, np.ones(n_bank)))
-    plan = _plan(scenario, most)
-    return float((most * plan.moving).sum() / max(plan.n_moving, 1))
-
-
-def _moves(equipment: Equipment) -> Array:
-    moved, switched = equipment.regulators.moved, equipment.banks.switched
-    return namespace(moved).concat((moved, switched), axis=-1)
-
-
 def _picked(group: _Group, state: Any, own: Any, name: str) -> Array:
     """A figure of all pieces, that of the agents out of the state of their group."""
     both = (getattr(state, name), getattr(own, name))
@@ -166,7 +136,6 @@ def _made(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Plan:
     feeder, like = _feeder(scenario), xp.zeros(0, dtype=dtype, device=device)
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
-    moving: list[float] = []
     for settings, deciders, kind in (
         (relay_settings(feeder), regulator_deciders, TapChangers),
         (bank_settings(feeder), capacitor_deciders, CapacitorBanks),
@@ -180,8 +149,7 @@ def _made(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Plan:
             pick[list(own.rows)] = len(decides) + np.arange(own.count)
         settings, acts = settings_like(settings, like), bool(controlled.any())
         groups.append(_Group(settings, _like(controlled, like), acts, at, xp.asarray(pick, device=device)))
-        moving += [float(decider != "fixed") for decider in decides]
-    return _Plan(groups[0], groups[1], _like(np.array(moving), like), int(sum(moving)))
+    return _Plan(*groups)
 
 
 def _feeder(scenario: Scenario) -> Any:

@@ -25,7 +25,7 @@ import numpy as np
 
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.engine.flicker import INTERVAL_S, LARGEST_DT_S, check_sampling, severity
-from dcgrid_env.engine.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
+from dcgrid_env.scenario.costs.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
 SWING_BAND_HZ = (0.1, 20.0)

@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.devices.by_parts import Combined
 from dcgrid_env.engine.flicker import FlickerByParts
 from dcgrid_env.engine.fluctuation import shows_flicker, swing_figures
-from dcgrid_env.engine.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
+from dcgrid_env.scenario.costs.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
 

@@ -76,11 +76,11 @@ import numpy as np
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.fluctuation import WorstFlicker, fluctuation, worst_flicker
 from dcgrid_env.engine.leaving import after_loss
-from dcgrid_env.engine.overload import overload_figures
 from dcgrid_env.engine.state import field_of_devices, over_arrays
 from dcgrid_env.engine.trace_pool import trace_pool
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance
+from dcgrid_env.scenario.costs.overload import overload_figures
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -32,11 +32,11 @@ from dcgrid_env.devices import Field
 from dcgrid_env.engine.connections import agent_nodes, between_agents, own_distance
 from dcgrid_env.engine.dynamics import step_kernels
 from dcgrid_env.engine.measurement import of_agents
-from dcgrid_env.engine.overload import loading_of_agents
 from dcgrid_env.engine.parameters import inverse, parameters
 from dcgrid_env.engine.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.costs.overload import loading_of_agents
 from dcgrid_env.scenario.scenario import Scenario
 
 COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")

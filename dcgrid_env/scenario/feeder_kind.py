@@ -7,9 +7,7 @@ from typing import Any
 from dcgrid_env.core.checked import FieldError, refuse
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-
-_OF_THREE_PHASES = ("unbalance", "switching")
-"""Weights of cost terms that a three-phase feeder alone has."""
+from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 
 def check_feeder_kind(scenario: Any) -> None:
@@ -22,8 +20,8 @@ def check_feeder_kind(scenario: Any) -> None:
         methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
         kind = "balanced" if balanced else "three-phase"
         raise refuse(scenario, "power_flow", f"give {methods} for the {kind} feeder {feeder.name!r}")
-    for name in _OF_THREE_PHASES:
-        weight = getattr(weights, name)
-        if balanced and weight:
+    for term in TERMS:
+        weight = getattr(weights, term.name)
+        if balanced and weight and term.needs == "three phases":
             remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
-            raise FieldError("Cost", f"weights.{name}", weight, remedy)
+            raise FieldError("Cost", f"weights.{term.name}", weight, remedy)

@@ -68,7 +68,7 @@ class UpsSite:
         most = rule.battery_s * self._site_share
         missing = CostTerm("recharge", "missing_kws", rated_kw, of_all, most, at_end=True, weight=rule.missing_weight)
         return (
-            CostTerm("trips", "tripped", one, slots, 1.0, weight=rule.trip_weight),
+            CostTerm("trips", "tripped", one, slots, 1.0, weight=rule.trip_weight, is_constraint=True),
             CostTerm("away", "away", one, slots, 1.0, weight=rule.away_weight),
             missing,
         )

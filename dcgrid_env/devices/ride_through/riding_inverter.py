@@ -31,7 +31,8 @@ def fields(rule: RideThrough, slots: int) -> tuple[Field, ...]:
 
 def cost_terms(rule: RideThrough, slots: int) -> tuple[CostTerm, ...]:
     """Trips."""
-    return (CostTerm("inverter_trips", "tripped", np.ones(slots), float(max(slots, 1)), 1.0, weight=rule.trip_weight),)
+    weight = rule.trip_weight
+    return (CostTerm("inverter_trips", "tripped", np.ones(slots), float(max(slots, 1)), 1.0, False, weight, True),)
 
 
 def step(

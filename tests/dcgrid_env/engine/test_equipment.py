@@ -10,7 +10,6 @@ from dcgrid_env import CostWeights, DcgridVectorEnv, Fault, TensorEnv, parallel_
 from dcgrid_env.devices.tap_changer.relay import direction, relay_settings, relay_volts
 from dcgrid_env.engine import dynamics, episode, observation, reward
 from dcgrid_env.engine.actions import action_layout
-from dcgrid_env.engine.equipment import largest_mean_switching
 from dcgrid_env.engine.metrics import Recorder
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.state import over_arrays
@@ -168,7 +167,6 @@ def test_switching_is_charged_to_the_team_and_to_who_moves():
     own = play(scenario.replace(reward="local"), steps=1, action=action)[1]
     free = play(scenario.replace(reward="local", cost={"weights": CostWeights()}), steps=1, action=action)[1]
     np.testing.assert_allclose((free.reward - own.reward)[0, -4:], [2.0, 0.0, 0.0, 2.0], atol=1e-9)
-    assert largest_mean_switching(scenario) == (3 * 32 + 1) / 4
     assert reward.largest_costs(scenario)._asdict()["switching"] == 2.0 * 97 / 4
 
 

@@ -10,10 +10,10 @@ from dcgrid_env import Feeder, ScenarioError, ThreePhaseFeeder, load_feeder, mak
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.engine.actions import action_layout
 from dcgrid_env.engine.observation import field_names, joint_bounds
-from dcgrid_env.engine.overload import MOST_EXCESS, mean_overload
 from dcgrid_env.engine.reward import largest_costs
 from dcgrid_env.envs.tensor import TensorEnv
 from dcgrid_env.powerflow import ThreePhaseSolution, branch_loading, distflow, rated_nodes
+from dcgrid_env.scenario.costs.overload import MOST_EXCESS, mean_overload
 from helpers.three_phase import ieee13
 
 

@@ -9,11 +9,14 @@ import torch
 
 from dcgrid_env import CostWeights, Scenario, Solution, action_layout, distflow, make_scenario
 from dcgrid_env.engine import reward
-from dcgrid_env.engine.reward import Costs, charged, largest_costs, local_costs, team_costs, total, voltage_cost
+from dcgrid_env.engine.reward import charged, largest_costs, local_costs, team_costs, terms, total
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.engine.state import State
+from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from helpers.forms import FORMS
 from helpers.states import state_of, with_fields
+
+Costs = terms(make_scenario("toy6")).kind
 
 KINDS = ("l1", "l2", "bowl", "courant_beltrami", "bump")
 EVERY = CostWeights(clock=2.0, step=50.0, loss=3.0)
@@ -49,7 +52,7 @@ def solution_with_loss(loss_kw: float) -> Solution:
     return distflow(feeder, np.zeros((1, 6)), np.zeros((1, 6)))._replace(loss_kw=np.array([loss_kw]))
 
 
-def figures(costs: Costs) -> dict[str, float]:
+def figures(costs: Any) -> dict[str, float]:
     return {name: float(np.asarray(value)[0]) for name, value in costs._asdict().items()}
 
 

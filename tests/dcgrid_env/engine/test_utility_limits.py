@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from dcgrid_env import Scenario, ScenarioError, TensorEnv, make_scenario, parallel_env, scenario_hash
-from dcgrid_env.engine.reward import largest_costs
+from dcgrid_env.engine.reward import constraint, largest_costs
 from dcgrid_env.engine.simulation import Simulation, Transition
-from dcgrid_env.engine.utility_limits import constraint, ramp_steps, sites
-from dcgrid_env.scenario.cost import LIMIT_OF
+from dcgrid_env.scenario.costs.utility_limits import ramp_steps, sites
 from helpers.forms import FORMS
 
 WEIGHTS = {"ramp_excess": 2.0, "voltage_step_excess": 3.0}
@@ -51,12 +50,12 @@ def test_what_is_charged_is_the_excess_as_a_share_of_the_limit(name, window_s, d
     course = play(scenario)
     for step in range(1, len(course)):
         for lane in (0, 1):
-            found = [float(getattr(course[step].costs, term)[lane]) for term in LIMIT_OF]
+            found = [float(getattr(course[step].costs, term)[lane]) for term in WEIGHTS]
             assert found == pytest.approx(reckoned(scenario, course, step, lane), rel=1e-9, abs=1e-12)
             parts = float(course[step].costs.violation[lane]) + sum(found)
-            assert constraint(course[step].costs)[lane] == pytest.approx(parts)
+            assert constraint(scenario, course[step].costs)[lane] == pytest.approx(parts)
             assert course[step].cost_j[lane] == pytest.approx(sum(float(term[lane]) for term in course[step].costs))
-    assert all(max(getattr(t.costs, term).max() for t in course) > 0.0 for term in LIMIT_OF)
+    assert all(max(getattr(t.costs, term).max() for t in course) > 0.0 for term in WEIGHTS)
 
 
 def test_a_ramp_over_a_window_worked_by_hand():
@@ -85,10 +84,10 @@ def test_without_a_weight_nothing_is_kept_charged_or_shown(name):
     only_limits = plain.replace(ramp_limit_kw_per_s=20.0, voltage_step_limit_pu=0.02)
     for t, other in zip(play(plain), play(only_limits), strict=True):
         assert t.costs._fields == other.costs._fields
-        assert not set(LIMIT_OF) & set(t.costs._fields)
+        assert not set(WEIGHTS) & set(t.costs._fields)
         assert other.state.p_window_kw is None
         np.testing.assert_array_equal(t.cost_j, other.cost_j)
-        assert constraint(t.costs) is t.costs.violation
+        assert constraint(plain, t.costs) is t.costs.violation
 
 
 def test_limits_show_in_the_hash_and_their_absence_does_not():
@@ -121,7 +120,7 @@ def test_largest_costs_bound_what_is_charged_and_collapse_is_charged_with_them()
     assert bound.ramp_excess == pytest.approx(2.0 * (1000.0 / 1.0 / 20.0 - 1.0))
     assert bound.voltage_step_excess == pytest.approx(3.0 * (1e4 - 1.0))
     for t in play(scenario):
-        assert all((getattr(t.costs, term) <= getattr(bound, term)).all() for term in LIMIT_OF)
+        assert all((getattr(t.costs, term) <= getattr(bound, term)).all() for term in WEIGHTS)
     lost = make_scenario(
         "toy6", p_rated_kw=25_000.0, horizon=30, ramp_limit_kw_per_s=100.0, weights={"ramp_excess": 1.0}
     )
@@ -153,12 +152,12 @@ def test_all_interfaces_charge_the_same():
         cuts = np.split(action, np.cumsum([2, 2, 2, 1, 1, 1])) if len(agents.agents) == 7 else []
         infos_of_agents = agents.step(dict(zip(agents.possible_agents, cuts, strict=True)))[4]
         done = tensors.step(torch.tensor(action[None], dtype=torch.float64))
-        for name in (*(f"cost_{term}" for term in LIMIT_OF), "cost"):
+        for name in (*(f"cost_{term}" for term in WEIGHTS), "cost"):
             assert infos[name][0] == info[name]
             assert infos_of_agents["inv_0"][name] == info[name]
-        for term in LIMIT_OF:
+        for term in WEIGHTS:
             assert float(getattr(done.costs, term)[0]) == pytest.approx(info[f"cost_{term}"], rel=1e-6, abs=1e-6)
-        assert info["cost"] == pytest.approx(info["cost_violation"] + sum(info[f"cost_{term}"] for term in LIMIT_OF))
+        assert info["cost"] == pytest.approx(info["cost_violation"] + sum(info[f"cost_{term}"] for term in WEIGHTS))
     single.close()
     many.close()
 

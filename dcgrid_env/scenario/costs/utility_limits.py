@@ -10,39 +10,41 @@ constraints in ``info["cost"]`` where they have a weight (see ``CostWeights``), 
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.engine.state import State
-from dcgrid_env.scenario.cost import LIMIT_OF
-from dcgrid_env.scenario.scenario import Scenario
 
 
 @cached_on_owner
-def ramp_steps(scenario: Scenario) -> int:
+def ramp_steps(scenario: Any) -> int:
     """Number of steps that a ramp is averaged over."""
     return 1 if scenario.ramp_window_s is None else round(scenario.ramp_window_s / scenario.dt_s)
 
 
 @cached_on_owner
-def remembered_draws(scenario: Scenario) -> int:
+def remembered_draws(scenario: Any) -> int:
     """Number of steps whose draws a state keeps, ``State.p_window_kw``; 0 where no ramp is charged."""
     return ramp_steps(scenario) if scenario.weights.ramp_excess else 0
 
 
 @cached_on_owner
-def sites(scenario: Scenario) -> slice:
+def sites(scenario: Any) -> slice:
     """Where the agents stand that are driven by the workload, one after another: one group of devices at most is."""
     of_sites = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
     at = np.flatnonzero(of_sites)
     return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
 
 
-def ramps_kw_per_s(scenario: Scenario, p_kw: Array, p_before_kw: Array) -> Array:
+@cached_on_owner
+def n_sites(scenario: Any) -> int:
+    """Number of these agents."""
+    return sites(scenario).stop - sites(scenario).start
+
+
+def ramps_kw_per_s(scenario: Any, p_kw: Array, p_before_kw: Array) -> Array:
     """Mean rise or fall of draws over the window, kW/s, from those at its end and at its beginning."""
     return namespace(p_kw).abs(p_kw - p_before_kw) / (ramp_steps(scenario) * scenario.dt_s)
 
@@ -52,15 +54,15 @@ def excess(amount: Array, limit: float) -> Array:
     return positive_part(amount / limit - 1.0)
 
 
-def ramp_excess(scenario: Scenario, state: State) -> Array:
-    """What the ramp of each site exceeds the scenario's limit by, as a share of it, (lane, n_site)."""
+def ramp_excess(scenario: Any, state: Any) -> Array:
+    """What the ramp of each site exceeds the scenario's limit by, as a share of it, (row, n_site)."""
     at, begin, limit = sites(scenario), state.p_window_kw, scenario.ramp_limit_kw_per_s
     if begin is None or limit is None:
         raise ValueError(f"scenario {scenario.name!r} charges no ramps; give ramp_limit_kw_per_s and its weight")
     return excess(ramps_kw_per_s(scenario, state.p_kw[..., at], begin[0][..., at]), limit)
 
 
-def voltage_step_excess(scenario: Scenario, v_pu: Array, v_last_pu: Array) -> Array:
+def voltage_step_excess(scenario: Any, v_pu: Array, v_last_pu: Array) -> Array:
     """What changes of voltage exceed the scenario's limit by, as a share of it, elementwise."""
     limit = scenario.voltage_step_limit_pu
     if limit is None:
@@ -68,18 +70,7 @@ def voltage_step_excess(scenario: Scenario, v_pu: Array, v_last_pu: Array) -> Ar
     return excess(namespace(v_pu).abs(v_pu - v_last_pu), limit)
 
 
-def constraint(costs: Any) -> Array:
-    """Cost that a constrained learner keeps below its budget: the violation, what is charged of limits, and trips."""
-    over_limits = _over_limits(type(costs))
-    return sum([getattr(costs, name) for name in over_limits], costs.violation) if over_limits else costs.violation
-
-
-@cache
-def _over_limits(kind: Any) -> tuple[str, ...]:
-    return tuple(name for name in (*LIMIT_OF, "overload", "trips", "inverter_trips") if name in kind._fields)
-
-
-def largest_ramp_excess(scenario: Scenario) -> float:
+def largest_ramp_excess(scenario: Any) -> float:
     """Upper bound of the excess of any site's ramp: from the most that it can give to the most that it can draw."""
     limit = scenario.ramp_limit_kw_per_s
     if limit is None:
@@ -90,7 +81,7 @@ def largest_ramp_excess(scenario: Scenario) -> float:
     return max(largest_kw / (ramp_steps(scenario) * scenario.dt_s) / limit - 1.0, 0.0)
 
 
-def largest_voltage_step_excess(scenario: Scenario) -> float:
+def largest_voltage_step_excess(scenario: Any) -> float:
     """Upper bound of the excess of a change of voltage: from end to end, as ``step`` has it."""
     limit = scenario.voltage_step_limit_pu
     return 0.0 if limit is None else max(1.0 / limit - 1.0, 0.0)

@@ -14,29 +14,27 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, positive_part, sum_last, take_at
-from dcgrid_env.engine.state import State
 from dcgrid_env.powerflow import rated_nodes
-from dcgrid_env.scenario.scenario import Scenario
 
 MOST_EXCESS = 9.0
 """Largest overload of a branch that is charged, as a share of its rating."""
 
 
-def mean_overload(scenario: Scenario, loading: Array) -> Array:
-    """Mean overload over the rated branches, (lane,), of the loading at each node, (lane, n_node)."""
+def mean_overload(scenario: Any, loading: Array) -> Array:
+    """Mean overload over the rated branches, (row,), of the loading at each node, (row, n_node)."""
     over = positive_part(loading - 1.0)
     return sum_last(MOST_EXCESS - positive_part(MOST_EXCESS - over)) / len(rated_nodes(scenario.feeder))
 
 
-def loading_of_agents(state: State, nodes: Array) -> Array:
-    """Loading of the branch that feeds each agent's bus, of its most loaded phase, (lane, n_agent)."""
+def loading_of_agents(state: Any, nodes: Array) -> Array:
+    """Loading of the branch that feeds each agent's bus, of its most loaded phase, (row, n_agent)."""
     at = take_at(state.loading, nodes)
     if at.shape[-1] == 1:
         return at[..., 0]
     return at.max(-1) if isinstance(at, np.ndarray) else at.amax(-1)
 
 
-def overload_figures(scenario: Scenario, loading: Any) -> dict[str, float]:
+def overload_figures(scenario: Any, loading: Any) -> dict[str, float]:
     """Metrics of the loading over the steps 1 .. T, (T + 1, n_node); none where it is None."""
     if loading is None:
         return {}
