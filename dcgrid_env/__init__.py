@@ -1,5 +1,6 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices import (
     DataCenters,
     Device,
@@ -33,7 +34,7 @@ from dcgrid_env.engine.connections import (
 from dcgrid_env.engine.flicker import short_term_flicker
 from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.joined_recorder import JoinedRecorder
-from dcgrid_env.engine.metric_list import METRICS, Metric
+from dcgrid_env.engine.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.metrics import Recorder, Series
 from dcgrid_env.engine.observation import field_names
 from dcgrid_env.engine.parquet_course import ParquetCourse
@@ -160,6 +161,7 @@ __all__ = [
     "lindistflow",
     "load_feeder",
     "make_scenario",
+    "metrics_in",
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",

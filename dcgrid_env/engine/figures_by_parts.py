@@ -7,33 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices.by_parts import RULES, ByParts, Combined, Rule
+from dcgrid_env.core.metric import Combined, Metric, Streaming, cost_metric
 from dcgrid_env.engine.fluctuation_by_parts import FluctuationByParts
+from dcgrid_env.engine.grid_metrics import grid_figures, phase_figures
+from dcgrid_env.engine.metric_list import METRICS
 from dcgrid_env.engine.metrics import Series
 from dcgrid_env.engine.state import over_arrays
 from dcgrid_env.scenario.scenario import Scenario
 
-OF_GRID: dict[str, Rule] = {
-    **dict.fromkeys(("J", "loss_energy_kwh", "steps", "tap_moves", "capacitor_switchings"), "sum"),
-    **dict.fromkeys(
-        (
-            "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "voltage_step_mean_pu", "loss_mean_kw",
-            "q_effort_pct", "unbalance_mean_pct", "overloaded_branch_seconds_pct",
-        ),
-        "mean",
-    ),
-    "voltage_min_pu": "min",
-    **dict.fromkeys(
-        (
-            "voltage_max_pu", "unbalance_max_pct", "nema_unbalance_max_pct", "voltage_after_loss_max_pu",
-            "loading_max_pct",
-        ),
-        "max",
-    ),
-    "power_flow_converged": "last",
-}  # fmt: skip
-"""How figures of the grid are joined; terms of the cost, ``cost_*``, add up."""
-_SQUARE = "mean square"
+_SQUARE = Metric("mean square", "mean square of |V-1|", "p.u.", 4, "lower", over_parts="mean")
 
 
 class FiguresByParts:
@@ -44,20 +26,18 @@ class FiguresByParts:
         self._grid: Combined | None = None
         self._fluctuation = FluctuationByParts(scenario)
         self._outside = np.zeros(len(scenario.feeder.load_nodes), bool)
-        self._devices: list[ByParts] = []
+        self._devices: list[Streaming] = []
 
     def add(self, part: Series) -> None:
         """Take the next steps of the episode, from the end of the part before on."""
         s, steps = self.scenario, len(part.cost_j)
-        figures = part.grid_figures() | part.phase_figures() | part.after_loss()
+        figures = grid_figures(part) | phase_figures(part) | part.after_loss()
         if self._grid is None:
-            costs: dict[str, Rule] = dict.fromkeys((f"cost_{name}" for name in part.costs), "sum")
-            squares: dict[str, Rule] = {_SQUARE: "mean"}
-            self._grid = Combined(OF_GRID | costs | squares)
+            self._grid = Combined((*METRICS.values(), *(cost_metric(name, name) for name in part.costs), _SQUARE))
             self._devices = [_of_device(device, part, i) for i, device in enumerate(s.devices)]
         std, mean = figures.pop("voltage_deviation_std_pu"), figures["voltage_deviation_mean_pu"]
         del figures["outside_buses_pct"]
-        self._grid.add(figures | {_SQUARE: std * std + mean * mean}, steps)
+        self._grid.add(figures | {_SQUARE.name: std * std + mean * mean}, steps)
         v = part.v_pu[1:, s.feeder.load_slice]
         self._outside |= (np.abs(v - 1.0) > s.band_pu).any(axis=0)
         self._fluctuation.add(part.v_pu, part.p_kw_from_reset)
@@ -70,7 +50,7 @@ class FiguresByParts:
             raise ValueError("no step has been recorded yet")
         figures = self._grid.figures()
         mean = figures["voltage_deviation_mean_pu"]
-        figures["voltage_deviation_std_pu"] = math.sqrt(max(figures.pop(_SQUARE) - mean * mean, 0.0))
+        figures["voltage_deviation_std_pu"] = math.sqrt(max(figures.pop(_SQUARE.name) - mean * mean, 0.0))
         figures["outside_buses_pct"] = 100.0 * self._outside.mean()
         figures |= self._fluctuation.figures()
         for own in self._devices:
@@ -78,12 +58,12 @@ class FiguresByParts:
         return {name: float(value) for name, value in figures.items()}
 
 
-def _of_device(device: Any, part: Series, i: int) -> ByParts:
+def _of_device(device: Any, part: Series, i: int) -> Streaming:
     """An accumulator for a device's figures: its own, rules, or its whole course where there are neither."""
     dt_s, requests = part.scenario.dt_s, part.requests() if device.input == "workload" else None
     if hasattr(device, "by_parts"):
         return device.by_parts(dt_s, requests)
-    if set(device.metrics(part.devices[i], dt_s, requests)) <= set(RULES):
+    if all(name in METRICS and METRICS[name].over_parts for name in device.metrics(part.devices[i], dt_s, requests)):
         return _ByRules(device, dt_s, requests)
     return _Whole(device, dt_s, requests)
 
@@ -93,7 +73,7 @@ class _ByRules:
 
     def __init__(self, device: Any, dt_s: float, requests: Any):
         self._metrics = lambda history: device.metrics(history, dt_s, requests)
-        self._combined = Combined()
+        self._combined = Combined(METRICS.values())
 
     def add(self, history: Any, steps: int) -> None:
         self._combined.add(self._metrics(history), steps)

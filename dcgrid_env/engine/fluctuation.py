@@ -1,20 +1,9 @@
 """How unsteady an episode was: flicker at the buses, swings and ramps of the sites, changes of the voltage.
 
-| metric | meaning |
-|---|---|
-| pst_max | largest short-term flicker Pst of any node but the substation's in 600 s, lamp of 120 V and 60 Hz (a) |
-| swing_share_max_pct | largest share of a site's swing that lies between 0.1 and 20 Hz (a, b) |
-| swing_rms_max_pct | largest root mean square of that part of a site's draw, in % of its rating (a, b) |
-| ramp_max_kw_per_s | steepest ramp of a site over the limit's window (c) |
-| ramp_excess_pct | mean over sites and steps of what ramps exceed the limit by, in % of it (c) |
-| voltage_step_max_pu | largest change of a node's voltage in a step (d) |
-| voltage_step_excess_pct | mean over nodes and steps of what those changes exceed the limit by, in % of it (d) |
-
-(a) Where steps are of at most 0.1 s and an episode lasts at least 600 s. What is left after the last full 600 s counts
-nowhere; an episode that ended before the first is taken as far as it went.
-(b) The swing is the square of the draw's difference from its mean, over frequency. A step of dt shows frequencies up to
-1 / (2 dt), so that with 0.1 s the band ends at 5 Hz.
-(c) Where the scenario has ``ramp_limit_kw_per_s``, (d) where it has ``voltage_step_limit_pu``; see ``utility_limits``.
+Flicker and swings are there where steps are of at most 0.1 s and an episode lasts at least 600 s. The time after the
+last full 600 s is left out; an episode that ended before the first counts as far as it went. A step of dt shows
+frequencies up to 1 / (2 dt), so with 0.1 s the band of swings ends at 5 Hz. Ramps are there where the scenario has
+``ramp_limit_kw_per_s``, voltage steps where it has ``voltage_step_limit_pu``; see ``utility_limits``.
 """
 
 from __future__ import annotations
@@ -24,12 +13,34 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.core.checked import FieldError
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.engine.flicker import INTERVAL_S, LARGEST_DT_S, check_sampling, severity
 from dcgrid_env.scenario.costs.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
 SWING_BAND_HZ = (0.1, 20.0)
 """Frequencies at which utilities fear swings of a load (arXiv 2508.14318)."""
+
+
+METRICS = (
+    Metric("pst_max", "largest Pst", "", 2, "lower",
+        "largest short-term flicker Pst of a node in 600 s, lamp of 120 V and 60 Hz", over_episodes="max",
+        tables=("run",)),
+    Metric("swing_share_max_pct", "swing at 0.1 to 20 Hz", "% of all swing", 1, "lower",
+        "largest share of a site's swing, the square of its draw's difference from the mean, at 0.1 to 20 Hz",
+        over_episodes="max", tables=("run",)),
+    Metric("swing_rms_max_pct", "rms swing at 0.1 to 20 Hz", "% of rating", 1, "lower",
+        "largest root mean square of that part of a site's draw, as a share of its rating", over_episodes="max"),
+    Metric("ramp_max_kw_per_s", "steepest ramp", "kW/s", 1, "lower",
+        "steepest ramp of a site over the limit's window", "max", over_episodes="max"),
+    Metric("ramp_excess_pct", "ramp excess", "% of the limit", 2, "lower",
+        "mean over sites and steps of the excess of ramps over the limit", "mean", tables=("run",)),
+    Metric("voltage_step_max_pu", "largest voltage step", "p.u.", 4, "lower",
+        "largest change of a node's voltage in a step", "max", over_episodes="max"),
+    Metric("voltage_step_excess_pct", "voltage step excess", "% of the limit", 2, "lower",
+        "mean over nodes and steps of the excess of those changes over the limit", "mean"),
+)  # fmt: skip
+"""Flicker, swings, ramps and voltage steps."""
 
 
 class WorstFlicker(NamedTuple):

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env.devices.by_parts import Combined
+from dcgrid_env.core.metric import Combined
 from dcgrid_env.engine.flicker import FlickerByParts
-from dcgrid_env.engine.fluctuation import shows_flicker, swing_figures
+from dcgrid_env.engine.fluctuation import METRICS, shows_flicker, swing_figures
 from dcgrid_env.scenario.costs.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -20,14 +20,7 @@ class FluctuationByParts:
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
-        self._combined = Combined(
-            {
-                "ramp_max_kw_per_s": "max",
-                "ramp_excess_pct": "mean",
-                "voltage_step_max_pu": "max",
-                "voltage_step_excess_pct": "mean",
-            }
-        )
+        self._combined = Combined(METRICS)
         self._before: np.ndarray | None = None
         """Draws of the sites over the window of a ramp, (ramp_steps, n_site)."""
         self._flicker = FlickerByParts(scenario.dt_s) if shows_flicker(scenario) else None

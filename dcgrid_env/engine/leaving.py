@@ -7,6 +7,7 @@ from typing import Any
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.device import may_leave
 from dcgrid_env.devices.ride_through.connection import Supply
 from dcgrid_env.engine.state import Exogenous, State
@@ -44,6 +45,14 @@ def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts
         for i, cut in enumerate(cuts)
     ]
     return namespace(like).concat(parts, axis=-1)
+
+
+METRICS = (
+    Metric("voltage_after_loss_max_pu", "highest voltage after a loss", "p.u.", 3, "lower",
+        "highest voltage of the feeder in steps with a device away; 0 if there is none", "max", over_episodes="max",
+        tables=("run",)),
+)  # fmt: skip
+"""Metrics of the grid where devices may leave it."""
 
 
 def after_loss(scenario: Scenario, histories: Sequence[Any], v_pu: Any) -> dict[str, float]:

@@ -1,27 +1,14 @@
 """What an agent observes: local figures only, unless the scenario widens the scope.
 
-Fields of an agent, in order, with unit and range; `neighbours` and `feeder` add theirs at the end:
-
-| field | who | unit | range |
-|---|---|---|---|
-| v_deviation | all | (V - 1) / band, 1 is the band's edge | -1/band .. 1/band |
-| v_change | all | V now less V one step ago, / band | the same |
-| p | all | share of the rating; an inverter's injection is negative | -1 .. boost share |
-| q | all | share of the reactive limit at zero active power, injection positive | -1 .. 1 |
-| q_limit | all | the same share | 0 .. 1 |
-| r, x | all | R_ii, X_ii: drop of the own voltage per MW and per Mvar drawn, as believed, / band | 0 .. the largest |
-| v_lowest, v_highest | all on a three-phase feeder | lowest and highest of its phases, as v_deviation | the same |
-| loading | all, if asked for | loading of the branch that feeds the bus, (*) share of its rating, true | 0 .. 4 |
-| device fields | as each device says (``Device.fields``), voltages in bands | without noise or delay | |
-| neighbour fields | `neighbours` | v_deviation, p, q of the 3 electrically nearest agents, nearest first | as above |
-| bus fields | `feeder` | v_deviation of every node but the substation's, as in node_ids | as above |
-
-* Under a clock law that tells two work classes of work apart. (*) Of the most loaded phase; 0 where it is not known.
+``FIELDS`` are those of the grid, one record each. Then come the fields of an agent's device (``Device.fields``),
+voltages among them in bands and without noise or delay. Two scopes add fields at the end: `neighbours` v_deviation, p
+and q of the 3 electrically nearest agents, nearest first; `feeder` v_deviation of every node but the substation's, as
+in node_ids.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,13 +26,108 @@ from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.costs.overload import loading_of_agents
 from dcgrid_env.scenario.scenario import Scenario
 
-COMMON = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
-BY_PHASE = ("v_lowest", "v_highest")
-"""What agents on a three-phase feeder see beside these."""
-LOADING = "loading"
-LOADING_MOST = 4.0
-"""Highest loading that an agent is shown."""
 N_NEIGHBOURS = 3
+_LARGEST_LOADING = 4.0
+
+
+class Seen(NamedTuple):
+    """What the fields of the grid are taken from."""
+
+    state: State
+    placed: Placement
+    deviation_pu: Array
+    """Measured voltage of each agent less 1, p.u., (row, n_agent)."""
+    change_pu: Array
+    """Its change over a step."""
+    phases_pu: Array | None
+    """Lowest voltages of the agents' phases, then the highest, p.u., (row, 2 n_agent); None on a balanced feeder."""
+
+
+class ObservationField(NamedTuple):
+    """A figure of the grid that every agent observes."""
+
+    name: str
+    unit: str
+    raw: Callable[[Seen], Array]
+    """The figure before scaling, (row, n_agent)."""
+    scale: Callable[[Scenario], Any]
+    """Factor of it, (n_agent,) or a number."""
+    bounds: Callable[[Scenario], tuple[float, float]]
+    """Lowest and highest value."""
+    is_observed: Callable[[Scenario], bool] = lambda _: True
+    """Whether agents of a scenario observe it."""
+
+
+def _per_band(scenario: Scenario) -> float:
+    return 1.0 / (scenario.band_pu or 1.0)
+
+
+def _band_edges(scenario: Scenario) -> tuple[float, float]:
+    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    return -edge, edge
+
+
+def _per_p(scenario: Scenario) -> Array:
+    return 1.0 / parameters(scenario, np.empty(0)).p_scale_kw
+
+
+def _per_q(scenario: Scenario) -> Array:
+    return inverse(parameters(scenario, np.empty(0)).q_scale_kvar)
+
+
+def _has_phases(scenario: Scenario) -> bool:
+    return isinstance(scenario.feeder, ThreePhaseFeeder)
+
+
+def _half(both: Any, second: bool) -> Array:
+    n = both.shape[-1] // 2
+    return both[..., n:] if second else both[..., :n]
+
+
+_IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
+FIELDS = (
+    ObservationField("v_deviation", _IN_BANDS, lambda seen: seen.deviation_pu, _per_band, _band_edges),
+    ObservationField("v_change", "change of V over a step / band", lambda seen: seen.change_pu, _per_band, _band_edges),
+    ObservationField(
+        "p", "share of the rating, an injection negative", lambda seen: seen.state.p_kw, _per_p,
+        lambda scenario: (-1.0, max(device.largest_draw_share for device in scenario.devices)),
+    ),
+    ObservationField(
+        "q", "share of the reactive limit at no active power, an injection positive", lambda seen: seen.state.q_kvar,
+        _per_q, lambda _: (-1.0, 1.0),
+    ),
+    ObservationField("q_limit", "the same share", lambda seen: seen.state.q_limit_kvar, _per_q, lambda _: (0.0, 1.0)),
+    ObservationField(
+        "r", "R_ii as believed: drop of the agent's voltage per MW drawn / band",
+        lambda seen: _half(seen.placed.distance, False), lambda _: 1.0,
+        lambda scenario: (0.0, max(_largest_distance(scenario)[0], 1e-6)),
+    ),
+    ObservationField(
+        "x", "X_ii as believed: drop of the agent's voltage per Mvar drawn / band",
+        lambda seen: _half(seen.placed.distance, True), lambda _: 1.0,
+        lambda scenario: (0.0, max(_largest_distance(scenario)[1], 1e-6)),
+    ),
+    ObservationField(
+        "v_lowest", f"{_IN_BANDS}, of the lowest phase", lambda seen: _half(seen.phases_pu, False) - 1.0, _per_band,
+        _band_edges, _has_phases,
+    ),
+    ObservationField(
+        "v_highest", f"{_IN_BANDS}, of the highest phase", lambda seen: _half(seen.phases_pu, True) - 1.0, _per_band,
+        _band_edges, _has_phases,
+    ),
+    ObservationField(
+        "loading", "loading of the branch that feeds the bus, of its most loaded phase; 0 where it is not known",
+        lambda seen: loading_of_agents(seen.state, seen.placed.nodes), lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING),
+        lambda scenario: scenario.observe_loading,
+    ),
+)  # fmt: skip
+"""Fields of the grid, in order."""
+
+
+@cached_on_owner
+def grid_fields(scenario: Scenario) -> tuple[ObservationField, ...]:
+    """The fields of the grid that agents of a scenario observe."""
+    return tuple(field for field in FIELDS if field.is_observed(scenario))
 
 
 class Placement(NamedTuple):
@@ -79,8 +161,7 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 
 def common_fields(scenario: Scenario) -> tuple[str, ...]:
     """Names of the fields that every agent observes, whatever its device, in order."""
-    by_phase = BY_PHASE if isinstance(scenario.feeder, ThreePhaseFeeder) else ()
-    return (*COMMON, *by_phase, *((LOADING,) if scenario.observe_loading else ()))
+    return tuple(field.name for field in grid_fields(scenario))
 
 
 @cached_on_owner
@@ -99,19 +180,7 @@ def _in_bands(field: Field, band_pu: float) -> Field:
 
 def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest value of each field, float32, for each agent."""
-    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
-    r, x = _largest_distance(scenario)
-    range_of = {
-        "v_deviation": (-edge, edge),
-        "v_change": (-edge, edge),
-        **dict.fromkeys(BY_PHASE, (-edge, edge)),
-        LOADING: (0.0, LOADING_MOST),
-        "p": (-1.0, max(device.largest_draw_share for device in scenario.devices)),
-        "q": (-1.0, 1.0),
-        "q_limit": (0.0, 1.0),
-        "r": (0.0, max(r, 1e-6)),
-        "x": (0.0, max(x, 1e-6)),
-    }
+    range_of = {field.name: field.bounds(scenario) for field in grid_fields(scenario)}
 
     def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
         if name in fields:
@@ -163,15 +232,9 @@ class _Layout(NamedTuple):
 @cached_on_owner
 def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
-    params = parameters(scenario, np.empty(0))
     n = scenario.n_agents
-    per_band = 1.0 / (scenario.band_pu or 1.0)
-    per_q = inverse(params.q_scale_kvar)
     near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
-    blocks = [
-        np.full(n, per_band), np.full(n, per_band), 1.0 / params.p_scale_kw, per_q, per_q, np.ones(n), np.ones(n),
-    ]  # fmt: skip
-    blocks += [np.full(n, 1.0 if name == LOADING else per_band) for name in common_fields(scenario)[len(blocks) :]]
+    blocks = [field.scale(scenario) * np.ones(n) for field in grid_fields(scenario)]
     common = len(blocks)
     for fields in device_fields(scenario):
         blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
@@ -191,7 +254,7 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     if scenario.observe == "neighbours":
         scale = np.concatenate((scale, np.ones(3 * near * n)))
     elif scenario.observe == "feeder":
-        scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), per_band)))
+        scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
     return _Layout(
         xp.asarray(scale, dtype=dtype, device=device_of), xp.asarray(np.array(column, dtype=np.int64), device=device_of)
     )
@@ -260,22 +323,21 @@ def _raw(
     """The raw figures, (lane, n_raw), and how they become the joint observation."""
     xp = namespace(state.v_pu)
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
-    v_now, by_phase = of_agents(scenario, v_measured_pu, placed.nodes)
+    v_now, phases = of_agents(scenario, v_measured_pu, placed.nodes)
     v_before, _ = of_agents(scenario, v_before_pu, placed.nodes)
-    deviation = v_now - 1.0
-    raw = [deviation, v_now - v_before, state.p_kw, state.q_kvar, state.q_limit_kvar, placed.distance]
-    if by_phase is not None:
-        raw.append(by_phase - 1.0)
-    if scenario.observe_loading:
-        raw.append(loading_of_agents(state, placed.nodes))
+    seen = Seen(state, placed, v_now - 1.0, v_now - v_before, phases)
+    raw = [field.raw(seen) for field in grid_fields(scenario)]
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])
     if scenario.observe == "neighbours":
-        per_band = 1.0 / (scenario.band_pu or 1.0)
-        trio = (deviation * per_band, state.p_kw / params.p_scale_kw, state.q_kvar * params.per_q_scale)
+        trio = (
+            seen.deviation_pu * _per_band(scenario),
+            state.p_kw / params.p_scale_kw,
+            state.q_kvar * params.per_q_scale,
+        )
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
-        raw.append(xp.concat(tuple(near), axis=-1).reshape(deviation.shape[0], -1))
+        raw.append(xp.concat(tuple(near), axis=-1).reshape(v_now.shape[0], -1))
     elif scenario.observe == "feeder":
         raw.append(v_measured_pu[:, scenario.feeder.load_slice] - 1.0)
     return xp.concat(raw, axis=-1), layout

@@ -21,6 +21,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
 from dcgrid_env.devices.datacenter.lateness_by_parts import LatenessByParts
@@ -77,6 +78,22 @@ class ServiceState(NamedTuple):
     """Work that is overdue, kW s, (lane, slot)."""
     due_next_kws: Array
     """Work that is to be served in the next step, beside what is overdue, kW s, (lane, slot)."""
+
+
+METRICS = (
+    cost_metric("late", "cost of late work"),
+    Metric("in_time_pct", "work in time", "%", 2, "higher", "share of work served within its target or deadline",
+        tables=("run",)),
+    Metric("interactive_in_time_pct", "interactive work in time", "%", 2, "higher",
+        "share of interactive work served within its target"),
+    Metric("deferrable_in_time_pct", "deferrable work in time", "%", 2, "higher",
+        "share of deferrable work served within its deadline"),
+    Metric("lateness_mean_s", "mean lateness", "s", 2, "lower",
+        "mean lateness of work, 0 where in time, weighted by work"),
+    Metric("lateness_p95_s", "95 % of work late by at most", "s", 1, "lower",
+        "lateness that 95 % of the work does not exceed", tables=("run",), short="p95 lateness, s"),
+)  # fmt: skip
+"""Metrics of sites whose work is to be served by a time."""
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.devices.by_parts import SHARE_OF, Combined
+from dcgrid_env.core.metric import Combined
 from dcgrid_env.devices.datacenter.clock_law import Dvfs
-from dcgrid_env.devices.datacenter.site_metrics import delay_figures, figures_of_requests, mean_clock_pct
+from dcgrid_env.devices.datacenter.feature_settings import METRICS as OF_FEATURES
+from dcgrid_env.devices.datacenter.site_metrics import METRICS, delay_figures, figures_of_requests, mean_clock_pct
 from dcgrid_env.devices.datacenter.waiting_by_parts import WaitingTimes
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -47,12 +48,12 @@ class SitesByParts:
     ):
         self.params, self.clock_law, self.features = params, clock_law, features
         self.latency_s, self.dt_s, self.requests = latency_s, dt_s, requests
-        self._waiting, self._combined = WaitingTimes(dt_s), Combined()
+        self._waiting, self._combined = WaitingTimes(dt_s), Combined((*METRICS, *OF_FEATURES))
         self._own = [getattr(feature, "by_parts", lambda *_: None)(params, dt_s) for feature in features]
         self._kept: dict[str, list[np.ndarray]] = {}
 
     def add(self, history: Any, steps: int) -> None:
-        """Take a part, see ``by_parts.ByParts``."""
+        """Take a part, see ``core.metric.Streaming``."""
         arrived, served = (w[1:].reshape(steps, -1) for w in (history.class_arrived_kw, history.class_served_kw))
         self._waiting.add(arrived, served)
         figures = {"clock_mean_pct": mean_clock_pct(self.params, history)}
@@ -61,7 +62,9 @@ class SitesByParts:
                 figures |= feature.metrics(self.params, history, state, self.dt_s)
             else:
                 own.add(history, state)
-        shares = {name: getattr(history, field)[1:].sum() for name, field in SHARE_OF.items() if name in figures}
+        shares = {
+            m.name: getattr(history, m.share_of)[1:].sum() for m in OF_FEATURES if m.share_of and m.name in figures
+        }
         self._combined.add(figures, steps, shares)
         if self.requests:
             for name in _OF_REQUESTS:

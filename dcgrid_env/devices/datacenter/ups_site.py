@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
-from dcgrid_env.devices.by_parts import Combined
+from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
@@ -27,6 +27,28 @@ class UpsState(NamedTuple):
 
     ups: ConnectionState
     battery: ups_battery.BatteryState
+
+
+METRICS = (
+    cost_metric("trips", "trip cost"),
+    cost_metric("away", "cost of time away"),
+    cost_metric("recharge", "cost of energy missing in UPS"),
+    Metric("ups_trips", "sites tripped", "", 1, "lower", "number of times that a site left the grid", "sum",
+        tables=("run",)),
+    Metric("ups_lost_kw", "load lost", "kW", 1, "lower", "draw of the sites that left, in all", "sum"),
+    Metric("ups_lost_step_kw", "load lost in a step", "kW", 1, "lower",
+        "draw of the sites that left in one step, the most", "max", over_episodes="max", tables=("run",)),
+    Metric("ups_away_s", "site-seconds away", "s", 1, "lower",
+        "time of sites away from the grid, a ramp by its share", "sum", tables=("run",)),
+    Metric("ups_locked_s", "site-seconds locked out", "s", 1, "lower", "time of sites locked out", "sum"),
+    Metric("ups_all_back_s", "until all are back", "s", 1, "lower",
+        "time from the first step with a site away to the last", tables=("run",)),
+    Metric("battery_work_kws", "work on battery", "kW s", 1, "neither", "work served on battery", "sum"),
+    Metric("battery_energy_kws", "energy of UPS used", "kW s", 1, "lower", "energy drawn from batteries", "sum"),
+    Metric("battery_missing_kws", "energy missing in UPS", "kW s", 1, "lower",
+        "energy missing in the batteries at the end", "last"),
+)  # fmt: skip
+"""Metrics of sites that may leave the grid."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +205,7 @@ class _UpsByParts:
 
     def __init__(self, sites: UpsSite, params: DataCenterParams, dt_s: float):
         self.sites, self.params, self.dt_s = sites, params, dt_s
-        self._combined = Combined()
+        self._combined = Combined(METRICS)
         self._steps = 0
         self._away: tuple[int, int] | None = None
         """The first and the last step with a site away."""

@@ -24,6 +24,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, number, settle
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState, kernels
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -67,6 +68,16 @@ class RoutingState(NamedTuple):
     """Work that came from elsewhere, kW."""
     work_share: Array
     """Share of all work that arrived in the step that is served here or waits here; 0 where none arrived."""
+
+
+METRICS = (
+    cost_metric("moving", "cost of moves"),
+    Metric("moved_kws", "work moved", "kW s", 1, "neither",
+        "work that was served at another site than it arrived at", "sum"),
+    Metric("moved_pct", "work moved", "% of what arrived", 1, "neither", "that work as a share of all", "mean",
+        share_of="arrived_kw", tables=("run",)),
+)  # fmt: skip
+"""Metrics of sites between which work moves."""
 
 
 @dataclass(frozen=True)

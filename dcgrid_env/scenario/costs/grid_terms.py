@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.core.metric import Table
 from dcgrid_env.scenario.costs import overload, switching, utility_limits
 
 
@@ -86,6 +87,8 @@ class GridTerm(NamedTuple):
     """Whether the term is part of ``info["cost"]``, which constrained learners keep low."""
     is_modelled: bool = False
     """Whether controllers with a model of the cost account for it: hindsight, MPC, counterfactual advantages."""
+    tables: tuple[Table, ...] = ()
+    """Tables that show its metric."""
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
@@ -170,6 +173,7 @@ TERMS = (
         largest=lambda scenario: 1.0 - scenario.band_pu,
         is_constraint=True,
         is_modelled=True,
+        tables=("benchmark",),
     ),
     GridTerm("backlog", "backlog cost", "queued work over the rated power of all sites", 0.3, is_modelled=True),
     GridTerm(

@@ -14,10 +14,20 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, positive_part, sum_last, take_at
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.powerflow import rated_nodes
 
 MOST_EXCESS = 9.0
 """Largest overload of a branch that is charged, as a share of its rating."""
+
+
+METRICS = (
+    Metric("loading_max_pct", "highest loading of a branch", "% of its rating", 1, "lower",
+        "largest current of a branch, as a share of its rating", "max", over_episodes="max"),
+    Metric("overloaded_branch_seconds_pct", "branch-seconds above the rating", "%", 2, "lower",
+        "share of rated branches (phases of a line) and steps above the rating", "mean"),
+)  # fmt: skip
+"""Metrics of loadings, on feeders that know ratings."""
 
 
 def mean_overload(scenario: Any, loading: Array) -> Array:

@@ -11,11 +11,12 @@ from dcgrid_env import PrefillDecodeDvfs, Recorder, Scenario, make_scenario
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays
 from dcgrid_env.engine import episode, metrics
 from dcgrid_env.engine.metrics import Series
-from dcgrid_env.engine.reward import Costs
+from dcgrid_env.engine.reward import terms
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows
 from helpers.forms import FORMS
 
+Costs = terms(make_scenario("toy6")).kind
 NAMES = {
     "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
     "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p50_s", "delay_p95_s",
