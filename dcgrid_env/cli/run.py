@@ -169,7 +169,7 @@ def scenario_of(cfg: Run) -> Scenario:
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
     """Where each row of the data centres' load comes from: parameters and seed, or hash, licence and citation."""
-    from dcgrid_env.engine.trace_pool import trace_pool
+    from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     return [provenance.record() for provenance in trace_pool(scenario).provenance]
 

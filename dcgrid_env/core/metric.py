@@ -1,7 +1,7 @@
 """Metrics of an episode: what each is called, how it is shown, and how the values of parts become one.
 
-A metric is declared once, next to the function that computes it. ``engine.metric_list`` collects the records; tables,
-streaming and the documentation are derived from them.
+A metric is declared once, next to the function that computes it. ``engine.cost.metric_list`` collects the records.
+Tables, streaming and the documentation are derived from them.
 """
 
 from __future__ import annotations

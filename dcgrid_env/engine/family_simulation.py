@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env.engine.given import Given
+from dcgrid_env.engine.exogenous.episode import Given
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.snapshot import Snapshot, Transition, joined, taken
 from dcgrid_env.grid.random_feeders.family import RandomFeeders

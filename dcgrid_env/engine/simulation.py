@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.arrays import all_true
-from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
-from dcgrid_env.engine.given import Given
-from dcgrid_env.engine.grid_pass import GridPass, fits
-from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.exogenous import episode, trace_pool
+from dcgrid_env.engine.exogenous.episode import Given
+from dcgrid_env.engine.physics import dynamics
+from dcgrid_env.engine.physics.grid_pass import GridPass, fits
+from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
-from dcgrid_env.engine.state import State
-from dcgrid_env.engine.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.scenario.scenario import Scenario
 
 __all__ = ["Simulation", "Snapshot", "Transition"]

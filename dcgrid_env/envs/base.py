@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from dcgrid_env.engine import actions, observation
+from dcgrid_env.engine.cost import observation
+from dcgrid_env.engine.physics import actions
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -17,7 +18,7 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.given import Given
+    from dcgrid_env.engine.exogenous.episode import Given
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 HUGE = 1000

@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.given import Given
+    from dcgrid_env.engine.exogenous.episode import Given
 
 
 def given_episodes(scenario: Scenario, num_envs: int, options: Mapping[str, Any]) -> Given | None:
@@ -25,7 +25,7 @@ def given_episodes(scenario: Scenario, num_envs: int, options: Mapping[str, Any]
     buses, begin_h = options.get("buses"), options.get("begin_h")
     if buses is None and begin_h is None:
         return None
-    from dcgrid_env.engine.given import Given  # brings the compiler with it, so not on import
+    from dcgrid_env.engine.exogenous.episode import Given  # brings the compiler with it, so not on import
 
     n_bus = scenario.feeder.n_bus
     if buses is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env.engine.reward import constraint
+from dcgrid_env.engine.cost.reward import constraint
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.core.seeds import as_seed
-from dcgrid_env.engine.actions import joint_action
+from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
 from dcgrid_env.envs.given_episodes import given_episodes
 from dcgrid_env.envs.info import InfoLevel, info_arrays
