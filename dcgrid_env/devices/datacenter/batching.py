@@ -164,5 +164,5 @@ class BatchedSites(PassesBy):
         return {}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: BatchState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.record.recorder``."""
+        """Figures of an episode, see ``core.metric``."""
         return {"batch_mean": own.batch[1:].mean() if own.batch.size else 0.0}

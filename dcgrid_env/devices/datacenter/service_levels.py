@@ -171,7 +171,7 @@ class ServedSites(PassesBy):
         return {"overdue_kws": sum_last(own.overdue_kws)}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: ServiceState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.record.recorder``."""
+        """Figures of an episode, see ``core.metric``."""
         moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
         slack = self.rule.slack(dt_s)
         share, first = self.rule.interactive_share, self.rule.order == "edf"

@@ -176,7 +176,7 @@ class SmoothedSite:
     def metrics(
         self, params: DataCenterParams, history: SiteState, own: SmoothingState, dt_s: float
     ) -> dict[str, float]:
-        """Figures of an episode, see ``engine.record.recorder``."""
+        """Figures of an episode, see ``core.metric``."""
         burnt_kws = own.burnt_kw[1:].sum() * dt_s
         drawn_kws = own.smoothed_kw[1:].sum() * dt_s
         return {

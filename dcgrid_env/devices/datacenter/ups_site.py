@@ -179,7 +179,7 @@ class UpsSite:
         }
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: UpsState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.record.recorder``."""
+        """Figures of an episode, see ``core.metric``."""
         ups, battery, full_kws = own.ups, own.battery, self._full_kws(params)
         gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1))
         lost_kw = ups.lost_kw[1:].sum(axis=1)

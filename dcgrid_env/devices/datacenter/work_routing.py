@@ -180,6 +180,6 @@ class RoutedSites(PassesBy):
         return {"moved_kw": sum_last(own.received_kw)}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: RoutingState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.record.recorder``."""
+        """Figures of an episode, see ``core.metric``."""
         moved, arrived = own.received_kw[1:].sum(), history.arrived_kw[1:].sum()
         return {"moved_kws": moved * dt_s, "moved_pct": 100.0 * moved / arrived if arrived > 0.0 else 0.0}

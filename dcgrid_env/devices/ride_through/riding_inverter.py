@@ -71,6 +71,6 @@ def totals(state: RidingInverterState) -> dict[str, Array]:
 
 
 def metrics(history: RidingInverterState, dt_s: float) -> dict[str, float]:
-    """Figures of an episode, see ``engine.record.recorder``."""
+    """Figures of an episode, see ``core.metric``."""
     own = history.connection
     return {"inverter_trips": own.tripped[1:].sum(), "inverter_away_s": (1.0 - own.share[1:]).sum() * dt_s}

@@ -19,7 +19,7 @@ VOLTAGES = (
     Metric("J", "J", "", 4, "lower", "cost of the episode; its terms ``cost_*`` add up to it", "sum",
         tables=("run", "evaluate", "check")),
     Metric("voltage_deviation_mean_pu", "mean |V-1|", "p.u.", 4, "lower",
-        "mean |V - 1| of the nodes but the substation's, steps 1 .. T; a node is a bus or a phase of one", "mean",
+        "mean abs(V - 1) of the nodes but the substation's, steps 1 .. T; a node is a bus or a phase of one", "mean",
         tables=("run", "evaluate", "benchmark", "check")),
     Metric("voltage_deviation_std_pu", "std of |V-1|", "p.u.", 4, "lower", "standard deviation of the same",
         tables=("run",)),
@@ -33,7 +33,7 @@ VOLTAGES = (
     Metric("voltage_max_pu", "highest voltage", "p.u.", 3, "neither", "highest voltage of those nodes and steps",
         "max", over_episodes="max", tables=("run", "check")),
     Metric("voltage_step_mean_pu", "1-step voltage change", "1e-3 p.u.", 2, "lower",
-        "mean |V_t - V_{t-1}| of those nodes, over one step", "mean", tables=("run",), scale=1000.0),
+        "mean abs(V_t - V_{t-1}) of those nodes, over one step", "mean", tables=("run",), scale=1000.0),
 )  # fmt: skip
 """Cost and voltages."""
 
@@ -42,7 +42,7 @@ FLOW = (
     Metric("loss_mean_kw", "mean loss", "kW", 1, "lower",
         "mean loss of the feeder: branches, and cores of three-phase transformers", "mean", tables=("run",)),
     Metric("loss_energy_kwh", "energy lost", "kWh", 2, "lower", "energy of that loss", "sum"),
-    Metric("q_effort_pct", "effort", "% of rating", 1, "lower", "mean |q| as a share of the apparent-power rating",
+    Metric("q_effort_pct", "effort", "% of rating", 1, "lower", "mean abs(q) as a share of the apparent-power rating",
         "mean", tables=("evaluate", "benchmark")),
 )  # fmt: skip
 """Losses and reactive power."""
@@ -50,7 +50,7 @@ FLOW = (
 
 PHASES = (
     Metric("unbalance_mean_pct", "mean voltage unbalance", "%", 2, "lower",
-        "mean voltage unbalance factor |V2| / |V1| of three-phase buses over the steps 1 .. T", "mean"),
+        "mean voltage unbalance factor abs(V2 / V1) of three-phase buses over the steps 1 .. T", "mean"),
     Metric("unbalance_max_pct", "highest voltage unbalance", "%", 2, "lower",
         "largest voltage unbalance factor of a three-phase bus", "max", over_episodes="max"),
     Metric("nema_unbalance_max_pct", "highest NEMA unbalance", "%", 2, "lower", "largest unbalance by NEMA MG 1",

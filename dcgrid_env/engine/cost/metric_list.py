@@ -1,4 +1,9 @@
-"""Every metric of an episode. The records stand next to what computes them."""
+"""Every metric of an episode. The records stand next to what computes them.
+
+Metrics of requests are over those that arrived in the episode at any site; all are 0 if none did. Metrics of storage,
+of devices that may leave the grid, of smoothing, routing, batching and service levels are there where a scenario has
+such. Names that begin with ``site_`` are of storage behind the converters of data centres.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +28,9 @@ _METRICS = (
     *grid_metrics.AFTER_LOSS,
     *fluctuation.METRICS,
     *grid_metrics.END,
+)
+__doc__ += "\n| metric | meaning |\n|---|---|\n" + "".join(
+    f"| {metric.name} | {metric.meaning} |\n" for metric in _METRICS
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _METRICS}
 """Every metric of an episode by its name."""
