@@ -14,14 +14,19 @@ VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
 RewardScope = Literal["shared", "local"]
 
 
-_Weights: Any = namedtuple("CostWeights", [term.name for term in TERMS], defaults=[term.weight for term in TERMS])
+_BY_DEFAULT_FIRST = sorted(TERMS, key=lambda term: term.weight == 0.0)
+_Weights: Any = namedtuple(
+    "CostWeights", [term.name for term in _BY_DEFAULT_FIRST], defaults=[term.weight for term in _BY_DEFAULT_FIRST]
+)
 
 
 class CostWeights(_Weights):
     """Weights of the cost terms. A term at weight 0 is not charged and is 0 in ``info``."""
 
     __slots__ = ()
-    __doc__ += "\n\n" + "\n".join(f"- ``{term.name}``, by default {term.weight:g}: {term.meaning}" for term in TERMS)
+    __doc__ += "\n\n" + "\n".join(
+        f"- ``{term.name}``, by default {term.weight:g}: {term.meaning}" for term in _BY_DEFAULT_FIRST
+    )
 
     @property
     def unmodelled(self) -> tuple[str, ...]:

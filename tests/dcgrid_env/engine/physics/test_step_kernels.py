@@ -1,5 +1,7 @@
 """Compiled kernels of a step give the bits of the array forms that tensors go through."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from dcgrid_env.engine.physics import step_kernels
 from dcgrid_env.engine.physics.dynamics import _net_loads
 from dcgrid_env.engine.physics.state import Exogenous
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
+from dcgrid_env.scenario.costs.grid_terms import Step, voltage_cost
 from dcgrid_env.scenario.presets import make_scenario
 
 RNG = np.random.default_rng(0)
@@ -20,11 +23,16 @@ V_PU = RNG.normal(1.0, 0.06, (5, 33))
 def test_sums_over_voltages(kind):
     scenario = make_scenario("ieee33", voltage_cost=kind)
     judged = reward.terms(scenario).judged
-    sums = reward._voltage_sums(scenario, V_PU, judged, voltage_figures(V_PU, judged.start, scenario.band_pu))
+    figures = voltage_figures(V_PU, judged.start, scenario.band_pu)
+
+    def step(v_pu, figures=None):
+        return Step(scenario, SimpleNamespace(v_pu=v_pu), None, None, judged, V_PU.shape[1] - 1, 1, figures)
+
+    sums = step(V_PU, figures).voltage_sums
     deviation = np.abs(V_PU[:, judged] - 1.0)
-    np.testing.assert_array_equal(sums[0], reward.voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
+    np.testing.assert_array_equal(sums[0], voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
     np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.band_pu, 0.0).sum(-1))
-    tensors = reward._voltage_sums(scenario, torch.tensor(V_PU), judged, None)
+    tensors = step(torch.tensor(V_PU)).voltage_sums
     for ours, theirs in zip(sums, tensors, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-14)
 
