@@ -36,8 +36,8 @@ from dcgrid_env.engine.physics.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.record.episode_record import JoinedRecorder, Recorder, Series
 from dcgrid_env.engine.record.parquet import ParquetCourse
-from dcgrid_env.engine.record.recorder import JoinedRecorder, Recorder, Series
 from dcgrid_env.engine.record.streaming import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
 from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.info import info_arrays

@@ -14,7 +14,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from dcgrid_env.engine.physics.state import ThreePhaseState
-    from dcgrid_env.engine.record.recorder import Series
+    from dcgrid_env.engine.record.episode_record import Series
     from dcgrid_env.engine.simulation import Snapshot
 
 

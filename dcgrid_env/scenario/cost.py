@@ -24,8 +24,11 @@ class CostWeights(_Weights):
     """Weights of the cost terms. A term at weight 0 is not charged and is 0 in ``info``."""
 
     __slots__ = ()
-    __doc__ += "\n\n" + "\n".join(
-        f"- ``{term.name}``, by default {term.weight:g}: {term.meaning}" for term in _BY_DEFAULT_FIRST
+    __doc__ = "\n".join(
+        (
+            f"{__doc__}\n",
+            *(f"- ``{term.name}``, by default {term.weight:g}: {term.meaning}" for term in _BY_DEFAULT_FIRST),
+        )
     )
 
     @property

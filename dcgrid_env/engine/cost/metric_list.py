@@ -29,9 +29,8 @@ _METRICS = (
     *fluctuation.METRICS,
     *grid_metrics.END,
 )
-__doc__ += "\n| metric | meaning |\n|---|---|\n" + "".join(
-    f"| {metric.name} | {metric.meaning} |\n" for metric in _METRICS
-)
+_ROWS = "".join(f"| {metric.name} | {metric.meaning} |\n" for metric in _METRICS)
+__doc__ = f"{__doc__}\n| metric | meaning |\n|---|---|\n{_ROWS}"
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _METRICS}
 """Every metric of an episode by its name."""
 

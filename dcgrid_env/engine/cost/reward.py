@@ -44,8 +44,8 @@ def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, fig
     """
     t, step = terms(scenario), _step(scenario, state, solution, figures)
     costs = [none := 0.0 * solution.loss_kw] * len(t.kind._fields)
-    for at, amount, count, weight in t.of_grid:
-        costs[at] = amount(step) * (weight / count(step))
+    for at, amount, divisor, weight in t.of_grid:
+        costs[at] = amount(step) * (weight / divisor(step))
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, step.params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -64,7 +64,7 @@ def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) ->
     for term, weight in charged_terms(scenario):
         at = t.kind._fields.index(term.name)
         if term.of_agents is None:
-            costs[at] = none + (term.amount(step) * (weight / term.count(step)))[..., None]
+            costs[at] = none + (term.amount(step) * (weight / term.divisor(step)))[..., None]
         else:
             costs[at] = term.of_agents(step) * weight
     for i, term, weight, at in t.charged:
@@ -82,7 +82,7 @@ class Terms(NamedTuple):
     kind: Any
     """A named tuple with the terms of the grid that the scenario has, and then those of its devices."""
     of_grid: tuple[tuple[int, Any, Any, float], ...]
-    """Place, amount, count and weight of the grid's terms that have a weight."""
+    """Place, amount, divisor and weight of the grid's terms that have a weight."""
     charged: tuple[tuple[int, CostTerm, float, int], ...]
     """Position of the device, term, weight and place among the terms, of those that have a weight; by amount."""
     shares: tuple[tuple[int, str, float, tuple[tuple[float, bool, int], ...]], ...]
@@ -117,7 +117,7 @@ def terms(scenario: Scenario) -> Terms:
     n_converters = sum(device.count for device in scenario.devices if not is_equipment(device))
     return Terms(
         _costs(names),
-        tuple((place(term.name), term.amount, term.count, weight) for term, weight in charged_terms(scenario)),
+        tuple((place(term.name), term.amount, term.divisor, weight) for term, weight in charged_terms(scenario)),
         charged,
         shares,
         tuple(place(name) for name in names if name in constraints),

@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work
-from dcgrid_env.engine.exogenous.events import drawn_faults, drawn_sags, sags_in_interval
+from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.exogenous.load_noise import base_legs, drawn_loads, load_noise
 from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.engine.physics import connections

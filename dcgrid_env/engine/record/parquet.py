@@ -15,7 +15,7 @@ import numpy as np
 from dcgrid_env.core.files import clear_parts, whole
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.engine.physics.dynamics import device_slices
-from dcgrid_env.engine.record.recorder import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.scenario import Scenario
 

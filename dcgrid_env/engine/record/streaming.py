@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from dcgrid_env.engine.physics.state import over_arrays
-from dcgrid_env.engine.record.recorder import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.metric import Table
-from dcgrid_env.scenario.costs import overload, switching, utility_limits
+from dcgrid_env.scenario.costs import equipment_moves, overload, utility_limits
 
 
 @dataclass(eq=False)
@@ -59,7 +59,7 @@ def _one(_: Any) -> float:
 class GridTerm(NamedTuple):
     """A term of the cost.
 
-    A step is charged ``amount * weight / count`` for the team.
+    A step is charged ``amount * weight / divisor`` for the team.
     """
 
     name: str
@@ -71,12 +71,12 @@ class GridTerm(NamedTuple):
     """Default of the weight."""
     amount: Callable[[Step], Array] | None = None
     """Amount of the whole grid, (row,); None for a term of which devices bring the amounts."""
-    count: Callable[[Step], float] = _one
+    divisor: Callable[[Step], float] = _one
     """Number that the amount is a sum over."""
     of_agents: Callable[[Step], Array] | None = None
     """Amount of each agent, (row, n_agent); None where every agent is charged the team's term."""
     largest: Callable[[Any], float] = _one
-    """Upper bound of ``amount / count`` on a scenario, charged when the power flow has no solution."""
+    """Upper bound of ``amount / divisor`` on a scenario, charged when the power flow has no solution."""
     needs: Literal["", "three phases", "ratings"] = ""
     """What a feeder must have for the term."""
     limit: str = ""
@@ -156,7 +156,7 @@ TERMS = (
         "mean voltage cost of the nodes, |V - 1| unless the scenario has another form",
         100.0,
         amount=lambda step: step.voltage_sums[0],
-        count=_nodes,
+        divisor=_nodes,
         of_agents=lambda step: voltage_cost(step.scenario.voltage_cost, _agents_deviation(step), step.scenario.band_pu),
         # The deviation at which every form of the voltage cost is largest is 1.
         largest=lambda scenario: float(voltage_cost(scenario.voltage_cost, np.ones(1), scenario.band_pu)[0]),
@@ -168,7 +168,7 @@ TERMS = (
         "mean excess of |V - 1| over the band",
         1000.0,
         amount=lambda step: step.voltage_sums[1],
-        count=_nodes,
+        divisor=_nodes,
         of_agents=lambda step: positive_part(_agents_deviation(step) - step.scenario.band_pu),
         largest=lambda scenario: 1.0 - scenario.band_pu,
         is_constraint=True,
@@ -182,7 +182,7 @@ TERMS = (
         "mean |q| over the apparent-power rating of the converters",
         0.02,
         amount=lambda step: sum_last(_effort(step)),
-        count=lambda step: step.n_converters,
+        divisor=lambda step: step.n_converters,
         of_agents=_effort,
         is_modelled=True,
     ),
@@ -192,7 +192,7 @@ TERMS = (
         "voltage step cost",
         "mean |V_t - V_{t-1}|",
         amount=lambda step: sum_last(_change(*step.voltages_pu)),
-        count=_nodes,
+        divisor=_nodes,
         of_agents=lambda step: _change(step.state.v_agent_pu, step.state.v_agent_last_pu),
     ),
     GridTerm(
@@ -200,7 +200,7 @@ TERMS = (
         "loss cost",
         "loss of the feeder as a share of its base load and the data centres' ratings",
         amount=lambda step: step.solution.loss_kw,
-        count=lambda step: step.params.p_all_kw,
+        divisor=lambda step: step.params.p_all_kw,
         # A feeder at its limit loses about as much as it delivers.
         largest=lambda scenario: 2.0 * max(device.largest_draw_share for device in scenario.devices),
     ),
@@ -216,9 +216,9 @@ TERMS = (
         "switching",
         "switching cost",
         "mean number of tap moves and switchings of the regulators and capacitor banks that are not fixed",
-        amount=lambda step: switching.mean_switching(step.scenario, step.state.three_phase.equipment),
-        of_agents=lambda step: switching.switching_of_agents(step.scenario, step.state),
-        largest=switching.largest_switching,
+        amount=lambda step: equipment_moves.mean_switching(step.scenario, step.state.three_phase.equipment),
+        of_agents=lambda step: equipment_moves.switching_of_agents(step.scenario, step.state),
+        largest=equipment_moves.largest_switching,
         needs="three phases",
     ),
     GridTerm(
@@ -226,7 +226,7 @@ TERMS = (
         "ramp excess cost",
         "mean over sites of the excess of ramps over ``ramp_limit_kw_per_s``, as a share of that limit",
         amount=lambda step: sum_last(utility_limits.ramp_excess(step.scenario, step.state)),
-        count=lambda step: utility_limits.n_sites(step.scenario),
+        divisor=lambda step: utility_limits.n_sites(step.scenario),
         of_agents=_ramps_of_agents,
         largest=utility_limits.largest_ramp_excess,
         limit="ramp_limit_kw_per_s",
@@ -238,7 +238,7 @@ TERMS = (
         "voltage step excess cost",
         "mean over nodes of the excess of voltage changes over ``voltage_step_limit_pu``, as a share of that limit",
         amount=lambda step: sum_last(utility_limits.voltage_step_excess(step.scenario, *step.voltages_pu)),
-        count=_nodes,
+        divisor=_nodes,
         of_agents=lambda step: utility_limits.voltage_step_excess(
             step.scenario, step.state.v_agent_pu, step.state.v_agent_last_pu
         ),

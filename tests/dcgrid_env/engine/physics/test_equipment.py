@@ -13,7 +13,7 @@ from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.physics import dynamics
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.state import over_arrays
-from dcgrid_env.engine.record.recorder import Recorder
+from dcgrid_env.engine.record.episode_record import Recorder
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.powerflow import Control, solve_unbalanced
 from helpers.three_phase import SCENARIOS, ieee13

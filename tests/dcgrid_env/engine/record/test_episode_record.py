@@ -12,7 +12,7 @@ from dcgrid_env.devices.datacenter.request_delay import RequestDelays
 from dcgrid_env.engine.cost.reward import terms
 from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.record import recorder as metrics
-from dcgrid_env.engine.record.recorder import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows
 from helpers.forms import FORMS
