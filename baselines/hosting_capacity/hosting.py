@@ -19,7 +19,7 @@ from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, searc
 from dcgrid_env.baselines.hosting_capacity.study_controller import study_controller
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
 from dcgrid_env.baselines.laws.no_control import NoControl
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 from dcgrid_env.traces import PowerTrace

@@ -127,7 +127,7 @@ class ModelController(LocalController):
         self._backlog_kws: np.ndarray | None = None
 
     def place(self, buses: np.ndarray) -> None:
-        """See :class:`Placed`."""
+        """See :class:`NeedsPlacement`."""
         self._slopes = slopes(self.scenario, np.asarray(buses)[:, self._equipment.is_other])
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:

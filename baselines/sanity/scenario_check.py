@@ -32,7 +32,7 @@ from dcgrid_env.baselines.sanity.verdicts import (
     verdicts,
 )
 from dcgrid_env.baselines.score import saved_pct
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Lost, Place, Unit
 
 SECONDS = 40.0

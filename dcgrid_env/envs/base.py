@@ -18,7 +18,7 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.exogenous.episode import Given
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 HUGE = 1000
@@ -132,7 +132,7 @@ class BaseEnvironment:
         seeds: list[int | None],
         rng: np.random.Generator,
         mask: np.ndarray | None = None,
-        given: Given | None = None,
+        given: EpisodeOptions | None = None,
     ) -> Transition:
         """Begin episodes; where there was never a seed one is drawn."""
         if not self._simulation.begun:

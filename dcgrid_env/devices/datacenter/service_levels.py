@@ -24,8 +24,8 @@ from dcgrid_env.core.checked import FieldError, check_fields, choice, number, re
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
-from dcgrid_env.devices.datacenter.lateness_by_parts import LatenessByParts
 from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState, kernels
+from dcgrid_env.devices.datacenter.streaming_lateness import StreamingLateness
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -177,7 +177,7 @@ class ServedSites(PassesBy):
         share, first = self.rule.interactive_share, self.rule.order == "edf"
         return lateness(history.arrived_kw[1:], moved[1:], history.served_kw[1:], slack, share, first, dt_s)
 
-    def by_parts(self, params: DataCenterParams, dt_s: float) -> _LatenessOfSites:
+    def streaming(self, params: DataCenterParams, dt_s: float) -> _LatenessOfSites:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
         return _LatenessOfSites(self, dt_s)
 
@@ -188,7 +188,7 @@ class _LatenessOfSites:
     def __init__(self, sites: ServedSites, dt_s: float):
         self.moves_late = sites.moves_late
         rule = sites.rule
-        self._late = LatenessByParts(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
+        self._late = StreamingLateness(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
 
     def add(self, history: SiteState, own: ServiceState) -> None:
         """Take a part."""

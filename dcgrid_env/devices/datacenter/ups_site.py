@@ -195,12 +195,12 @@ class UpsSite:
             "battery_missing_kws": np.maximum(full_kws - battery.stored_kws[-1], 0.0).sum(),
         }
 
-    def by_parts(self, params: DataCenterParams, dt_s: float) -> _UpsByParts:
+    def streaming(self, params: DataCenterParams, dt_s: float) -> _StreamingUps:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
-        return _UpsByParts(self, params, dt_s)
+        return _StreamingUps(self, params, dt_s)
 
 
-class _UpsByParts:
+class _StreamingUps:
     """Accumulates the figures of ``UpsSite`` over a course that comes in parts."""
 
     def __init__(self, sites: UpsSite, params: DataCenterParams, dt_s: float):

@@ -129,7 +129,7 @@ def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_s
     return out.reshape(intervals, *v_pu.shape[1:])
 
 
-class FlickerByParts:
+class StreamingFlicker:
     """Pst of voltages that come in parts, with no more than those of one interval kept.
 
     Parameters

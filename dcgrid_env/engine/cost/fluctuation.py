@@ -14,7 +14,7 @@ import numpy as np
 
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.core.metric import Combined, Metric
-from dcgrid_env.engine.cost.flicker import INTERVAL_S, LARGEST_DT_S, FlickerByParts, check_sampling, severity
+from dcgrid_env.engine.cost.flicker import INTERVAL_S, LARGEST_DT_S, StreamingFlicker, check_sampling, severity
 from dcgrid_env.scenario.costs.utility_limits import excess, ramp_steps, ramps_kw_per_s, sites, voltage_step_excess
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -145,7 +145,7 @@ def fluctuation(scenario: Scenario, v_pu: np.ndarray, p_kw: np.ndarray) -> dict[
     return figures
 
 
-class FluctuationByParts:
+class StreamingFluctuation:
     """Accumulates the figures of ``fluctuation.fluctuation``."""
 
     def __init__(self, scenario: Scenario):
@@ -153,7 +153,7 @@ class FluctuationByParts:
         self._combined = Combined(METRICS)
         self._before: np.ndarray | None = None
         """Draws of the sites over the window of a ramp, (ramp_steps, n_site)."""
-        self._flicker = FlickerByParts(scenario.dt_s) if shows_flicker(scenario) else None
+        self._flicker = StreamingFlicker(scenario.dt_s) if shows_flicker(scenario) else None
         self._draws: list[np.ndarray] = []
 
     def add(self, v_pu: np.ndarray, p_kw: np.ndarray) -> None:

@@ -24,7 +24,7 @@ from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
 _ROUNDING_S = 1e-9
 
 
-class Given(NamedTuple):
+class EpisodeOptions(NamedTuple):
     """What of an episode is set from outside rather than drawn; None is drawn."""
 
     buses: np.ndarray | None = None
@@ -66,13 +66,13 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
         pool.make(episode.start // pool.p_share.shape[1])
 
 
-def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Given | None = None) -> Episode:
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
     """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
 
     The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
     nothing else that is drawn, but for windows of requests that follow the hour.
     """
-    given = given or Given()
+    given = given or EpisodeOptions()
     salt = np.uint64(zlib.crc32(scenario.split.encode()))
     key = random.keys(salt, seeds, numbers)
     buses = _buses(scenario, key) if given.buses is None else given.buses

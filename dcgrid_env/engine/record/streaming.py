@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 import math
 
 from dcgrid_env.core.metric import Combined, Metric, Streaming, cost_metric
-from dcgrid_env.engine.cost.fluctuation import FluctuationByParts
+from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
 from dcgrid_env.engine.cost.grid_metrics import grid_figures, phase_figures
 from dcgrid_env.engine.cost.metric_list import METRICS
 
@@ -78,7 +78,7 @@ class StreamingRecorder:
         self._part_length = np.zeros(lanes, dtype=np.int64)
         self._over = np.zeros(lanes, dtype=bool)
         self._costs = np.zeros(lanes)
-        self._figures = [FiguresByParts(scenario) for _ in range(lanes)]
+        self._figures = [StreamingMetrics(scenario) for _ in range(lanes)]
 
     def add(self, transition: Transition) -> None:
         """Take a step's transition; a lane whose episode has ended before is not counted further."""
@@ -144,13 +144,13 @@ def _size(transition: Transition) -> tuple[int, int]:
 _SQUARE = Metric("mean square", "mean square of |V-1|", "p.u.", 4, "lower", over_parts="mean")
 
 
-class FiguresByParts:
+class StreamingMetrics:
     """Accumulates the figures of one lane's episode."""
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
         self._grid: Combined | None = None
-        self._fluctuation = FluctuationByParts(scenario)
+        self._fluctuation = StreamingFluctuation(scenario)
         self._outside = np.zeros(len(scenario.feeder.load_nodes), bool)
         self._devices: list[Streaming] = []
 
@@ -187,14 +187,14 @@ class FiguresByParts:
 def _of_device(device: Any, part: Series, i: int) -> Streaming:
     """An accumulator for a device's figures: its own, rules, or its whole course where there are neither."""
     dt_s, requests = part.scenario.dt_s, part.requests() if device.input == "workload" else None
-    if hasattr(device, "by_parts"):
-        return device.by_parts(dt_s, requests)
+    if hasattr(device, "streaming"):
+        return device.streaming(dt_s, requests)
     if all(name in METRICS and METRICS[name].over_parts for name in device.metrics(part.devices[i], dt_s, requests)):
-        return _ByRules(device, dt_s, requests)
+        return _Combined(device, dt_s, requests)
     return _Whole(device, dt_s, requests)
 
 
-class _ByRules:
+class _Combined:
     """Figures that rules join."""
 
     def __init__(self, device: Any, dt_s: float, requests: Any):

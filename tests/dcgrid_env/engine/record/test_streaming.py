@@ -83,7 +83,7 @@ def test_flicker_of_parts_is_that_of_the_whole(monkeypatch):
     monkeypatch.setattr(flicker, "INTERVAL_S", 60.0)
     whole = flicker.severity(v_pu, 0.1)
     for cut in (7, 600, 1500):
-        meter = flicker.FlickerByParts(0.1)
+        meter = flicker.StreamingFlicker(0.1)
         for begin in range(0, 1500, cut):
             meter.add(v_pu[begin : begin + cut])
         assert meter.largest() == pytest.approx(whole.max(), rel=1e-12)

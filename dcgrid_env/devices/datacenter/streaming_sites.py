@@ -15,7 +15,7 @@ from dcgrid_env.core.metric import Combined
 from dcgrid_env.devices.datacenter.clock_law import Dvfs
 from dcgrid_env.devices.datacenter.feature_settings import METRICS as OF_FEATURES
 from dcgrid_env.devices.datacenter.site_metrics import METRICS, delay_figures, figures_of_requests, mean_clock_pct
-from dcgrid_env.devices.datacenter.waiting_by_parts import WaitingTimes
+from dcgrid_env.devices.datacenter.streaming_waiting import WaitingTimes
 from dcgrid_env.devices.ratings import DataCenterParams
 
 _OF_REQUESTS = (
@@ -24,7 +24,7 @@ _OF_REQUESTS = (
 """Fields that times of requests hang on, where there are such."""
 
 
-class SitesByParts:
+class StreamingSites:
     """Accumulates the figures of a group of data centres.
 
     Parameters
@@ -49,7 +49,7 @@ class SitesByParts:
         self.params, self.clock_law, self.features = params, clock_law, features
         self.latency_s, self.dt_s, self.requests = latency_s, dt_s, requests
         self._waiting, self._combined = WaitingTimes(dt_s), Combined((*METRICS, *OF_FEATURES))
-        self._own = [getattr(feature, "by_parts", lambda *_: None)(params, dt_s) for feature in features]
+        self._own = [getattr(feature, "streaming", lambda *_: None)(params, dt_s) for feature in features]
         self._kept: dict[str, list[np.ndarray]] = {}
 
     def add(self, history: Any, steps: int) -> None:

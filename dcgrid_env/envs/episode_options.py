@@ -10,10 +10,10 @@ import numpy as np
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.exogenous.episode import Given
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 
 
-def given_episodes(scenario: Scenario, num_envs: int, options: Mapping[str, Any]) -> Given | None:
+def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any]) -> EpisodeOptions | None:
     """What ``options`` of a reset say of its episodes; None where they say nothing.
 
     Raises
@@ -25,7 +25,7 @@ def given_episodes(scenario: Scenario, num_envs: int, options: Mapping[str, Any]
     buses, begin_h = options.get("buses"), options.get("begin_h")
     if buses is None and begin_h is None:
         return None
-    from dcgrid_env.engine.exogenous.episode import Given  # brings the compiler with it, so not on import
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions  # brings the compiler with it, so not on import
 
     n_bus = scenario.feeder.n_bus
     if buses is not None:
@@ -41,4 +41,4 @@ def given_episodes(scenario: Scenario, num_envs: int, options: Mapping[str, Any]
             raise ValueError(f"begin_h must be hours from 0 to less than 24, of shape {(num_envs,)}")
         if not scenario.follows_day:
             raise ValueError("begin_h is given, but the scenario does not follow the day; make it with start_hour")
-    return Given(buses, begin_h)
+    return EpisodeOptions(buses, begin_h)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.devices.datacenter.lateness import Line, late_figures, line_up, serve_in_line
-from dcgrid_env.devices.datacenter.waiting_by_parts import added
+from dcgrid_env.devices.datacenter.streaming_waiting import added
 
 
-class LatenessByParts:
+class StreamingLateness:
     """Figures over all work of all sites; the arguments are those of ``lateness.lateness``."""
 
     def __init__(self, slack: tuple[int, int], interactive_share: float, by_deadline: bool, dt_s: float):

@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Here(Place):
+class LocalPool(Place):
     """Processes of this machine that are started afresh (spawn), each with one thread of each numerical library.
 
     With one worker, or one unit, all is done in this process. To be called from the main thread.
@@ -94,7 +94,7 @@ class Here(Place):
         return not busy or taken + max(1.0, unit.needs.cores) <= self.n
 
 
-ONE_PROCESS = Here()
+ONE_PROCESS = LocalPool()
 """This process alone."""
 
 

@@ -10,7 +10,7 @@ from multiprocessing import active_children
 import pytest
 
 from dcgrid_env.core.work import here
-from dcgrid_env.core.work.here import Here
+from dcgrid_env.core.work.local_pool import LocalPool
 from dcgrid_env.core.work.unit import Lost, LostUnits, Needs, Unit, require_all
 from dcgrid_env.core.work.worker import THREADS, Terminated, attempt, shared
 
@@ -20,7 +20,7 @@ def units(work, items):
 
 
 def done(work, items, n, values=None):
-    return {unit.item: result for unit, result in Here(n).run(units(work, items), values)}
+    return {unit.item: result for unit, result in LocalPool(n).run(units(work, items), values)}
 
 
 @pytest.mark.parametrize("n", [1, 2])
@@ -30,7 +30,7 @@ def test_every_unit_has_its_result(n):
 
 
 def test_one_worker_does_units_in_their_order():
-    assert [unit.item for unit, _ in Here(1).run(units(math.sqrt, [25.0, 9.0, 16.0]))] == [25.0, 9.0, 16.0]
+    assert [unit.item for unit, _ in LocalPool(1).run(units(math.sqrt, [25.0, 9.0, 16.0]))] == [25.0, 9.0, 16.0]
 
 
 def killed_at_first(item):
@@ -55,7 +55,7 @@ def test_a_unit_whose_worker_is_killed_is_tried_twice_again_and_then_named(tmp_p
 
 @pytest.mark.parametrize("n", [1, 2])
 def test_what_a_unit_raises_is_not_tried_again_and_named_when_the_others_are_done(n):
-    results = Here(n).results(units(math.sqrt, [-1.0, 4.0, 9.0]))
+    results = LocalPool(n).results(units(math.sqrt, [-1.0, 4.0, 9.0]))
     assert {result for _, result in (next(results), next(results))} == {2.0, 3.0}
     with pytest.raises(LostUnits, match=r"^1 of 3 not done: unit -1.0: .*; the same command goes on") as raised:
         next(results)
@@ -84,7 +84,7 @@ def awkward(item):
 
 def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent():
     asked = [Unit("exit", awkward, 0), Unit("awkward", awkward, 1), Unit("function", len, (lambda: 0,))]
-    found = {unit.key: result for unit, result in Here(2).run(asked)}
+    found = {unit.key: result for unit, result in LocalPool(2).run(asked)}
     assert found["exit"].reason == "SystemExit: 3"
     assert found["awkward"].reason == "Awkward: this and 1"
     assert found["function"].reason.startswith("it cannot be sent to a process: ")
@@ -94,7 +94,7 @@ def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_
     before = dict(os.environ), signal.getsignal(signal.SIGINT)
     asked = [Unit(name, os.getenv, name) for name in THREADS]
     asked += [Unit("a", shared, "a"), Unit("c", shared, "c"), Unit("signal", signal.getsignal, signal.SIGINT)]
-    found = {unit.key: result for unit, result in Here(2).run(asked, {"a": [1], "b": 2})}
+    found = {unit.key: result for unit, result in LocalPool(2).run(asked, {"a": [1], "b": 2})}
     assert [found[name] for name in THREADS] == ["1"] * len(THREADS)
     assert (found["a"], found["c"], found["signal"]) == ([1], None, signal.SIG_IGN)
     assert done(shared, ["a", "c"], 1, {"a": [1]}) == {"a": [1], "c": None}
@@ -104,7 +104,7 @@ def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_
 
 def test_a_unit_of_many_cores_runs_alone(tmp_path):
     wide = [Unit(str(i), alone, str(tmp_path / "one"), Needs(2)) for i in range(3)]
-    assert [result for _, result in Here(2).run(wide)] == [True] * 3
+    assert [result for _, result in LocalPool(2).run(wide)] == [True] * 3
 
 
 def alone(path):
@@ -115,7 +115,7 @@ def alone(path):
 
 
 def test_leaving_early_ends_the_processes():
-    results = Here(2).run(units(math.sqrt, [float(i) for i in range(50)]))
+    results = LocalPool(2).run(units(math.sqrt, [float(i) for i in range(50)]))
     next(results)
     assert active_children()
     results.close()  # pyright: ignore[reportAttributeAccessIssue]
@@ -135,7 +135,7 @@ def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
 
     monkeypatch.setattr(here._Workers, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        list(Here(2).run(units(math.sqrt, [float(i) for i in range(10)])))
+        list(LocalPool(2).run(units(math.sqrt, [float(i) for i in range(10)])))
     assert not active_children()
 
 
@@ -154,7 +154,7 @@ def test_an_interrupt_while_a_process_starts_comes_afterwards():
 
 def test_a_process_that_lets_no_exception_through_is_killed(monkeypatch):
     monkeypatch.setattr(here, "SECONDS_TO_END", 0.2)
-    results = Here(2).run(units(_deaf, ["quick", "deaf", "deaf"]))
+    results = LocalPool(2).run(units(_deaf, ["quick", "deaf", "deaf"]))
     next(results)
     results.close()  # pyright: ignore[reportAttributeAccessIssue]
     assert not active_children()
