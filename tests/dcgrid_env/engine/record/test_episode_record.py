@@ -11,7 +11,7 @@ from dcgrid_env import PrefillDecodeDvfs, Recorder, Scenario, make_scenario
 from dcgrid_env.devices.datacenter.request_delay import RequestDelays
 from dcgrid_env.engine.cost.reward import terms
 from dcgrid_env.engine.exogenous import episode
-from dcgrid_env.engine.record import recorder as metrics
+from dcgrid_env.engine.record import episode_record
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.traces import RequestTimes, TraceRows
@@ -205,7 +205,7 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> TraceRows:
         compute_share=rng.uniform(0.0, 1.0, (4, 200)),
         requests=tuple(map(RequestTimes, arrival, first, first + rng.uniform(0.0, 20.0, arrival.shape), 0.5 * first)),
     )
-    for module in (episode, metrics):
+    for module in (episode, episode_record):
         monkeypatch.setattr(module, "trace_pool", lambda scenario: rows)
     return rows
 
