@@ -17,7 +17,7 @@ from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.agents.training.config import stored_config
-from dcgrid_env.baselines import Placed, make_controller
+from dcgrid_env.baselines import NeedsPlacement, make_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate, hindsight_costs
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, mean_over_seeds, score_error
 from dcgrid_env.core.files import write_bytes
@@ -131,7 +131,7 @@ def with_inputs(card: Card, policy: Policy) -> Card:
 
     The card as it is for a policy that is given a model of the feeder: its inputs are figures of a law.
     """
-    if isinstance(policy, Placed):
+    if isinstance(policy, NeedsPlacement):
         return card
     scenarios = trained_scenarios(card.scenario)
     return dataclasses.replace(card, inputs=recorded(policy, scenarios), format=FORMAT)

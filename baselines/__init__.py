@@ -1,6 +1,6 @@
 """Controllers made by hand, through the public interface alone."""
 
-from dcgrid_env.baselines.controller import Controller, Local, LocalController, Placed
+from dcgrid_env.baselines.controller import Controller, Local, LocalController, NeedsPlacement
 from dcgrid_env.baselines.hindsight_costs import Published, published
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -41,9 +41,9 @@ __all__ = [
     "LocalController",
     "ModelAided",
     "Mpc",
+    "NeedsPlacement",
     "NoControl",
     "PeakShaving",
-    "Placed",
     "PlacementRule",
     "Published",
     "ReturnByHand",

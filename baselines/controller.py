@@ -28,7 +28,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class Placed(Protocol):
+class NeedsPlacement(Protocol):
     """A controller that must also be given the agents' buses, as one with a model of the feeder.
 
     Besides, a class attribute ``observe`` (``Scenario.observe``) says which scope of observation a controller needs;
@@ -41,7 +41,7 @@ class Placed(Protocol):
 
 
 @runtime_checkable
-class Telling(Protocol):
+class ReportsFigures(Protocol):
     """A controller with figures of its own to tell of the episodes that it drove, which results hold beside metrics."""
 
     def episode_figures(self) -> list[dict[str, float]]:
@@ -51,7 +51,7 @@ class Telling(Protocol):
 
 def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> list[dict[str, float]]:
     """Metrics of episodes, one mapping a lane, with what the controller that drove them has to tell."""
-    if not isinstance(controller, Telling):
+    if not isinstance(controller, ReportsFigures):
         return metrics
     return [of_lane | own for of_lane, own in zip(metrics, controller.episode_figures(), strict=True)]
 

@@ -26,7 +26,7 @@ class Evaluation:
     J: np.ndarray
     """Cost of each episode, (n_episode,), in the order of the seeds."""
     means: Mapping[str, float]
-    """Mean over the episodes of each metric, and of what the controller tells of itself (``controller.Telling``)."""
+    """Mean over the episodes of each metric, and of figures of the controller (``controller.ReportsFigures``)."""
 
     def score(self, droop: Evaluation, hindsight: Published | None = None) -> Score:
         """Score against the tuned droop on the same episodes, and hindsight's costs of them.

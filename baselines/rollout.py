@@ -18,7 +18,7 @@ from dcgrid_env import (
     Scenario,
     StreamingRecorder,
 )
-from dcgrid_env.baselines.controller import Controller, Placed
+from dcgrid_env.baselines.controller import Controller, NeedsPlacement
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
 
 AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
@@ -64,7 +64,7 @@ def rollout(
     scenario
         What to run; its split says which episodes the seeds mean.
     controller
-        Reset once, given the agents' buses if it is :class:`Placed`, then asked at each step.
+        Reset once, given the agents' buses if it is :class:`NeedsPlacement`, then asked at each step.
     seeds
         One lane each.
     on_step
@@ -77,7 +77,7 @@ def rollout(
     ControllerError
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
-    groups = scenario.members(seeds) if isinstance(controller, Placed) else [(scenario, np.arange(len(seeds)))]
+    groups = scenario.members(seeds) if isinstance(controller, NeedsPlacement) else [(scenario, np.arange(len(seeds)))]
     groups = [(as_driven(on, controller), lanes) for on, lanes in groups]
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
@@ -182,7 +182,7 @@ def transitions(
     env = DcgridVectorEnv(len(seeds), scenario, info="none")
     observations, _ = env.reset(seed=list(seeds), options=dict(options or {}))
     _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
-    if isinstance(controller, Placed):
+    if isinstance(controller, NeedsPlacement):
         index = scenario.feeder.index
         buses = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
         _asked(called, "place", controller.place, buses)

@@ -1,5 +1,6 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices import (
     DataCenters,
     Device,
@@ -22,23 +23,22 @@ from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
-from dcgrid_env.engine.acting_relays import ActingRelays, BankControl, acting_relays
-from dcgrid_env.engine.actions import ActionError, ActionLayout, action_layout
-from dcgrid_env.engine.connections import (
+from dcgrid_env.engine.cost.flicker import short_term_flicker
+from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
+from dcgrid_env.engine.cost.observation import field_names
+from dcgrid_env.engine.cost.reward import end_costs
+from dcgrid_env.engine.exogenous.forecast import Forecast, episode_hash, forecast, sag_times
+from dcgrid_env.engine.physics.acting_relays import ActingRelays, BankControl, acting_relays
+from dcgrid_env.engine.physics.actions import ActionError, ActionLayout, action_layout
+from dcgrid_env.engine.physics.connections import (
     believed_sensitivity,
     nodes_by_bus,
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
-from dcgrid_env.engine.end_costs import end_costs
-from dcgrid_env.engine.flicker import short_term_flicker
-from dcgrid_env.engine.forecast import Forecast, episode_hash, forecast, sag_times
-from dcgrid_env.engine.joined_recorder import JoinedRecorder
-from dcgrid_env.engine.metric_list import METRICS, Metric
-from dcgrid_env.engine.metrics import Recorder, Series
-from dcgrid_env.engine.observation import field_names
-from dcgrid_env.engine.parquet_course import ParquetCourse
-from dcgrid_env.engine.streaming_recorder import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
+from dcgrid_env.engine.record.episode_record import JoinedRecorder, Recorder, Series
+from dcgrid_env.engine.record.parquet import ParquetCourse
+from dcgrid_env.engine.record.streaming import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
 from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.envs.info import info_arrays
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
@@ -160,6 +160,7 @@ __all__ = [
     "lindistflow",
     "load_feeder",
     "make_scenario",
+    "metrics_in",
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dcgrid_env import ParquetCourse, make_scenario
 from dcgrid_env.baselines import make_controller, rollout, streaming_rollout
-from dcgrid_env.engine.trace_pool import check_traces
+from dcgrid_env.engine.exogenous.trace_pool import check_traces
 
 
 def main(horizon: int, episodes: int, how: str) -> None:

@@ -31,7 +31,7 @@ class WithoutInference(ModelAided):
     """A surprise at the own bus says nothing of the others."""
 
     def place(self, buses: np.ndarray) -> None:
-        """See ``Placed``."""
+        """See ``NeedsPlacement``."""
         super().place(buses)
         assert self._known is not None
         self._known = self._known._replace(gain=0.0 * self._known.gain)
@@ -41,7 +41,7 @@ class WithoutDamping(ModelAided):
     """Each agent reckons with its own move alone."""
 
     def place(self, buses: np.ndarray) -> None:
-        """See ``Placed``."""
+        """See ``NeedsPlacement``."""
         super().place(buses)
         assert self._known is not None
         alone = self._known.by_q * self.site.q_scale_kvar[:, None]
@@ -53,7 +53,7 @@ class WithOneDamping(ModelAided):
     """All agents have the damping that the search for theirs begins at."""
 
     def place(self, buses: np.ndarray) -> None:
-        """See ``Placed``."""
+        """See ``NeedsPlacement``."""
         super().place(buses)
         assert self._known is not None
         self._known = self._known._replace(alike=self.alike + 0.0 * self._known.alike)
@@ -63,7 +63,7 @@ class WithoutAnswers(ModelAided):
     """Each agent takes the others to stand still where it moves."""
 
     def place(self, buses: np.ndarray) -> None:
-        """See ``Placed``."""
+        """See ``NeedsPlacement``."""
         super().place(buses)
         assert self._known is not None
         self._known = self._known._replace(by_own=self._known.by_q)

@@ -132,8 +132,3 @@ def test_import_is_light(name):
     code = f"import sys, {name}; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_no_file_is_longer_than_300_lines():
-    lines = {name: len(MODULES[name].read_text().splitlines()) for name in MODULES.keys() - YET_TO_MEND}
-    assert {name: n for name, n in lines.items() if n > 300} == {}

@@ -15,7 +15,7 @@ import numpy as np
 from dcgrid_env import Scenario, action_layout, field_names
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Controller, Placed
+from dcgrid_env.baselines import Controller, NeedsPlacement
 from dcgrid_env.baselines.rollout import as_driven, transitions
 
 LOCAL, JOINT, SENSITIVITIES, TOTALS, MODEL = "local", "joint", "sensitivities", "totals", "model"
@@ -116,14 +116,14 @@ def measured_scope(make: Callable[[], Controller], scenario: Scenario, name: str
     """
     whole = make()
     on = as_driven(scenario.replace(split="validation").member([0]), whole)
-    trial = (_PlacedTrial if isinstance(whole, Placed) else _Trial)(whole, make)
+    trial = (_PlacedTrial if isinstance(whole, NeedsPlacement) else _Trial)(whole, make)
     with on_purpose():
         steps = transitions(on, trial, [0], name)
         for _ in range(min(STEPS, on.horizon)):
             next(steps)
         steps.close()
     wider = [WIDER[on.observe]] if on.observe in WIDER else []
-    return Scope.of(*trial.needed, *wider, *([MODEL] if isinstance(whole, Placed) else []))
+    return Scope.of(*trial.needed, *wider, *([MODEL] if isinstance(whole, NeedsPlacement) else []))
 
 
 class _Trial:
@@ -172,5 +172,5 @@ class _PlacedTrial(_Trial):
     def place(self, buses: np.ndarray) -> None:
         """Give all the same buses."""
         for controller, n in [(self.whole, 1), *((copy, len(seen)) for copy, seen, _ in self._copies.values())]:
-            if isinstance(controller, Placed):
+            if isinstance(controller, NeedsPlacement):
                 controller.place(np.repeat(buses, n, axis=0))

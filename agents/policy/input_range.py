@@ -11,7 +11,7 @@ from dcgrid_env import RandomFeeders, Scenario
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Placed, rollout
+from dcgrid_env.baselines import NeedsPlacement, rollout
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
 EPISODES = 64
@@ -92,7 +92,7 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     episodes
         Seeds 0, 1, .. of each; of random feeders one on each of so many.
     """
-    if isinstance(policy, Placed):
+    if isinstance(policy, NeedsPlacement):
         return None
     driver = _Recorded(policy)
     for scenario in scenarios:

@@ -10,14 +10,43 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card, card_of
-from dcgrid_env.agents.policy.families import read_network
+from dcgrid_env.agents.policy.history_network import HistoryNetwork
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
 from dcgrid_env.agents.policy.memory import Remembers, outputs_of, require_same_episodes
-from dcgrid_env.agents.policy.neural_network import Family, PolicyError
+from dcgrid_env.agents.policy.monotone import MonotoneNetwork
+from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
+
+FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
+
+
+def read_network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
+    """Make a network of what a file says of it; PolicyError, naming it, for what cannot be one.
+
+    Parameters
+    ----------
+    name
+        Its name in the file, before a dot in the names of its arrays.
+    own
+        Its family and settings.
+    arrays
+        All arrays of the file.
+    """
+    settings = dict(own)
+    family = settings.pop("family")
+    if family not in FAMILIES:
+        raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
+    own_arrays = {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
+    try:
+        return FAMILIES[family].read(own_arrays, settings)
+    except KeyError as missing:
+        raise PolicyError(f"{name}: {missing.args[0]} is missing; export the policy again") from None
+    except PolicyError as error:
+        raise PolicyError(f"{name}: {error}") from None
+
 
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))

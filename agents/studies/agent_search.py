@@ -25,7 +25,7 @@ from dcgrid_env.agents.studies.training_units import train_all
 from dcgrid_env.agents.studies.trial_training import STARTUP_TRIALS, read_trial, train_trial
 from dcgrid_env.core.files import new_folder
 from dcgrid_env.core.install import from_clone
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
 
 JOURNAL = "journal.log"

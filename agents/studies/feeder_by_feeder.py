@@ -19,7 +19,7 @@ from dcgrid_env.baselines import rollout
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.score import REFERENCE
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 
 

@@ -16,7 +16,7 @@ from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
 from dcgrid_env.baselines.recorded_actions import replayed
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.score import SPLIT
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 
 LOST_SHARE = Metric("lost_step_pct", "the same as a share of the feeder's load", "%", 0, "lower")

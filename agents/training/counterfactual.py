@@ -27,9 +27,6 @@ from dcgrid_env import Feeder, RandomFeeders, Scenario, action_layout, sensitivi
 from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.devices import DataCenters, Work, work_classes_of
 
-KNOWN_WEIGHTS = ("voltage", "violation", "backlog", "effort", "leftover")
-"""Terms of the cost that an advantage is made of."""
-
 
 def require_one_step(who: str, scenario: Scenario) -> None:
     """ValueError, naming the field, where a step's own cost does not tell what an agent's action is worth."""
@@ -47,9 +44,9 @@ def require_one_step(who: str, scenario: Scenario) -> None:
             raise ValueError(f"{who} takes clock laws of one work class; scenario {scenario.name!r} has one of two")
     if scenario.voltage_cost != "l1":
         raise ValueError(f"{who}: voltage_cost is {scenario.voltage_cost!r}; make the scenario with 'l1'")
-    for name, weight in scenario.weights._asdict().items():
-        if weight and name not in KNOWN_WEIGHTS:
-            raise ValueError(f"{who} does not know what weights.{name} = {weight:g} charges; set it to 0, or train ppo")
+    for name in scenario.weights.unmodelled:
+        weight = getattr(scenario.weights, name)
+        raise ValueError(f"{who} does not know what weights.{name} = {weight:g} charges; set it to 0, or train ppo")
 
 
 class Counterfactual:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dcgrid_env import METRICS
+from dcgrid_env import METRICS, metrics_in
 from dcgrid_env.baselines import Published
 from dcgrid_env.baselines.benchmark.columns import fit, folded
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary
@@ -24,13 +24,7 @@ NONE = "–"
 SAVED = "J saved, %"
 """Column name of the share of the reference's cost that a controller saves."""
 
-COLUMNS = tuple(
-    METRICS[name]
-    for name in (
-        "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "cost_violation", "delay_mean_s", "delay_p99_s",
-        "unserved_kws", "q_effort_pct",
-    )
-)  # fmt: skip
+COLUMNS = metrics_in("benchmark")
 """Columns that are means over episodes."""
 
 LEGEND = (

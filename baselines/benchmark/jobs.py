@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Recorder, Scenario, __version__, scenario_hash
-from dcgrid_env.baselines import Controller, Placed, find_controller, rollout
+from dcgrid_env.baselines import Controller, NeedsPlacement, find_controller, rollout
 from dcgrid_env.baselines.controller import with_figures
 from dcgrid_env.baselines.registry import controller_file, split_prefix
 from dcgrid_env.baselines.rollout import ControllerError
@@ -154,7 +154,7 @@ def _failure(unit: Unit, text: str) -> dict[str, Any]:
 def observed(controller: Controller, scenario: Scenario) -> str:
     """What a controller is shown, in words."""
     scope = getattr(controller, "observe", scenario.observe)
-    knows = getattr(controller, "scope", "feeder's model" if isinstance(controller, Placed) else "")
+    knows = getattr(controller, "scope", "feeder's model" if isinstance(controller, NeedsPlacement) else "")
     return f"{scope}, {knows}" if knows else scope
 
 

@@ -78,7 +78,7 @@ class ModelAided(Law, LocalController):
         return self._known
 
     def place(self, buses: np.ndarray) -> None:
-        """See :class:`Placed`."""
+        """See :class:`NeedsPlacement`."""
         places, lane = np.unique(np.asarray(buses)[:, self._equipment.is_other], axis=0, return_inverse=True)
         if self._known is None or self._drawn:
             known = commission(self._site, places)

@@ -2,7 +2,7 @@
 
 On the power flow linearised around a trajectory:
 
-    minimise  (1/T) sum_t c_t + leftover        the benchmark's cost, see ``dcgrid_env.engine.reward``
+    minimise  (1/T) sum_t c_t + leftover        the benchmark's cost, see ``dcgrid_env.engine.cost.reward``
     over      d, b   served work and backlog of each data centre        b_t = b_{t-1} + (a_t - d_t) dt,  b >= 0
               q, g   reactive injection of each agent and its magnitude, within the limit
               e, w   deviation of each bus's voltage, and its excess over the band

@@ -31,7 +31,6 @@ from dcgrid_env import (
 from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
-from dcgrid_env.baselines.model_based.linear_model import NOT_PRICED
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
 
 STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
@@ -278,7 +277,7 @@ def _check(scenario: Scenario) -> None:
     if scenario.voltage_cost != "l1":
         raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.voltage_cost!r}")
     weights, alone = scenario.weights, planned and not _acts_by_itself(scenario)
-    priced = [name for name in NOT_PRICED if getattr(weights, name) and not (name == "switching" and alone)]
+    priced = [name for name in weights.unmodelled if not (name == "switching" and alone)]
     if priced == ["switching"] and planned:
         raise ValueError(
             "hindsight prices the moves of agents alone; make all equipment that is controlled fixed or agents, or set "

@@ -37,8 +37,6 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines.controller import Local, LocalController, require_draws_of_work, require_known_devices
 
-NOT_PRICED = ("clock", "step", "loss", "unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload")
-"""Weights of cost terms that controllers with a model do not minimise, and hindsight neither."""
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
 _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are
 
@@ -110,7 +108,7 @@ class ModelController(LocalController):
         if s.voltage_cost != "l1":
             raise ValueError(f"{self.name}: voltage_cost is {s.voltage_cost!r}; make the scenario with 'l1'")
         # Who moves no equipment has nothing to weigh its moves against.
-        priced = [name for name in NOT_PRICED if getattr(s.weights, name) and (name != "switching" or s is env_info)]
+        priced = [name for name in s.weights.unmodelled if name != "switching" or s is env_info]
         if priced:
             weight = getattr(s.weights, priced[0])
             raise ValueError(f"{self.name}: weights.{priced[0]} is {weight:g}, which it does not minimise; set it to 0")
@@ -129,7 +127,7 @@ class ModelController(LocalController):
         self._backlog_kws: np.ndarray | None = None
 
     def place(self, buses: np.ndarray) -> None:
-        """See :class:`Placed`."""
+        """See :class:`NeedsPlacement`."""
         self._slopes = slopes(self.scenario, np.asarray(buses)[:, self._equipment.is_other])
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@
               b_k = work_k - sum_{j <= k} d_j >= 0                      what waits; nothing is served before it arrives
               low <= d <= high,  |q| <= q_high,  (base_k + d)^2 + q^2 <= s_rated^2
 
-the benchmark's own cost (see ``engine.reward``). Powers are shares of a device's own size throughout. It is solved
+the benchmark's own cost (see ``engine.cost.reward``). Powers are shares of a device's own size throughout. It is solved
 for all lanes at once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and
 statistical learning via the alternating direction method of multipliers", 2011), split as
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, action_layout
-from dcgrid_env.baselines.controller import Controller, Placed
+from dcgrid_env.baselines.controller import Controller, NeedsPlacement
 from dcgrid_env.baselines.rollout import action_of
 
 _STREAM = 0x0FF11E
@@ -94,7 +94,7 @@ class Behaviour:
     def place(self, buses: np.ndarray) -> None:
         """Take positions in ``bus_ids`` of the agents' buses, (lane, n_agent), and hand them on if they are needed."""
         self.buses = buses
-        if isinstance(self._controller, Placed):
+        if isinstance(self._controller, NeedsPlacement):
             self._controller.place(buses)
 
     def act(self, observations: Any) -> np.ndarray:

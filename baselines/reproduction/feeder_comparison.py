@@ -14,7 +14,7 @@ from dcgrid_env.baselines.reproduction.ranking import Rows, agreement
 from dcgrid_env.baselines.reproduction.study import studies
 from dcgrid_env.baselines.reproduction.study_runs import Law, Run, Runs, Setting
 from dcgrid_env.baselines.reproduction.table1 import LAWS
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
 
 Records = dict[str, Any]

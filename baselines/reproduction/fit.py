@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env.baselines.reproduction.guess import VALUES, Distance, Guess, cells, distance
 from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 

@@ -10,7 +10,7 @@ from dcgrid_env.baselines.reproduction.claims import claims
 from dcgrid_env.baselines.reproduction.guess import guesses
 from dcgrid_env.baselines.reproduction.paper import CITATION
 from dcgrid_env.baselines.reproduction.study_runs import Run, Runs, Setting
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 

@@ -15,10 +15,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.tuning.lane_costs import lane_costs
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
+
+
+def lane_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
+    """J of an episode for each seed, (n_seed,); a record of long episodes of many lanes would not fit in memory."""
+    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
+    observations, _ = env.reset(seed=list(seeds))
+    controller.reset(scenario)
+    j, over = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
+    while not over.all():
+        observations, _, terminated, truncated, _ = env.step(controller.act(observations))
+        j += env.transition.cost_j * ~over
+        over |= terminated | truncated
+    env.close()
+    return j / scenario.horizon
+
 
 CANDIDATES, GENERATIONS, TRIALS = 24, 8, 100
 _FEWEST = 8

@@ -32,14 +32,9 @@ from dcgrid_env.baselines.sanity.verdicts import (
     verdicts,
 )
 from dcgrid_env.baselines.score import saved_pct
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Lost, Place, Unit
 
-ROWS = (
-    "J", "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "voltage_min_pu", "voltage_max_pu", "delay_mean_s",
-)  # fmt: skip
-"""Metrics of the table, row by row."""
-OVER_EPISODES = {"mean": np.mean, "min": np.min, "max": np.max}
 SECONDS = 40.0
 _OF_HINDSIGHT, _OF_PINNED, _OF_DROOP = 0.55, 0.6, 0.75
 """Shares of the time after which these begin nothing further; the best constant is looked for until its end."""
@@ -78,13 +73,13 @@ class ScenarioCheck:
     @property
     def table(self) -> Table:
         """Who reaches what, side by side."""
-        from dcgrid_env import METRICS
+        from dcgrid_env import metrics_in
 
         reached = self.figures.reached
         shown = {name: reached[name] for name in (NONE, PAPER, DROOP, CONSTANT, HINDSIGHT) if name in reached}
         rows = []
-        for metric in (METRICS[name] for name in ROWS):
-            each = (OVER_EPISODES[metric.over_episodes](one.metrics[metric.name]) for one in shown.values())
+        for metric in metrics_in("check"):
+            each = (metric.of_episodes(one.metrics[metric.name]) for one in shown.values())
             rows.append((metric.heading, *(metric.text(float(value)) for value in each)))
         droop = shown[DROOP].metrics["J"]
         saved = (saved_pct(one.metrics["J"], droop[: one.n]) for one in shown.values())

@@ -230,7 +230,7 @@ def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
 
 def _traces(scenario: Scenario) -> list[dict[str, Any]]:
     """Where the data centres' load comes from, each once whatever its seeds: generator, or licence and citation."""
-    from dcgrid_env.engine.trace_pool import trace_pool
+    from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     found: list[dict[str, Any]] = []
     for provenance in trace_pool(scenario).provenance:

@@ -122,13 +122,6 @@ class Evaluate(OverWorkers):
         offer(console, figure, self.open)
 
 
-ROWS = (
-    "J", "voltage_deviation_mean_pu", "outside_bus_seconds_pct", "delay_mean_s", "delay_p99_s", "unserved_kws",
-    "q_effort_pct",
-)  # fmt: skip
-"""Metrics of the table, row by row."""
-
-
 def _zipped(policy: str) -> Path | None:
     """The zip of Stable-Baselines3 that is named, maybe by its folder; None for anything else."""
     from dcgrid_env.baselines.registry import controller_file, split_prefix
@@ -253,7 +246,7 @@ def _duration(seconds: float) -> str:
 
 def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], title: str) -> Table:
     """The controllers side by side."""
-    from dcgrid_env import METRICS
+    from dcgrid_env import metrics_in
     from dcgrid_env.baselines.benchmark.benchmark_tables import SAVED, Table
     from dcgrid_env.baselines.score import REFERENCE, saved_pct
 
@@ -264,7 +257,7 @@ def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], ti
     if REFERENCE in evaluations:
         saved = (saved_pct(one.J, evaluations[REFERENCE].J) for one in evaluations.values())
         rows.append((SAVED, *(f"{share:.1f}" for share in saved)))
-    for metric in (METRICS[name] for name in ROWS):
+    for metric in metrics_in("evaluate"):
         rows.append((metric.heading, *(metric.text(one.means[metric.name]) for one in evaluations.values())))
     return Table(title, ("mean over episodes", *evaluations), tuple(rows))
 

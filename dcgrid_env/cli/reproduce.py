@@ -124,6 +124,6 @@ def _origin(setting: Setting) -> dict[str, Any]:
 
     TraceError for a recording that is too short for an episode.
     """
-    from dcgrid_env.engine.trace_pool import trace_pool
+    from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     return trace_pool(setting.scenario(5)).provenance[0].record()

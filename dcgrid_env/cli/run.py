@@ -169,27 +169,14 @@ def scenario_of(cfg: Run) -> Scenario:
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
     """Where each row of the data centres' load comes from: parameters and seed, or hash, licence and citation."""
-    from dcgrid_env.engine.trace_pool import trace_pool
+    from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     return [provenance.record() for provenance in trace_pool(scenario).provenance]
 
 
-ROWS = (
-    "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
-    "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p95_s", "delay_p99_s",
-    "ttft_mean_s", "ttft_p99_s", "e2e_mean_s", "e2e_p99_s", "unserved_kws", "loss_mean_kw",
-    "storage_throughput_kwh", "storage_missing_kwh", "site_storage_throughput_kwh", "site_storage_missing_kwh",
-    "ups_trips", "ups_lost_step_kw", "ups_away_s", "ups_all_back_s", "inverter_trips", "voltage_after_loss_max_pu",
-    "burnt_kwh", "held_back_kws", "pue", "pst_max", "swing_share_max_pct", "ramp_excess_pct", "in_time_pct",
-    "lateness_p95_s", "moved_pct", "batch_mean",
-)  # fmt: skip
-"""Metrics of the table, row by row."""
-OVER_EPISODES = {"mean": lambda values: sum(values) / len(values), "min": min, "max": max}
-
-
 def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
     """The controllers side by side, summed up over the episodes."""
-    from dcgrid_env import METRICS
+    from dcgrid_env import metrics_in
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
     n = len(records) // len(names)
@@ -197,13 +184,13 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
     # Those of requests and of what sites have beside clock and queue are there where the scenario has any.
-    for metric in (METRICS[name] for name in ROWS if name in records[0]):
+    for metric in (metric for metric in metrics_in("run") if metric.name in records[0]):
         cells = []
         for name in names:
             own = [r for r in records if r["controller"] == name]
             if metric.name.startswith(("ttft", "e2e")):
                 own = [r for r in own if r["requests_sampled"]] or own[:1]
-            cells.append(metric.text(OVER_EPISODES[metric.over_episodes]([r[metric.name] for r in own])))
+            cells.append(metric.text(metric.of_episodes(r[metric.name] for r in own)))
         rows.append((metric.label, metric.unit, *cells))
     collapsed = sum(1 - r["power_flow_converged"] for r in records)
     notes = (f"{collapsed:g} episodes ended in voltage collapse and are charged for it",) if collapsed else ()

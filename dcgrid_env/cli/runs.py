@@ -38,7 +38,7 @@ class Runs:
 
     def __init__(self, scenario: Scenario, seeds: Sequence[int], course: str, out: Path, console: Console):
         from dcgrid_env import WHOLE_COURSE_BYTES, course_bytes
-        from dcgrid_env.engine.parquet_course import require_pyarrow
+        from dcgrid_env.engine.record.parquet import require_pyarrow
 
         self.scenario, self.seeds, self.out = scenario, seeds, out
         with working(console, "making the traces"):

@@ -37,12 +37,12 @@ class OverWorkers(Command, ABC):
 def place(workers: int | None, ray: str | None) -> Place:
     """Where units run as the two options say; errors as ``OverWorkers.place``."""
     from dcgrid_env.core.threads import n_threads
-    from dcgrid_env.core.work.here import Here
+    from dcgrid_env.core.work.local_pool import LocalPool
 
     if workers is not None and workers < 1:
         raise ValueError(f"workers is {workers}; give at least 1")
     if ray is None:
-        return Here(n_threads() if workers is None else workers)
+        return LocalPool(n_threads() if workers is None else workers)
     if workers is not None:
         raise ValueError(f"workers is {workers} and ray {ray!r}; the cluster's cores do the work, leave one out")
     from dcgrid_env.cli.terminal import plain_console, say

@@ -65,6 +65,8 @@ class CostTerm(NamedTuple):
     """Whether it is charged after the last step alone."""
     weight: float | None = None
     """Weight of a term that ``CostWeights`` does not have."""
+    is_constraint: bool = False
+    """Whether the term is part of ``info["cost"]``, which constrained learners keep low."""
 
 
 class GridChange(NamedTuple):

@@ -15,7 +15,7 @@ class GridEquipment(PickledByFields):
     """A group that a scenario gets by itself for the equipment that is to be agents; a base class.
 
     What such a group commands is read out of its state and set beside the equipment that has a control of its own
-    (``engine.equipment``), so ``grid_change`` has nothing to say. Its moves are counted, charged and shown there too.
+    (``engine.physics.equipment``), so ``grid_change`` is empty. Its moves are counted, charged and shown there too.
     """
 
     input: ClassVar[str | None] = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env.engine.given import Given
+from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.snapshot import Snapshot, Transition, joined, taken
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -45,7 +45,7 @@ class FamilySimulation(Simulation):
         """The scenario on the feeder that a lane's episode is on; RuntimeError before the first reset."""
         return grouped(self.scenario, self.now.seeds[lane : lane + 1], self.now.numbers[lane : lane + 1])[0][0]
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: Given | None = None) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
         if given is not None:
             raise ScenarioError(
                 f"scenario {self.scenario.name!r} is on random feeders, where no buses can be given; make it on one of "

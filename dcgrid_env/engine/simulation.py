@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.arrays import all_true
-from dcgrid_env.engine import dynamics, episode, observation, reward, trace_pool
-from dcgrid_env.engine.given import Given
-from dcgrid_env.engine.grid_pass import GridPass, fits
-from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.exogenous import episode, trace_pool
+from dcgrid_env.engine.exogenous.episode import EpisodeOptions
+from dcgrid_env.engine.physics import dynamics
+from dcgrid_env.engine.physics.grid_pass import GridPass, fits
+from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
-from dcgrid_env.engine.state import State
-from dcgrid_env.engine.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.scenario.scenario import Scenario
 
 __all__ = ["Simulation", "Snapshot", "Transition"]
@@ -70,7 +72,7 @@ class Simulation:
         self._now = snapshot
 
     def reset(
-        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: Given | None = None
+        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: EpisodeOptions | None = None
     ) -> Transition:
         """Begin a new episode in every lane, or where ``mask`` is True.
 
@@ -113,7 +115,7 @@ class Simulation:
         )
         return transition
 
-    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: Given | None = None) -> Snapshot:
+    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: EpisodeOptions | None = None) -> Snapshot:
         """New episodes of these lanes, see ``reset``."""
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
@@ -125,7 +127,7 @@ class Simulation:
                 seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
         return self._drawn(seed, number, given)
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: Given | None = None) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
         """Episodes at their beginning, of seeds and numbers of episodes since these, (lane,) uint64 each."""
         drawn = episode.draw(self.scenario, seed, number, given)
         step = np.zeros(len(seed), np.int64)

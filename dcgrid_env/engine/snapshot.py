@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.engine import episode, reward
-from dcgrid_env.engine.observation import Placement
-from dcgrid_env.engine.state import State
-from dcgrid_env.engine.voltage_figures import VoltageFigures
+from dcgrid_env.engine.cost import reward
+from dcgrid_env.engine.exogenous import episode
+from dcgrid_env.engine.physics.connections import Placement
+from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
 from dcgrid_env.scenario.scenario import Scenario
 
 

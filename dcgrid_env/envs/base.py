@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from dcgrid_env.engine import actions, observation
+from dcgrid_env.engine.cost import observation
+from dcgrid_env.engine.physics import actions
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -17,7 +18,7 @@ from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.given import Given
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 HUGE = 1000
@@ -131,7 +132,7 @@ class BaseEnvironment:
         seeds: list[int | None],
         rng: np.random.Generator,
         mask: np.ndarray | None = None,
-        given: Given | None = None,
+        given: EpisodeOptions | None = None,
     ) -> Transition:
         """Begin episodes; where there was never a seed one is drawn."""
         if not self._simulation.begun:

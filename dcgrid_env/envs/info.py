@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env.engine.utility_limits import constraint
+from dcgrid_env.engine.cost.reward import constraint
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     if level == "none":
         return {}
     costs = transition.costs
-    figures = dict(zip(_keys(type(costs)), (constraint(costs), *costs, transition.j_so_far), strict=True))
+    figures = dict(zip(_keys(type(costs)), (constraint(scenario, costs), *costs, transition.j_so_far), strict=True))
     if level == "costs":
         return figures
     state = transition.state

@@ -11,9 +11,9 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
 from dcgrid_env.core.seeds import as_seed
-from dcgrid_env.engine import observation
-from dcgrid_env.engine.actions import action_layout, joined_actions
-from dcgrid_env.engine.parameters import parameters
+from dcgrid_env.engine.cost import observation
+from dcgrid_env.engine.physics.actions import action_layout, joined_actions
+from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.envs.base import BaseEnvironment, check_running, warn_if_huge
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
@@ -134,7 +134,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         in seconds at it; under a clock law of two work classes the compute-bound parts of both); the share of the
         episode that has passed.
         """
-        from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
+        from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
 
         warn_if_huge(self.scenario, "state()", "take what you need of env.transition.state instead")
         s, now = self.scenario, self._simulation.now

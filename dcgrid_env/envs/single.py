@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from dcgrid_env.core.seeds import as_seed
-from dcgrid_env.engine.actions import joint_action
+from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_spaces
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec

@@ -18,11 +18,12 @@ from dcgrid_env.core.arrays import Array, all_true, as_like, namespace
 from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import Work
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
-from dcgrid_env.engine import dynamics, observation, reward
-from dcgrid_env.engine.actions import action_layout
-from dcgrid_env.engine.measurement import measure, measurement_noise, remembered
-from dcgrid_env.engine.observation import Placement
-from dcgrid_env.engine.state import Exogenous, State
+from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.physics import connections, dynamics
+from dcgrid_env.engine.physics.actions import action_layout
+from dcgrid_env.engine.physics.connections import Placement
+from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.powerflow import PowerFlowError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
@@ -115,7 +116,7 @@ class TensorEnv:
         self._outside = Outside(*(None if a is None else as_like(a, self.like) for a in outside))
         lanes = np.arange(len(buses) * copies) % len(buses)
         self._copied = None if copies == 1 else self._index(lanes)
-        placed = observation.placement(self._on, buses[lanes])
+        placed = connections.placement(self._on, buses[lanes])
         self._placed = Placement(
             as_like(placed.distance, self.like), *map(self._index, (placed.nodes, placed.legs, placed.nearest))
         )
@@ -240,7 +241,7 @@ def _kind(values: Array) -> str:
 
 def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.ndarray]:
     """Everything from outside over the first episode of each seed, and the positions of the agents' buses."""
-    from dcgrid_env.engine import episode  # brings the compiler with it, so not on import
+    from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
 
     s = scenario
     drawn = episode.draw(s, seeds, np.zeros_like(seeds))

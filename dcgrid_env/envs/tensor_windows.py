@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace
-from dcgrid_env.engine import dynamics, observation, reward
-from dcgrid_env.engine.state import Exogenous, State, over_arrays
+from dcgrid_env.engine.cost import reward
+from dcgrid_env.engine.physics import connections, dynamics
+from dcgrid_env.engine.physics.state import Exogenous, State, over_arrays
 from dcgrid_env.envs.tensor import Outside, drawn_outside
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -40,7 +41,7 @@ class TensorWindows:
         self._outside = Outside(*(None if a is None else as_like(a, like) for a in outside))
         self._starts = np.repeat(np.asarray(starts), len(seeds))
         self._episodes = np.tile(np.arange(len(seeds)), len(starts))
-        placed = observation.placement(self.scenario, buses[self._episodes])
+        placed = connections.placement(self.scenario, buses[self._episodes])
         self._nodes, self._legs = self._index(placed.nodes), self._index(placed.legs)
         self.step_number = 0
         """Steps since the windows began."""

@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.core.seeds import as_seed
-from dcgrid_env.engine.actions import joint_action
+from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
-from dcgrid_env.envs.given_episodes import given_episodes
+from dcgrid_env.envs.episode_options import episode_options
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
@@ -117,7 +117,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
                 raise ValueError("reset_mask is False for every lane; leave the reset out")
             if not self._simulation.begun:
                 raise ValueError("the first reset must be of all lanes; leave reset_mask out")
-        given = given_episodes(self.scenario, self.num_envs, options or {})
+        given = episode_options(self.scenario, self.num_envs, options or {})
         if given is not None and mask is not None:
             raise ValueError("reset_mask stands beside buses or begin_h, which are of all lanes; give one or the other")
         super().reset(seed=first)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.engine.metrics import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.phase_curves import phases_of_feeder
 from dcgrid_env.scenario.scenario import Scenario

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dcgrid_env.devices.grid_equipment import is_equipment
-from dcgrid_env.engine import episode
+from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.metrics import Series
+    from dcgrid_env.engine.physics.state import ThreePhaseState
+    from dcgrid_env.engine.record.episode_record import Series
     from dcgrid_env.engine.simulation import Snapshot
-    from dcgrid_env.engine.state import ThreePhaseState
 
 
 class History:

@@ -9,7 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dcgrid_env.engine.connections import agent_nodes
+from dcgrid_env.engine.physics.connections import agent_nodes
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.episode_curves import Bundle, Curves, Spread, round_up
 from dcgrid_env.rendering.equipment_labels import banks_of

@@ -9,8 +9,8 @@ import numpy as np
 
 from dcgrid_env.devices.device import may_leave
 from dcgrid_env.devices.grid_equipment import is_equipment
-from dcgrid_env.engine import episode
-from dcgrid_env.engine.metrics import Series
+from dcgrid_env.engine.exogenous import episode
+from dcgrid_env.engine.record.episode_record import Series
 
 VOLTAGE_DECIMALS = 4
 _COST_DECIMALS = 5

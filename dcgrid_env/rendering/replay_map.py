@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.devices.grid_equipment import is_equipment
-from dcgrid_env.engine.metrics import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.equipment_labels import banks_of

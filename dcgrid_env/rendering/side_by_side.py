@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env.engine.metrics import Series
+from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.banded_figure import long_figure
 from dcgrid_env.rendering.envelope import Envelope

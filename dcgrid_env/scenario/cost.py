@@ -2,44 +2,39 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
 RewardScope = Literal["shared", "local"]
 
 
-class CostWeights(NamedTuple):
-    """Weights of the cost terms (see ``reward``); a term at weight 0 is not charged and is 0 in ``info``."""
-
-    voltage: float = 100.0
-    violation: float = 1000.0
-    backlog: float = 0.3
-    effort: float = 0.02
-    leftover: float = 9.0
-    clock: float = 0.0
-    step: float = 0.0
-    loss: float = 0.0
-    unbalance: float = 0.0
-    """Weighs the mean squared voltage unbalance factor over three-phase buses, which balanced feeders do not have."""
-    switching: float = 0.0
-    """Weighs the mean number of taps and switchings in a step, over the regulators and capacitor banks that are not
-    fixed; a three-phase feeder alone has it."""
-    ramp_excess: float = 0.0
-    """Weighs the mean over sites of what their ramp exceeds ``ramp_limit_kw_per_s`` by, as a share of that limit."""
-    voltage_step_excess: float = 0.0
-    """Weighs the mean over buses of what their change of voltage in a step exceeds ``voltage_step_limit_pu`` by, as a
-    share of that limit."""
-    overload: float = 0.0
-    """Weighs the mean over rated branches of what their current exceeds the rating by, as a share of it; only a feeder
-    that knows ratings has it."""
+_BY_DEFAULT_FIRST = sorted(TERMS, key=lambda term: term.weight == 0.0)
+_Weights: Any = namedtuple(
+    "CostWeights", [term.name for term in _BY_DEFAULT_FIRST], defaults=[term.weight for term in _BY_DEFAULT_FIRST]
+)
 
 
-LIMIT_OF = {"ramp_excess": "ramp_limit_kw_per_s", "voltage_step_excess": "voltage_step_limit_pu"}
-"""The limit without which a weight has no meaning."""
+class CostWeights(_Weights):
+    """Weights of the cost terms. A term at weight 0 is not charged and is 0 in ``info``."""
+
+    __slots__ = ()
+    __doc__ = "\n".join(
+        (
+            f"{__doc__}\n",
+            *(f"- ``{term.name}``, by default {term.weight:g}: {term.meaning}" for term in _BY_DEFAULT_FIRST),
+        )
+    )
+
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """Terms that have a weight, but that controllers with a model of the cost do not account for."""
+        return tuple(term.name for term in TERMS if not term.is_modelled and getattr(self, term.name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,10 +68,10 @@ class Cost:
             value = getattr(self, name)
             if value is not None and not finite(value, 1e-9, 1e9):
                 raise refuse(self, name, "give a finite number above 0, or None")
-        for name, limit in LIMIT_OF.items():
-            if getattr(self.weights, name) and getattr(self, limit) is None:
-                remedy = f"give {limit} too, which it weighs the excess over, or set it to 0"
-                raise FieldError("Cost", f"weights.{name}", getattr(self.weights, name), remedy)
+        for term in TERMS:
+            if term.limit and getattr(self.weights, term.name) and getattr(self, term.limit) is None:
+                remedy = f"give {term.limit} too, which it weighs the excess over, or set it to 0"
+                raise FieldError("Cost", f"weights.{term.name}", getattr(self.weights, term.name), remedy)
         if self.ramp_window_s is not None and self.ramp_limit_kw_per_s is None:
             raise refuse(self, "ramp_window_s", "give ramp_limit_kw_per_s too, or leave it out")
 

@@ -20,18 +20,15 @@ from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import PARTS, assembled
 from dcgrid_env.scenario.background import Background
-from dcgrid_env.scenario.branch_ratings import check_ratings
 from dcgrid_env.scenario.cost import Cost
-from dcgrid_env.scenario.device_groups import check_groups
 from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
-from dcgrid_env.scenario.feeder_kind import check_feeder_kind
 from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
+from dcgrid_env.scenario.joint_checks import check_feeder_kind, check_groups, check_ramp_limit, check_ratings
 from dcgrid_env.scenario.members import check_random_feeders, member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses
-from dcgrid_env.scenario.ramp_limit import check_ramp_limit
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.trace_scale import check_trace_scale
 from dcgrid_env.scenario.workload import Workload

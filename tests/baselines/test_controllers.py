@@ -10,7 +10,7 @@ from dcgrid_env.baselines import (
     Droop,
     Local,
     LocalController,
-    Placed,
+    NeedsPlacement,
     make_controller,
     rollout,
 )
@@ -94,7 +94,9 @@ def test_inverters_only_leaves_the_data_centres_alone():
 
 
 LOCAL = [
-    name for name, (_, make) in CONTROLLERS.items() if name not in NEEDING_A_DEVICE and not isinstance(make(), Placed)
+    name
+    for name, (_, make) in CONTROLLERS.items()
+    if name not in NEEDING_A_DEVICE and not isinstance(make(), NeedsPlacement)
 ]
 
 

@@ -26,6 +26,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, positive_part
 from dcgrid_env.core.checked import check_fields, number, refuse, settle
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, Load, PassesBy, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
@@ -68,6 +69,14 @@ class BatchState(NamedTuple):
     """How much longer a request waits for its batch than in the trace, s."""
     gathered_kws: Array
     """Work served in the step by how much longer it waited, kW s; nothing below the reference."""
+
+
+METRICS = (
+    cost_metric("gathering", "cost of gathering batches"),
+    Metric("batch_mean", "mean batch", "requests", 1, "neither", "mean setpoint of the batch size", "mean",
+        tables=("run",)),
+)  # fmt: skip
+"""Metrics of sites that batch their work."""
 
 
 @dataclass(frozen=True)
@@ -155,5 +164,5 @@ class BatchedSites(PassesBy):
         return {}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: BatchState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.metrics``."""
+        """Figures of an episode, see ``core.metric``."""
         return {"batch_mean": own.batch[1:].mean() if own.batch.size else 0.0}

@@ -15,6 +15,7 @@ from typing import ClassVar, NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.checked import check_fields, number, settle
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field
@@ -61,6 +62,14 @@ class CoolingState(NamedTuple):
     """Cooling power at its end, kW."""
     auxiliary_kw: Array
     """Draw of everything else over the step, kW."""
+
+
+METRICS = (
+    Metric("cooling_kwh", "energy of cooling", "kWh", 2, "lower", "energy of cooling", "sum"),
+    Metric("pue", "PUE", "", 3, "lower", "power usage effectiveness of all sites over the episode", "mean",
+        share_of="computing_kw", tables=("run",)),
+)  # fmt: skip
+"""Metrics of sites with cooling."""
 
 
 @dataclass(frozen=True)

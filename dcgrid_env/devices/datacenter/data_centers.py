@@ -24,7 +24,7 @@ from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, Site
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
 from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
-from dcgrid_env.devices.datacenter.sites_by_parts import SitesByParts
+from dcgrid_env.devices.datacenter.streaming_sites import StreamingSites
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
 from dcgrid_env.devices.phases import Phases, check_phases
@@ -274,10 +274,10 @@ class DataCenters(PickledByFields):
             figures |= feature.metrics(self.parameters, history, own, dt_s)
         return figures
 
-    def by_parts(self, dt_s: float, requests: Any) -> SitesByParts:
+    def streaming(self, dt_s: float, requests: Any) -> StreamingSites:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
-        return SitesByParts(self.parameters, self.clock_law, self.features, latency_s, dt_s, requests)
+        return StreamingSites(self.parameters, self.clock_law, self.features, latency_s, dt_s, requests)
 
     def _with_states(self, state: Any) -> Iterable[tuple[SiteFeature, Any]]:
         return zip(self.features, state.features, strict=True) if self.features else ()

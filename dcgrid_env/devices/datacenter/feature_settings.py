@@ -11,16 +11,18 @@ from functools import partial
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError, from_mapping, refuse
+from dcgrid_env.devices.datacenter import batching, cooled_site, service_levels, smoothed_site, ups_site, work_routing
 from dcgrid_env.devices.datacenter.batching import BatchedSites, Batching
 from dcgrid_env.devices.datacenter.cooled_site import CooledSite, Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServedSites, ServiceLevels
 from dcgrid_env.devices.datacenter.site_features import SiteFeature
-from dcgrid_env.devices.datacenter.site_storage import SiteStorage
+from dcgrid_env.devices.datacenter.site_storage import OF_SITES, SiteStorage
 from dcgrid_env.devices.datacenter.smoothed_site import SmoothedSite
 from dcgrid_env.devices.datacenter.ups_site import UpsSite
 from dcgrid_env.devices.datacenter.work_routing import RoutedSites, Routing
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
+from dcgrid_env.devices.storage.figures import metrics_of
 
 SETTINGS: dict[str, type[Any]] = {
     "routing": Routing,
@@ -33,6 +35,16 @@ SETTINGS: dict[str, type[Any]] = {
 }
 """The class of the settings in each field, in the order in which features act: on the work, from the chips towards the
 grid, and service levels last, since they see what was served in the end."""
+METRICS = (
+    *work_routing.METRICS,
+    *batching.METRICS,
+    *smoothed_site.METRICS,
+    *cooled_site.METRICS,
+    *ups_site.METRICS,
+    *metrics_of(OF_SITES, " behind sites"),
+    *service_levels.METRICS,
+)
+"""Metrics of the features."""
 _REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=.."}
 """What has to be given of each."""
 

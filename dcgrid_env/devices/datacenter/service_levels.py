@@ -21,10 +21,11 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
-from dcgrid_env.devices.datacenter.lateness_by_parts import LatenessByParts
 from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState, kernels
+from dcgrid_env.devices.datacenter.streaming_lateness import StreamingLateness
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -77,6 +78,22 @@ class ServiceState(NamedTuple):
     """Work that is overdue, kW s, (lane, slot)."""
     due_next_kws: Array
     """Work that is to be served in the next step, beside what is overdue, kW s, (lane, slot)."""
+
+
+METRICS = (
+    cost_metric("late", "cost of late work"),
+    Metric("in_time_pct", "work in time", "%", 2, "higher", "share of work served within its target or deadline",
+        tables=("run",)),
+    Metric("interactive_in_time_pct", "interactive work in time", "%", 2, "higher",
+        "share of interactive work served within its target"),
+    Metric("deferrable_in_time_pct", "deferrable work in time", "%", 2, "higher",
+        "share of deferrable work served within its deadline"),
+    Metric("lateness_mean_s", "mean lateness", "s", 2, "lower",
+        "mean lateness of work, 0 where in time, weighted by work"),
+    Metric("lateness_p95_s", "95 % of work late by at most", "s", 1, "lower",
+        "lateness that 95 % of the work does not exceed", tables=("run",), short="p95 lateness, s"),
+)  # fmt: skip
+"""Metrics of sites whose work is to be served by a time."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +171,13 @@ class ServedSites(PassesBy):
         return {"overdue_kws": sum_last(own.overdue_kws)}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: ServiceState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.metrics``."""
+        """Figures of an episode, see ``core.metric``."""
         moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
         slack = self.rule.slack(dt_s)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
         return lateness(history.arrived_kw[1:], moved[1:], history.served_kw[1:], slack, share, first, dt_s)
 
-    def by_parts(self, params: DataCenterParams, dt_s: float) -> _LatenessOfSites:
+    def streaming(self, params: DataCenterParams, dt_s: float) -> _LatenessOfSites:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
         return _LatenessOfSites(self, dt_s)
 
@@ -171,7 +188,7 @@ class _LatenessOfSites:
     def __init__(self, sites: ServedSites, dt_s: float):
         self.moves_late = sites.moves_late
         rule = sites.rule
-        self._late = LatenessByParts(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
+        self._late = StreamingLateness(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
 
     def add(self, history: SiteState, own: ServiceState) -> None:
         """Take a part."""

@@ -4,11 +4,45 @@ from __future__ import annotations
 
 from typing import Any
 
+from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, speed_share
 from dcgrid_env.devices.datacenter.moved_requests import by_site
 from dcgrid_env.devices.datacenter.request_delay import request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
 from dcgrid_env.devices.ratings import DataCenterParams
+
+METRICS = (
+    Metric("delay_mean_s", "mean delay", "s", 2, "lower",
+        "mean waiting time of work, first come first served in each class, weighted by work",
+        tables=("run", "evaluate", "benchmark", "check")),
+    Metric("delay_p50_s", "50 % of work within", "s", 1, "lower",
+        "waiting time that 50 % of the work does not exceed", short="p50 delay, s"),
+    Metric("delay_p95_s", "95 % of work within", "s", 1, "lower",
+        "waiting time that 95 % of the work does not exceed", tables=("run",), short="p95 delay, s"),
+    Metric("delay_p99_s", "99 % of work within", "s", 1, "lower",
+        "waiting time that 99 % of the work does not exceed", tables=("run", "evaluate", "benchmark"),
+        short="p99 delay, s"),
+    Metric("requests_sampled", "requests sampled", "", 0, "neither",
+        "number of requests that the figures are over: an even sample of sources of many requests a second"),
+    Metric("requests_unfinished_pct", "requests unfinished", "%", 1, "lower",
+        "share of those requests with work still queued at the end"),
+    Metric("ttft_mean_s", "time to first token, mean", "s", 2, "lower", "mean time from arrival to the first token",
+        tables=("run",)),
+    Metric("ttft_p50_s", "time to first token, 50 %", "s", 2, "lower", "the same, median"),
+    Metric("ttft_p95_s", "time to first token, 95 %", "s", 2, "lower", "the same, 95 % quantile"),
+    Metric("ttft_p99_s", "time to first token, 99 %", "s", 2, "lower", "the same, 99 % quantile", tables=("run",)),
+    Metric("e2e_mean_s", "end to end, mean", "s", 2, "lower", "mean time from arrival to the last token",
+        tables=("run",)),
+    Metric("e2e_p50_s", "end to end, 50 %", "s", 2, "lower", "the same, median"),
+    Metric("e2e_p95_s", "end to end, 95 %", "s", 2, "lower", "the same, 95 % quantile"),
+    Metric("e2e_p99_s", "end to end, 99 %", "s", 2, "lower", "the same, 99 % quantile", tables=("run",)),
+    Metric("arrived_kws", "work that arrived", "kW s", 1, "neither", "work that arrived"),
+    Metric("unserved_kws", "unserved at the end", "kW s", 1, "lower", "work that was still queued at the end",
+        tables=("run", "evaluate", "benchmark"), short="unserved, kW s"),
+    Metric("clock_mean_pct", "mean clock", "% of the top clock", 1, "higher",
+        "mean clock as a share of the top clock", "mean"),
+)  # fmt: skip
+"""Metrics of data centres."""
 
 
 def site_metrics(

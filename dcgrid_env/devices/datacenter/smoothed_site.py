@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, sum_last
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
@@ -43,6 +44,20 @@ class SmoothingState(NamedTuple):
     ramp_down_kw_per_s: Array
     unchanged_s: Array
     """How long floor and ramps have yet to stay as they are, s."""
+
+
+METRICS = (
+    cost_metric("burnt", "cost of burnt power"),
+    Metric("burnt_kwh", "energy burnt", "kWh", 2, "lower", "energy burnt by the floor of power smoothing", "sum",
+        tables=("run",)),
+    Metric("burnt_pct", "energy burnt, share", "% of the computers'", 1, "lower",
+        "that energy as a share of what the computers draw", "mean", share_of="smoothed_kw"),
+    Metric("held_back_kws", "work held back by ramps", "kW s", 1, "lower", "work held back by ramps", "sum",
+        tables=("run",)),
+    Metric("floor_mean_pct", "mean floor", "% of the rating", 1, "neither", "mean floor as a share of the rating",
+        "mean"),
+)  # fmt: skip
+"""Metrics of sites that smooth their power."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +176,7 @@ class SmoothedSite:
     def metrics(
         self, params: DataCenterParams, history: SiteState, own: SmoothingState, dt_s: float
     ) -> dict[str, float]:
-        """Figures of an episode, see ``engine.metrics``."""
+        """Figures of an episode, see ``core.metric``."""
         burnt_kws = own.burnt_kw[1:].sum() * dt_s
         drawn_kws = own.smoothed_kw[1:].sum() * dt_s
         return {

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
-from dcgrid_env.devices.by_parts import Combined
+from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
@@ -27,6 +27,28 @@ class UpsState(NamedTuple):
 
     ups: ConnectionState
     battery: ups_battery.BatteryState
+
+
+METRICS = (
+    cost_metric("trips", "trip cost"),
+    cost_metric("away", "cost of time away"),
+    cost_metric("recharge", "cost of energy missing in UPS"),
+    Metric("ups_trips", "sites tripped", "", 1, "lower", "number of times that a site left the grid", "sum",
+        tables=("run",)),
+    Metric("ups_lost_kw", "load lost", "kW", 1, "lower", "draw of the sites that left, in all", "sum"),
+    Metric("ups_lost_step_kw", "load lost in a step", "kW", 1, "lower",
+        "draw of the sites that left in one step, the most", "max", over_episodes="max", tables=("run",)),
+    Metric("ups_away_s", "site-seconds away", "s", 1, "lower",
+        "time of sites away from the grid, a ramp by its share", "sum", tables=("run",)),
+    Metric("ups_locked_s", "site-seconds locked out", "s", 1, "lower", "time of sites locked out", "sum"),
+    Metric("ups_all_back_s", "until all are back", "s", 1, "lower",
+        "time from the first step with a site away to the last", tables=("run",)),
+    Metric("battery_work_kws", "work on battery", "kW s", 1, "neither", "work served on battery", "sum"),
+    Metric("battery_energy_kws", "energy of UPS used", "kW s", 1, "lower", "energy drawn from batteries", "sum"),
+    Metric("battery_missing_kws", "energy missing in UPS", "kW s", 1, "lower",
+        "energy missing in the batteries at the end", "last"),
+)  # fmt: skip
+"""Metrics of sites that may leave the grid."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +90,7 @@ class UpsSite:
         most = rule.battery_s * self._site_share
         missing = CostTerm("recharge", "missing_kws", rated_kw, of_all, most, at_end=True, weight=rule.missing_weight)
         return (
-            CostTerm("trips", "tripped", one, slots, 1.0, weight=rule.trip_weight),
+            CostTerm("trips", "tripped", one, slots, 1.0, weight=rule.trip_weight, is_constraint=True),
             CostTerm("away", "away", one, slots, 1.0, weight=rule.away_weight),
             missing,
         )
@@ -157,7 +179,7 @@ class UpsSite:
         }
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: UpsState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.metrics``."""
+        """Figures of an episode, see ``core.metric``."""
         ups, battery, full_kws = own.ups, own.battery, self._full_kws(params)
         gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1))
         lost_kw = ups.lost_kw[1:].sum(axis=1)
@@ -173,17 +195,17 @@ class UpsSite:
             "battery_missing_kws": np.maximum(full_kws - battery.stored_kws[-1], 0.0).sum(),
         }
 
-    def by_parts(self, params: DataCenterParams, dt_s: float) -> _UpsByParts:
+    def streaming(self, params: DataCenterParams, dt_s: float) -> _StreamingUps:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
-        return _UpsByParts(self, params, dt_s)
+        return _StreamingUps(self, params, dt_s)
 
 
-class _UpsByParts:
+class _StreamingUps:
     """Accumulates the figures of ``UpsSite`` over a course that comes in parts."""
 
     def __init__(self, sites: UpsSite, params: DataCenterParams, dt_s: float):
         self.sites, self.params, self.dt_s = sites, params, dt_s
-        self._combined = Combined()
+        self._combined = Combined(METRICS)
         self._steps = 0
         self._away: tuple[int, int] | None = None
         """The first and the last step with a site away."""

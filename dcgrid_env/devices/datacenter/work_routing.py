@@ -24,6 +24,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, number, settle
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState, kernels
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -67,6 +68,16 @@ class RoutingState(NamedTuple):
     """Work that came from elsewhere, kW."""
     work_share: Array
     """Share of all work that arrived in the step that is served here or waits here; 0 where none arrived."""
+
+
+METRICS = (
+    cost_metric("moving", "cost of moves"),
+    Metric("moved_kws", "work moved", "kW s", 1, "neither",
+        "work that was served at another site than it arrived at", "sum"),
+    Metric("moved_pct", "work moved", "% of what arrived", 1, "neither", "that work as a share of all", "mean",
+        share_of="arrived_kw", tables=("run",)),
+)  # fmt: skip
+"""Metrics of sites between which work moves."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,6 @@ class RoutedSites(PassesBy):
         return {"moved_kw": sum_last(own.received_kw)}
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: RoutingState, dt_s: float) -> dict[str, float]:
-        """Figures of an episode, see ``engine.metrics``."""
+        """Figures of an episode, see ``core.metric``."""
         moved, arrived = own.received_kw[1:].sum(), history.arrived_kw[1:].sum()
         return {"moved_kws": moved * dt_s, "moved_pct": 100.0 * moved / arrived if arrived > 0.0 else 0.0}

@@ -7,10 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.connection import ConnectionState, Supply
 from dcgrid_env.devices.ride_through.rules import RideThrough
+
+METRICS = (
+    cost_metric("inverter_trips", "inverter trip cost"),
+    Metric("inverter_trips", "inverters tripped", "", 1, "lower", "number of times that an inverter left the grid",
+        "sum", tables=("run",)),
+    Metric("inverter_away_s", "inverter-seconds away", "s", 1, "lower",
+        "time of inverters away from the grid, a ramp by its share", "sum"),
+)  # fmt: skip
+"""Metrics of inverters that may leave the grid."""
 
 
 class RidingInverterState(NamedTuple):
@@ -31,7 +41,8 @@ def fields(rule: RideThrough, slots: int) -> tuple[Field, ...]:
 
 def cost_terms(rule: RideThrough, slots: int) -> tuple[CostTerm, ...]:
     """Trips."""
-    return (CostTerm("inverter_trips", "tripped", np.ones(slots), float(max(slots, 1)), 1.0, weight=rule.trip_weight),)
+    weight = rule.trip_weight
+    return (CostTerm("inverter_trips", "tripped", np.ones(slots), float(max(slots, 1)), 1.0, False, weight, True),)
 
 
 def step(
@@ -60,6 +71,6 @@ def totals(state: RidingInverterState) -> dict[str, Array]:
 
 
 def metrics(history: RidingInverterState, dt_s: float) -> dict[str, float]:
-    """Figures of an episode, see ``engine.metrics``."""
+    """Figures of an episode, see ``core.metric``."""
     own = history.connection
     return {"inverter_trips": own.tripped[1:].sum(), "inverter_away_s": (1.0 - own.share[1:]).sum() * dt_s}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
+from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import Rating, check_each, check_rating, per_device, read_only
 from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageState
@@ -98,6 +99,24 @@ def totals(state: StorageState, of: str = "") -> dict[str, Array]:
         f"{of}storage_loss_kwh": sum_last(state.storage_loss_kwh),
         f"{of}storage_missing_kwh": sum_last(state.missing_kwh),
     }
+
+
+def metrics_of(of: str = "", behind: str = "") -> tuple[Metric, ...]:
+    """Metrics of storages, whose names begin with ``of`` and whose labels end with ``behind``."""
+    return (
+        cost_metric(f"{of}ageing", f"ageing cost of storage{behind}"),
+        cost_metric(f"{of}missing", f"cost of missing energy{behind}"),
+        Metric(f"{of}stored_end_pct", f"stored at the end{behind}", "%", 1, "neither",
+            "stored energy at the end, as a share of the capacity of all storages", "last"),
+        Metric(f"{of}stored_lowest_pct", f"least stored{behind}", "%", 1, "neither",
+            "least stored energy, as the same share", "min", over_episodes="min"),
+        Metric(f"{of}storage_throughput_kwh", f"throughput of storage{behind}", "kWh", 2, "lower",
+            "energy charged and energy discharged, at the grid, over the steps 1 .. T", "sum", tables=("run",)),
+        Metric(f"{of}storage_loss_kwh", f"energy lost in storage{behind}", "kWh", 2, "lower",
+            "energy drawn that is neither given back nor stored at the end", "sum"),
+        Metric(f"{of}storage_missing_kwh", f"energy missing in storage{behind}", "kWh", 2, "lower",
+            "energy that is missing at the end of what is to be returned", "last", tables=("run",)),
+    )  # fmt: skip
 
 
 def metrics(params: StorageParams, history: StorageState, of: str = "") -> dict[str, float]:

@@ -15,7 +15,7 @@ from dcgrid_env.agents.policy.card import Scored
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.agents.shipping import without_horizon
-from dcgrid_env.baselines import Placed
+from dcgrid_env.baselines import NeedsPlacement
 
 SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
 CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 0, 1.5, 0.3, SCORED)
@@ -144,7 +144,7 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
     assert card.scored.scenario in PRESETS
     assert card.scored.split == "test"
     assert card.seed in card.scored.seeds
-    assert card.inputs is not None or isinstance(policy, Placed)  # what a guard falls back by
+    assert card.inputs is not None or isinstance(policy, NeedsPlacement)  # what a guard falls back by
     own = card.scored.seeds.index(card.seed)
     assert card.scored.seed_scores[own] == pytest.approx(card.scored.score[0])
     assert card.scored.seed_J is not None

@@ -7,7 +7,7 @@ import torch
 from dcgrid_env import PrefillDecodeDvfs, TensorEnv, field_names, make_scenario
 from dcgrid_env.agents.policy.interface import KINDS, OUTPUTS, Gains, PolicyInterface, cut
 from dcgrid_env.baselines import Droop
-from dcgrid_env.engine.observation import joint_bounds
+from dcgrid_env.engine.cost.observation import joint_bounds
 
 TOY6 = make_scenario("toy6", split="train")  # dc_0 of 2.5 MW and 0.825 Mvar, then inverters of 1 MVA and 1 Mvar
 FIELDS = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x", "p_ref_next", "backlog")

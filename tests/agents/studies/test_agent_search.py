@@ -15,12 +15,12 @@ from dcgrid_env.agents.training.preset_settings import PATH
 from dcgrid_env.agents.training.run_folder import Diverged, TrainingError
 from dcgrid_env.cli.main import main
 from dcgrid_env.cli.train import ALGORITHMS
-from dcgrid_env.core.work.here import Here
+from dcgrid_env.core.work.local_pool import LocalPool
 from dcgrid_env.core.work.unit import Lost
 
 pytest.importorskip("optuna")
 from dcgrid_env.agents.studies.agent_search import best_as_toml, ended, number_of, require_optuna, search
-from dcgrid_env.agents.studies.trial_training import Told, read_trial, train_trial
+from dcgrid_env.agents.studies.trial_training import TrialStatus, read_trial, train_trial
 
 
 @pytest.mark.parametrize("algorithm", SPACES)
@@ -111,7 +111,7 @@ def test_what_a_folder_holds_is_read_or_named(tmp_path, trained, monkeypatch):
         (out / "trial.json").write_text(damaged)
         with pytest.raises(ValueError, match=r"trial.json: does not say how the trial went; delete the folder .*-000"):
             read_trial(out)
-    assert read_trial(tmp_path) == Told()
+    assert read_trial(tmp_path) == TrialStatus()
 
     def refused(cfg):
         raise TrainingError("folder: holds another run")
@@ -144,7 +144,7 @@ def test_another_search_in_the_same_folder_is_refused(tmp_path, trained):
         search(base, 1, 0, tmp_path / "run", ("num_envs",))
 
 
-class Backwards(Here):
+class Backwards(LocalPool):
     """Units one after the other, the last one first."""
 
     def run(self, units, shared=None):
@@ -152,7 +152,7 @@ class Backwards(Here):
 
 
 @dataclasses.dataclass(frozen=True)
-class Without(Here):
+class Without(LocalPool):
     """A place on which one unit has no result."""
 
     key: str = ""

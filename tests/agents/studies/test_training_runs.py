@@ -10,7 +10,7 @@ from dcgrid_env.agents.algorithms.safe import Safe
 from dcgrid_env.agents.studies.training_runs import command, finished, folder, train, trained, words_of
 from dcgrid_env.agents.studies.training_units import train_all
 from dcgrid_env.cli.train import ALGORITHMS
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 
 
 def tiny(out, **others):

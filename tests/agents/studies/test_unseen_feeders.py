@@ -10,7 +10,7 @@ from dcgrid_env.agents.studies import unseen_feeders
 from dcgrid_env.agents.studies.feeder_by_feeder import on_each_feeder
 from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.cli.main import main
-from dcgrid_env.core.work.here import ONE_PROCESS
+from dcgrid_env.core.work.local_pool import ONE_PROCESS
 
 
 def test_each_random_feeder_has_a_score_of_its_own():

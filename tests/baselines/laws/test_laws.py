@@ -12,7 +12,7 @@ from dcgrid_env.baselines import (
     DeadbandDroop,
     Droop,
     Local,
-    Placed,
+    NeedsPlacement,
     PlacementRule,
     SwitchingReference,
     VoltVar,
@@ -211,7 +211,7 @@ def test_every_controller_runs_under_every_preset(preset, law):
         if not drives(name, scenario) or (name == "droop-one-step" and not scenario.preview):
             continue  # it refuses what it cannot do, see test_controllers
         controller = make_controller(name)
-        if isinstance(controller, Placed) and scenario.work_classes == 2:
+        if isinstance(controller, NeedsPlacement) and scenario.work_classes == 2:
             continue  # the models know the linear clock law alone, see test_model
         metrics = rollout(scenario, controller, [0, 1]).metrics()
         assert all(np.isfinite(list(m.values())).all() and m["steps"] == 5.0 for m in metrics), name

@@ -18,7 +18,7 @@ from dcgrid_env.baselines.laws.stability import placements, spectral_radius
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.hindsight import STEADY_SHARES, _settled, hindsight, replay
 from dcgrid_env.baselines.model_based.relay_rows import RelayRows
-from dcgrid_env.engine.acting_relays import BankControl
+from dcgrid_env.engine.physics.acting_relays import BankControl
 from helpers.three_phase import SCENARIOS, ieee13, ieee34, ieee123
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, Fault, Recorder, ScenarioError, field_names, forecast, make_scenario
-from dcgrid_env.engine import episode
+from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.simulation import Simulation
 
 

@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from dcgrid_env import CostWeights, Fault, ScenarioError, TensorEnv, make_scenario, scenario_hash
-from dcgrid_env.engine import connections, dynamics, episode, observation
-from dcgrid_env.engine.actions import action_layout
-from dcgrid_env.engine.metrics import Recorder
+from dcgrid_env.engine.cost import observation
+from dcgrid_env.engine.exogenous import episode
+from dcgrid_env.engine.physics import connections, dynamics
+from dcgrid_env.engine.physics.actions import action_layout
+from dcgrid_env.engine.record.episode_record import Recorder
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_for, unbalance_factor
 from helpers.three_phase import SCENARIOS, ieee13, ieee123

@@ -8,7 +8,7 @@ import pytest
 CODE = """
 import sys
 import dcgrid_env
-from dcgrid_env.engine import grid_pass
+from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.powerflow.balanced import compiled_blocks, distflow_kernels
 from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_lanes
 

@@ -112,8 +112,9 @@ def test_global_state_shows_both_work_classes():
     assert np.count_nonzero(seen[-3:]) > 0
 
 
-def test_save_restore_copy_and_pickle():
-    env = parallel_env("toy6", max_cycles=6)
+@pytest.mark.parametrize("scenario", ["toy6", "ieee13-3ph"])  # one with terms of its own in the cost
+def test_save_restore_copy_and_pickle(scenario):
+    env = parallel_env(scenario, max_cycles=6)
     env.reset(seed=2)
     actions = [{a: env.action_space(a).sample() for a in env.agents} for _ in range(6)]
     for action in actions[:3]:

@@ -19,7 +19,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
-from dcgrid_env.engine.drawn_events import drawn_sags
+from dcgrid_env.engine.exogenous.drawn_events import drawn_sags
 from dcgrid_env.engine.simulation import Simulation
 from helpers.riding import at_top_clock, riding
 

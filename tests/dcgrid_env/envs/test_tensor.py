@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dcgrid_env import DcgridVectorEnv, TensorEnv, action_layout, make_scenario
-from dcgrid_env.engine.observation import joint_bounds
+from dcgrid_env.engine.cost.observation import joint_bounds
 from dcgrid_env.powerflow.balanced.distflow import TOLERANCE_KVA
 from dcgrid_env.traces import PowerTrace
 from helpers.forms import VARIANTS, variant_of

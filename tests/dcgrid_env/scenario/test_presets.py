@@ -220,7 +220,8 @@ def test_ieee123_is_regulated_and_compensated():
 
 def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep_it():
     # Voltages under full sites: no control, all the reactive power there is, and the lowest clocks with it.
-    from dcgrid_env.engine import dynamics, episode
+    from dcgrid_env.engine.exogenous import episode
+    from dcgrid_env.engine.physics import dynamics
 
     s = make_scenario("ieee33-weak", load_sigma=0.0)
     zero = np.zeros(1, np.uint64)

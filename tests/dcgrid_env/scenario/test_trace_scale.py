@@ -8,7 +8,7 @@ import pytest
 from dcgrid_env import ScenarioError, make_scenario, scenario_hash
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.cli.main import main
-from dcgrid_env.engine import episode
+from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 from dcgrid_env.traces import PowerTrace
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.engine.state import State
+from dcgrid_env.engine.physics.state import State
 
 
 def state_of(fields: dict[str, Any]) -> State:

@@ -108,7 +108,7 @@ def test_the_largest_cost_of_a_step_bounds_ramps_of_storage_and_waits_of_batches
         "ieee33-weak", horizon=6, ramp_limit_kw_per_s=100.0, ramp_window_s=1.0,
         datacenter_storage={"p_rated_kw": 2000.0, "energy_kwh": 50.0}, weights={"ramp_excess": 1.0},
     )  # fmt: skip
-    from dcgrid_env.engine.utility_limits import largest_ramp_excess
+    from dcgrid_env.scenario.costs.utility_limits import largest_ramp_excess
 
     env = DcgridVectorEnv(1, s)
     env.reset(seed=[0])

@@ -1,0 +1,303 @@
+"""What an agent observes: local figures only, unless the scenario widens the scope.
+
+``FIELDS`` are those of the grid, one record each. Then come the fields of an agent's device (``Device.fields``),
+voltages among them in bands and without noise or delay. Two scopes add fields at the end: `neighbours` v_deviation, p
+and q of the 3 electrically nearest agents, nearest first; `feeder` v_deviation of every node but the substation's, as
+in node_ids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import Field
+from dcgrid_env.engine.cost.measurement import of_agents
+from dcgrid_env.engine.physics.connections import N_NEIGHBOURS, Placement, distance_in_bands
+from dcgrid_env.engine.physics.dynamics import step_kernels
+from dcgrid_env.engine.physics.parameters import inverse, parameters
+from dcgrid_env.engine.physics.state import State
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.costs.overload import loading_of_agents
+from dcgrid_env.scenario.scenario import Scenario
+
+_LARGEST_LOADING = 4.0
+
+
+class Seen(NamedTuple):
+    """What the fields of the grid are taken from."""
+
+    state: State
+    placed: Placement
+    deviation_pu: Array
+    """Measured voltage of each agent less 1, p.u., (row, n_agent)."""
+    change_pu: Array
+    """Its change over a step."""
+    phases_pu: Array | None
+    """Lowest voltages of the agents' phases, then the highest, p.u., (row, 2 n_agent); None on a balanced feeder."""
+
+
+class ObservationField(NamedTuple):
+    """A figure of the grid that every agent observes."""
+
+    name: str
+    unit: str
+    raw: Callable[[Seen], Array]
+    """The figure before scaling, (row, n_agent)."""
+    scale: Callable[[Scenario], Any]
+    """Factor of it, (n_agent,) or a number."""
+    bounds: Callable[[Scenario], tuple[float, float]]
+    """Lowest and highest value."""
+    is_observed: Callable[[Scenario], bool] = lambda _: True
+    """Whether agents of a scenario observe it."""
+
+
+def _per_band(scenario: Scenario) -> float:
+    return 1.0 / (scenario.band_pu or 1.0)
+
+
+def _band_edges(scenario: Scenario) -> tuple[float, float]:
+    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    return -edge, edge
+
+
+def _per_p(scenario: Scenario) -> Array:
+    return 1.0 / parameters(scenario, np.empty(0)).p_scale_kw
+
+
+def _per_q(scenario: Scenario) -> Array:
+    return inverse(parameters(scenario, np.empty(0)).q_scale_kvar)
+
+
+def _has_phases(scenario: Scenario) -> bool:
+    return isinstance(scenario.feeder, ThreePhaseFeeder)
+
+
+def _half(both: Any, second: bool) -> Array:
+    n = both.shape[-1] // 2
+    return both[..., n:] if second else both[..., :n]
+
+
+_IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
+FIELDS = (
+    ObservationField("v_deviation", _IN_BANDS, lambda seen: seen.deviation_pu, _per_band, _band_edges),
+    ObservationField("v_change", "change of V over a step / band", lambda seen: seen.change_pu, _per_band, _band_edges),
+    ObservationField(
+        "p", "share of the rating, an injection negative", lambda seen: seen.state.p_kw, _per_p,
+        lambda scenario: (-1.0, max(device.largest_draw_share for device in scenario.devices)),
+    ),
+    ObservationField(
+        "q", "share of the reactive limit at no active power, an injection positive", lambda seen: seen.state.q_kvar,
+        _per_q, lambda _: (-1.0, 1.0),
+    ),
+    ObservationField("q_limit", "the same share", lambda seen: seen.state.q_limit_kvar, _per_q, lambda _: (0.0, 1.0)),
+    ObservationField(
+        "r", "R_ii as believed: drop of the agent's voltage per MW drawn / band",
+        lambda seen: _half(seen.placed.distance, False), lambda _: 1.0,
+        lambda scenario: (0.0, max(_largest_distance(scenario)[0], 1e-6)),
+    ),
+    ObservationField(
+        "x", "X_ii as believed: drop of the agent's voltage per Mvar drawn / band",
+        lambda seen: _half(seen.placed.distance, True), lambda _: 1.0,
+        lambda scenario: (0.0, max(_largest_distance(scenario)[1], 1e-6)),
+    ),
+    ObservationField(
+        "v_lowest", f"{_IN_BANDS}, of the lowest phase", lambda seen: _half(seen.phases_pu, False) - 1.0, _per_band,
+        _band_edges, _has_phases,
+    ),
+    ObservationField(
+        "v_highest", f"{_IN_BANDS}, of the highest phase", lambda seen: _half(seen.phases_pu, True) - 1.0, _per_band,
+        _band_edges, _has_phases,
+    ),
+    ObservationField(
+        "loading", "loading of the branch that feeds the bus, of its most loaded phase; 0 where it is not known",
+        lambda seen: loading_of_agents(seen.state, seen.placed.nodes), lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING),
+        lambda scenario: scenario.observe_loading,
+    ),
+)  # fmt: skip
+"""Fields of the grid, in order."""
+
+
+@cached_on_owner
+def grid_fields(scenario: Scenario) -> tuple[ObservationField, ...]:
+    """The fields of the grid that agents of a scenario observe."""
+    return tuple(field for field in FIELDS if field.is_observed(scenario))
+
+
+def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Names of the observed fields, in order, for each agent."""
+    wider: tuple[str, ...] = ()
+    if scenario.observe == "neighbours":
+        count = min(N_NEIGHBOURS, scenario.n_agents - 1)
+        wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
+    elif scenario.observe == "feeder":
+        wider = tuple(f"v_deviation_{node}" for node in scenario.feeder.node_ids[scenario.feeder.load_slice])
+    agents = iter(scenario.agents)
+    return {
+        next(agents): (*common_fields(scenario), *(field.name for field in fields), *wider)
+        for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
+        for _ in range(device.count)
+    }
+
+
+def common_fields(scenario: Scenario) -> tuple[str, ...]:
+    """Names of the fields that every agent observes, whatever its device, in order."""
+    return tuple(field.name for field in grid_fields(scenario))
+
+
+@cached_on_owner
+def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
+    """The fields of each device, those that are deviations of voltages in bands."""
+    band = scenario.band_pu or 1.0
+    of_devices = (device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
+    return tuple(tuple(_in_bands(field, band) if field.of_band else field for field in own) for own in of_devices)
+
+
+def _in_bands(field: Field, band_pu: float) -> Field:
+    return field._replace(
+        lowest=field.lowest / band_pu, highest=field.highest / band_pu, share_of=field.share_of * band_pu
+    )
+
+
+def bounds(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Lowest and highest value of each field, float32, for each agent."""
+    range_of = {field.name: field.bounds(scenario) for field in grid_fields(scenario)}
+
+    def find(name: str, fields: dict[str, tuple[float, float]]) -> tuple[float, float]:
+        if name in fields:
+            return fields[name]
+        if name.startswith("neighbour"):
+            name = name.partition("_")[2]
+        return range_of["v_deviation" if name.startswith("v_deviation") else name]
+
+    of_device = [
+        {field.name: (field.lowest, field.highest) for field in fields}
+        for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
+        for _ in range(device.count)
+    ]
+    ranges = {
+        agent: np.array([find(name, fields) for name in names])
+        for (agent, names), fields in zip(field_names(scenario).items(), of_device, strict=True)
+    }
+    return {a: (b[:, 0].astype(np.float32), b[:, 1].astype(np.float32)) for a, b in ranges.items()}
+
+
+@cached_on_owner
+def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the joint observation, the agents' one after the other, float32, (n_observation,) each."""
+    low, high = zip(*bounds(scenario).values(), strict=True)
+    return np.concatenate(low), np.concatenate(high)
+
+
+def _largest_distance(scenario: Scenario) -> tuple[float, float]:
+    """Largest R_ii and X_ii of any agent at any bus, in bands; on random feeders what they are below on all of them."""
+    feeder, band = scenario.family.feeder, scenario.band_pu or 1.0
+    if isinstance(feeder, RandomFeeders):
+        largest = feeder.largest_drop_pu_per_mw / band
+        return largest * scenario.r_model_share, largest * scenario.x_model_share
+    own = distance_in_bands(scenario)
+    return float(own[..., 0].max()), float(own[..., 1].max())
+
+
+class _Layout(NamedTuple):
+    scale: Array  # of each raw figure, (n_raw,)
+    column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
+
+
+@cached_on_owner
+def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
+    """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
+    n = scenario.n_agents
+    near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
+    blocks = [field.scale(scenario) * np.ones(n) for field in grid_fields(scenario)]
+    common = len(blocks)
+    for fields in device_fields(scenario):
+        blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    scale = np.concatenate(blocks)
+    column, agent, block = [], 0, common
+    for device, fields in zip(scenario.devices, device_fields(scenario), strict=True):
+        for slot in range(device.count):
+            column += [starts[k] + agent for k in range(common)]
+            column += [starts[block + k] + slot for k in range(len(fields))]
+            if scenario.observe == "neighbours":
+                column += range(len(scale) + 3 * near * agent, len(scale) + 3 * near * (agent + 1))
+            elif scenario.observe == "feeder":
+                column += range(len(scale), len(scale) + len(scenario.feeder.load_nodes))
+            agent += 1
+        block += len(fields)
+    if scenario.observe == "neighbours":
+        scale = np.concatenate((scale, np.ones(3 * near * n)))
+    elif scenario.observe == "feeder":
+        scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
+    return _Layout(
+        xp.asarray(scale, dtype=dtype, device=device_of), xp.asarray(np.array(column, dtype=np.int64), device=device_of)
+    )
+
+
+def observe(
+    scenario: Scenario,
+    state: State,
+    placed: Placement,
+    given_next: Sequence[Any],
+    v_measured_pu: Array,
+    v_before_pu: Array,
+) -> Array:
+    """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
+
+    Parameters
+    ----------
+    scenario, state
+        Scenario and state after the last step.
+    placed
+        The episode's placement.
+    given_next
+        What comes from outside over the coming interval, for each device (``episode.given_next``).
+    v_measured_pu, v_before_pu
+        Voltage as measured now and one step before, p.u. (``measurement.measure``); the state's own unless the
+        scenario has noise or delay.
+    """
+    raw, layout = _raw(scenario, state, placed, given_next, v_measured_pu, v_before_pu)
+    return take_last(raw * layout.scale, layout.column)
+
+
+def observe_within_bounds(scenario: Scenario, *observed: Any) -> np.ndarray:
+    """What ``observe`` gives of NumPy arrays, as float32 and cut to its bounds."""
+    raw, layout = _raw(scenario, *observed)
+    return step_kernels().joint_observation(raw, *layout, *joint_bounds(scenario))
+
+
+def _raw(
+    scenario: Scenario,
+    state: State,
+    placed: Placement,
+    given_next: Sequence[Any],
+    v_measured_pu: Array,
+    v_before_pu: Array,
+) -> tuple[Array, _Layout]:
+    """The raw figures, (lane, n_raw), and how they become the joint observation."""
+    xp = namespace(state.v_pu)
+    layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
+    v_now, phases = of_agents(scenario, v_measured_pu, placed.nodes)
+    v_before, _ = of_agents(scenario, v_before_pu, placed.nodes)
+    seen = Seen(state, placed, v_now - 1.0, v_now - v_before, phases)
+    raw = [field.raw(seen) for field in grid_fields(scenario)]
+    for i, its_state in enumerate(state.devices):
+        if its_state:
+            raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])
+    if scenario.observe == "neighbours":
+        trio = (
+            seen.deviation_pu * _per_band(scenario),
+            state.p_kw / params.p_scale_kw,
+            state.q_kvar * params.per_q_scale,
+        )
+        near = (take_at(field, placed.nearest)[..., None] for field in trio)
+        raw.append(xp.concat(tuple(near), axis=-1).reshape(v_now.shape[0], -1))
+    elif scenario.observe == "feeder":
+        raw.append(v_measured_pu[:, scenario.feeder.load_slice] - 1.0)
+    return xp.concat(raw, axis=-1), layout

@@ -1,0 +1,1 @@
+"""What comes from outside the control: episodes, traces, noise and events."""

@@ -1,0 +1,276 @@
+"""An episode as drawn: placement, trace windows, time of day, faults and noise, all functions of one key per lane."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core import random
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import Work
+from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
+from dcgrid_env.engine.exogenous.load_noise import base_legs, drawn_loads, load_noise
+from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
+from dcgrid_env.engine.physics import connections
+from dcgrid_env.engine.physics.dynamics import step_kernels
+from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.traces import SUN, RowsOnDemand, load_share, sun_share
+
+_ROUNDING_S = 1e-9
+
+
+class EpisodeOptions(NamedTuple):
+    """What of an episode is set from outside rather than drawn; None is drawn."""
+
+    buses: np.ndarray | None = None
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    begin_h: np.ndarray | None = None
+    """Time of day at t = 0, h in [0, 24), (lane,), of a scenario that follows the day."""
+
+
+class Episode(NamedTuple):
+    """What a reset draws, for a batch of lanes."""
+
+    key: np.ndarray
+    """(lane,) uint64."""
+    buses: np.ndarray
+    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    placed: connections.Placement
+    start: np.ndarray
+    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_site)."""
+    sun: np.ndarray
+    """Where the window of generated PV begins, flat position row * n_step + step of its pool, (lane,); 0 without PV."""
+    begin_h: np.ndarray
+    """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
+    still: np.ndarray
+    """Ones, (lane,): the share of the nominal load where nothing follows the day."""
+    fault: np.ndarray
+    """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
+    int64, (lane, n_fault, 3)."""
+    sag: np.ndarray
+    """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (lane, n_sag, 3)."""
+
+
+def prepare(scenario: Scenario, episode: Episode) -> None:
+    """Have the rows of trace that an episode's windows lie in, where they are made on demand.
+
+    Drawing it here does so; an episode that was drawn in another process or environment needs it.
+    """
+    pool = trace_pool(scenario)
+    if isinstance(pool, RowsOnDemand):
+        pool.make(episode.start // pool.p_share.shape[1])
+
+
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
+    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
+
+    The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
+    nothing else that is drawn, but for windows of requests that follow the hour.
+    """
+    given = given or EpisodeOptions()
+    salt = np.uint64(zlib.crc32(scenario.split.encode()))
+    key = random.keys(salt, seeds, numbers)
+    buses = _buses(scenario, key) if given.buses is None else given.buses
+    begin_h = _begin_h(scenario, key) if given.begin_h is None else given.begin_h
+    sun_row, sun_start = random.bits(key, random.SUN, 2).T
+    rows, steps = sun_rows(scenario).shape
+    sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
+    drawn = (
+        _windows(scenario, key, begin_h),
+        sun.astype(np.int64),
+        begin_h,
+        drawn_faults(scenario, key),
+        drawn_sags(scenario, key),
+    )
+    episode = assemble(scenario, key, buses, *drawn)
+    prepare(scenario, episode)
+    return episode
+
+
+def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """Position of each agent's bus, (lane, n_agent): as fixed, or drawn evenly among the free load buses."""
+    order = None
+    parts, taken = [], 0
+    for device in scenario.devices:
+        if device.buses is not None:
+            fixed = np.array([scenario.feeder.index(bus) for bus in device.buses], dtype=np.int64)
+            parts.append(np.tile(fixed, (len(key), 1)))
+            continue
+        if order is None:
+            drawn = random.bits(key, random.PLACEMENT, len(scenario.candidates))
+            order = np.argsort(drawn, axis=1, kind="stable")
+        parts.append(scenario.candidates[order[:, taken : taken + device.count]])
+        taken += device.count
+    return np.concatenate(parts, axis=1)
+
+
+def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
+    """Time of day at t = 0, h, (lane,)."""
+    if isinstance(scenario.start_hour, str) or (scenario.start_hour is None and scenario.follows_day):
+        return 24.0 * random.uniform(key, random.HOUR, 1)[:, 0]
+    return np.full(len(key), float(scenario.start_hour or 0.0))
+
+
+def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.ndarray:
+    """Where each data centre's trace window begins, see ``Episode.start``."""
+    pool, n_site = trace_pool(scenario), scenario.n_sites
+    n_rows, n_steps = pool.p_share.shape
+    # Sites take different rows as long as there are enough.
+    row = np.argsort(random.bits(key, random.TRACE_ROW, n_rows), axis=1, kind="stable")
+    row = row[:, np.arange(n_site) % n_rows]
+    spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
+    room = 1 if scenario.trace_window == "start" else spare + 1
+    start = (random.bits(key, random.TRACE_START, n_site) % np.uint64(room)).astype(np.int64)
+    if scenario.trace_window == "together":
+        start = start[:, :1]
+    if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
+        # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
+        later_h = (begin_h[:, None] - pool.begin_h[row]) % 24.0
+        start = start + np.floor(later_h * 3600.0 / scenario.dt_s).astype(np.int64)
+    window = row * n_steps + start
+    if scenario.site_correlation:
+        window = np.where(
+            random.uniform(key, random.CORRELATION, n_site) < scenario.site_correlation, window[:, :1], window
+        )
+    return window
+
+
+def assemble(
+    scenario: Scenario,
+    key: np.ndarray,
+    buses: np.ndarray,
+    start: np.ndarray,
+    sun: np.ndarray,
+    begin_h: np.ndarray,
+    fault: np.ndarray,
+    sag: np.ndarray,
+) -> Episode:
+    """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
+    still = np.ones(len(key))
+    return Episode(key, buses, connections.placement(scenario, buses), start, sun, begin_h, still, fault, sag)
+
+
+def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """What ``Episode.fault`` takes in the interval that ends at ``step`` (lane,), bool: agents, then capacitors.
+
+    (lane, n_agent + n_bus), or n_capacitor instead of n_bus on a three-phase feeder.
+    """
+    target, begin, end = np.moveaxis(fault, -1, 0)
+    struck = (begin <= step[:, None]) & (step[:, None] < end)
+    out = np.zeros((len(step), scenario.n_agents + len(scenario.capacitor_connected)), bool)
+    lane, i = np.nonzero(struck)
+    out[lane, target[lane, i]] = True
+    return out
+
+
+def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
+    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_site)."""
+    return asked_kw(scenario, episode.start, step)
+
+
+def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Power that sites ask for in windows from ``start`` on, broadcast against ``step`` (n,), kW, (n, n_site)."""
+    p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * full_trace_kw(scenario)
+    if scenario.full_load_s is None:
+        return p_kw
+    begin_s, end_s = scenario.full_load_s
+    t_s = step[:, None] * scenario.dt_s
+    full = (begin_s + _ROUNDING_S < t_s) & (t_s <= end_s + _ROUNDING_S)
+    return np.where(full, np.maximum(p_kw, scenario.site_rated_kw), p_kw)
+
+
+def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
+    """Compute-bound share of that power above idle, (lane, n_site); None under a clock law of one work class."""
+    if scenario.work_classes == 1:
+        return None
+    shares = trace_pool(scenario).compute_share
+    if shares is None:
+        return np.full(episode.start.shape, float(scenario.compute_share))
+    return shares.take(episode.start + step[:, None])
+
+
+def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
+    """What devices may know at ``step`` (lane,) of the coming interval: work, and nothing of injections; by device."""
+    shares = None if scenario.work_classes == 1 else compute_share(scenario, episode, step + 1)
+    work = Work(p_ref_next, shares)
+    return tuple([work if works else None for works in _driven_by_workload(scenario)])
+
+
+@cached_on_owner
+def _driven_by_workload(scenario: Scenario) -> tuple[bool, ...]:
+    """Whether each device is."""
+    return tuple(device.input == "workload" for device in scenario.devices)
+
+
+def exogenous(
+    scenario: Scenario,
+    episode: Episode,
+    step: np.ndarray,
+    noise: np.ndarray,
+    p_ref: np.ndarray,
+    draw_loads: bool = True,
+) -> tuple[Exogenous, np.ndarray]:
+    """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
+
+    Parameters
+    ----------
+    scenario, episode
+        The scenario, and what a reset drew of it for each lane.
+    step
+        (lane,) int64; at 0 the noise starts afresh.
+    noise
+        The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
+    p_ref
+        The data centres' p_ref at ``step``, kW, (lane, n_site): see :func:`p_ref_kw`.
+    draw_loads
+        False for a step that ``grid_pass`` takes, which draws the loads itself: they are ``Exogenous.to_draw`` then,
+        and the noise is the one given.
+    """
+    hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
+    share = episode.still if hour is None else load_share(hour)
+    if not draw_loads:
+        to_draw = LoadsToDraw(episode.key, step, noise, share, *load_noise(scenario))
+        z, p, q = noise, None, None
+    else:
+        to_draw, (z, p, q) = None, drawn_loads(scenario, episode.key, step, noise, share)
+    schedule = scenario.schedule
+    rated_kva = scenario.scheduled_kva
+    if schedule is None:
+        injection = np.zeros((len(step), len(rated_kva)))
+    else:
+        injection = sun_rows(scenario).take(episode.sun + step)[:, None] * rated_kva
+        if hour is not None and schedule == SUN:
+            injection *= sun_share(hour)[:, None]
+    feeder = scenario.feeder
+    three_phase = isinstance(feeder, ThreePhaseFeeder)
+    if three_phase:
+        p, q = step_kernels().leg_loads(p, *base_legs(feeder))
+    available = capacitor_on = None
+    if three_phase and not scenario.capacitors:
+        capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
+    if scenario.faults:
+        agents, capacitors = np.split(lost(scenario, episode.fault, step), [scenario.n_agents], axis=1)
+        available = 1.0 - agents
+        if three_phase:
+            capacitor_on = float(scenario.capacitors) * (1.0 - capacitors)
+        else:
+            q += capacitors * feeder.capacitor_kvar
+    placed, compute = episode.placed, compute_share(scenario, episode, step)
+    legs = placed.legs if three_phase else None
+    sags = sags_in_interval(scenario, episode.sag, step)
+    nodes = placed.nodes
+    return Exogenous(p, q, p_ref, injection, nodes, compute, available, legs, capacitor_on, sags, None, to_draw), z
+
+
+def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:
+    """The steps 0 .. T of an episode in turn, (lane,), each with what comes from outside in its interval."""
+    noise = np.zeros((len(episode.key), scenario.feeder.n_bus))
+    for k in range(scenario.horizon + 1):
+        step = np.full(len(episode.key), k)
+        outside, noise = exogenous(scenario, episode, step, noise, p_ref_kw(scenario, episode, step))
+        yield step, outside

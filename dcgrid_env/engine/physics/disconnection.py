@@ -1,0 +1,46 @@
+"""Devices that leave the grid by themselves: what they are given for it, and what of them is connected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices.device import may_leave
+from dcgrid_env.devices.ride_through.connection import Supply
+from dcgrid_env.engine.physics.state import Exogenous, State
+from dcgrid_env.scenario.scenario import Scenario
+
+
+@cached_on_owner
+def leaving(scenario: Scenario) -> tuple[int, ...]:
+    """Positions of the groups of devices that may leave the grid."""
+    return tuple(i for i, device in enumerate(scenario.devices) if may_leave(device))
+
+
+def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: Any) -> Supply:
+    """What a group is given whose agents stand at ``agents``: the voltage of its lowest and highest phase, and sags.
+
+    Before t = 0 the voltage is the source's.
+    """
+    if state.restart is None:
+        low = high = 0.0 * state.p_kw[..., agents] + scenario.source_voltage_pu
+    elif state.three_phase is None:
+        low = high = state.v_agent_pu[..., agents]
+    else:
+        phases = state.three_phase
+        low, high = phases.v_agent_lowest_pu[..., agents], phases.v_agent_highest_pu[..., agents]
+    available = None if exogenous.available is None else exogenous.available[..., agents]
+    return Supply(given, low, high, exogenous.sags, exogenous.trip_widths, available)
+
+
+def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:
+    """Share of each agent's power that is on the grid, (lane, n_agent), 1 for those that cannot leave."""
+    one = 0.0 * like + 1.0
+    own = leaving(scenario)
+    parts = [
+        scenario.devices[i].connected(states[i]) if i in own else one[..., cut]  # pyright: ignore
+        for i, cut in enumerate(cuts)
+    ]
+    return namespace(like).concat(parts, axis=-1)

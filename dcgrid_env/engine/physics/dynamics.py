@@ -1,0 +1,300 @@
+"""The physics of one step: devices act within their limits, the grid settles. Pure, batched, on any array kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, is_rows, namespace, take_at, take_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import Work, converter
+from dcgrid_env.engine.physics import equipment as feeder_equipment
+from dcgrid_env.engine.physics.actions import action_layout
+from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
+from dcgrid_env.engine.physics.parameters import Parameters, parameters
+from dcgrid_env.engine.physics.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
+from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow import (
+    AnySolution,
+    Control,
+    Solver,
+    branch_loading,
+    has_ratings,
+    solver_for,
+    three_phase_nodes,
+    unbalance_factor,
+)
+from dcgrid_env.scenario.costs.utility_limits import remembered_draws
+from dcgrid_env.scenario.scenario import Scenario
+
+
+def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnySolution]:
+    """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power.
+
+    The taps of regulators that are controlled have settled.
+    """
+    xp = namespace(exogenous.p_load_kw)
+    params = parameters(scenario, exogenous.p_load_kw)
+    feeder = scenario.feeder
+    v = 0.0 * exogenous.p_load_kw[..., : feeder.n_node] + scenario.source_voltage_pu
+    agents = 0.0 * (exogenous.p_load_kw[..., :1] + params.p_scale_kw)
+    cuts = device_slices(scenario)
+    devices = tuple(
+        device.initial(own, agents[..., cut])
+        for device, own, cut in zip(scenario.devices, params.devices, cuts, strict=True)
+    )
+    setpoints = tuple(
+        tuple(agents[..., cut] + rest for rest in of_device) for of_device, cut in zip(params.rest, cuts, strict=True)
+    )
+    phases = None
+    if isinstance(feeder, ThreePhaseFeeder):
+        none = 0.0 * v[..., : len(three_phase_nodes(feeder))]
+        angle = as_like(np.deg2rad(feeder.source_angle_deg[feeder.node_phase - 1]), v)
+        at_agents = agents + scenario.source_voltage_pu
+        phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, none, None)
+    before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
+    state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
+    draws = (state.p_kw,) * remembered_draws(scenario) or None
+    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), solution
+
+
+def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
+    """Advance every lane by one interval.
+
+    Parameters
+    ----------
+    scenario
+        The scenario, one for all lanes.
+    state
+        State at the beginning of the interval.
+    action
+        (lane, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A setpoint
+        runs from a channel's lowest to its highest; a reactive one is a share of the limit at zero active power, and
+        what the converter cannot give at its active power is cut.
+    exogenous
+        Loads, p_ref and placement over the interval.
+
+    Returns
+    -------
+    state, solution
+        State at the end and the power flow behind it. Where that has not converged the state keeps the last voltages.
+    """
+    xp = namespace(action)
+    params = parameters(scenario, action)
+    if is_rows(action):
+        setpoint = step_kernels().setpoints(action, params.middle, params.half_range)
+    else:
+        setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
+    q_kvar = take_last(setpoint, params.reactive)
+    if params.has_reactive is not None:
+        q_kvar = q_kvar * params.has_reactive
+    return _step(scenario, params, state, by_device, q_kvar, exogenous)
+
+
+def _step(
+    scenario: Scenario,
+    params: Parameters,
+    state: State,
+    setpoints: Sequence[Any],
+    q_setpoint_kvar: Array,
+    exogenous: Exogenous,
+) -> tuple[State, AnySolution]:
+    xp = namespace(q_setpoint_kvar)
+    may_leave = leaving(scenario)
+    devices, draws = [], []
+    work = Work(exogenous.p_ref_kw, exogenous.compute_share)
+    for i, device in enumerate(scenario.devices):
+        given = _given(scenario, i, work, exogenous)
+        if i in may_leave:
+            given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
+        after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
+        devices.append(after)
+        draws.append(p_kw)
+    p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
+    q_agent, q_limit = converter.dispatch(params.converter_kva, params.q_scale_kvar, p_agent, q_setpoint_kvar)
+    if may_leave:
+        share = connected_share(scenario, devices, p_agent, device_slices(scenario))
+        q_agent, q_limit = q_agent * share, q_limit * share
+    if exogenous.available is not None:
+        p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
+
+    solution, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
+    v, restart, phases = solution.v_pu, solution.restart, None
+    if equipment is not None:
+        phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
+    loading = branch_loading(scenario.feeder, solution) if has_ratings(scenario.feeder) else None
+    if not all_true(solution.converged):
+        solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
+        v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
+        if loading is not None:
+            loading = xp.where(solved, loading, 0.0 * v if state.loading is None else state.loading)
+        if phases is not None:
+            phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
+    own = tuple(devices)
+    if phases is not None:
+        own = feeder_equipment.with_relays(scenario, own, phases.equipment)
+    return State(
+        v_pu=v,
+        v_last_pu=state.v_pu,
+        v_agent_pu=from_nodes(v, exogenous.nodes),
+        v_agent_last_pu=state.v_agent_pu,
+        restart=restart,
+        p_kw=p_agent,
+        q_kvar=q_agent,
+        q_limit_kvar=q_limit,
+        devices=own,
+        three_phase=phases,
+        p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
+        loading=loading,
+    ), solution
+
+
+def _solved(
+    scenario: Scenario,
+    params: Parameters,
+    state: State,
+    devices: Sequence[Any],
+    exogenous: Exogenous,
+    p_kw: Array,
+    q_kvar: Array,
+) -> tuple[Any, Equipment | None]:
+    """The power flow under the agents' powers (lane, n_agent), and the equipment of a three-phase feeder behind it."""
+    if exogenous.to_draw is not None:
+        return grid_pass().grid_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
+    solve, changing = _grid(scenario)
+    p_net, q_net = _net_loads(exogenous, p_kw, q_kvar)
+    control = _control(scenario, params.devices, devices, exogenous) if changing else None
+    equipment = None
+    if state.three_phase is not None:
+        equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
+        control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
+    return solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart), equipment
+
+
+def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
+    """What comes from outside for a device, see ``Device.input``."""
+    source, available = scenario.devices[i].input, exogenous.available
+    if available is not None and source in ("connection", "workload"):
+        available = available[..., device_slices(scenario)[i]]
+    if source == "workload":
+        return work if available is None else work._replace(available=available)
+    return available if source == "connection" else exogenous.p_inverter_kw if source else None
+
+
+@cached_on_owner
+def _grid(scenario: Scenario) -> tuple[Solver, tuple[int, ...]]:
+    """The solver of the feeder, and the positions of the devices that change the grid itself."""
+    changing = tuple(i for i, device in enumerate(scenario.devices) if device.changes_grid)
+    return solver_for(scenario.feeder, scenario.power_flow), changing
+
+
+def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
+    """What the devices change of the grid, gathered: shunts at their nodes, taps in the order of the devices."""
+    xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
+    shunt_kvar, ratios = None, []
+    for i in _grid(scenario)[1]:
+        change = scenario.devices[i].grid_change(params[i], states[i])
+        if change.shunt_kvar is not None:
+            nodes = exogenous.nodes[:, cuts[i]]
+            none = 0.0 * exogenous.q_load_kvar[..., : scenario.feeder.n_node]
+            shunt_kvar = add_at(none if shunt_kvar is None else shunt_kvar, nodes, _to_nodes(change.shunt_kvar, nodes))
+        if change.tap_ratio is not None:
+            ratios.append(change.tap_ratio)
+    return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
+
+
+def _equipment(
+    scenario: Scenario,
+    before: Equipment | None,
+    states: Sequence[Any],
+    exogenous: Exogenous,
+    p_net: Array,
+    q_net: Array,
+    control: Control | None,
+) -> Equipment:
+    """The equipment of a three-phase feeder over the step, from that of before; None before t = 0."""
+    if before is not None:
+        return feeder_equipment.advanced(scenario, before, states)
+    shunt_kvar = None if control is None else control.shunt_kvar
+    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on)
+
+
+def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
+    """What the feeder's equipment is to the power flow, with the shunts of devices, and taps where they set them."""
+    if control is None:
+        return of_feeder
+    ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
+    return Control(ratio, control.shunt_kvar, of_feeder.capacitor_on)
+
+
+@cached_on_owner
+def device_slices(scenario: Scenario) -> tuple[slice, ...]:
+    """Where each device's agents stand among all."""
+    ends = np.cumsum([0, *(device.count for device in scenario.devices)]).tolist()
+    return tuple(map(slice, ends[:-1], ends[1:]))
+
+
+def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
+    """Net load of each leg, kW and kvar, (lane, n_leg), under the agents' draws and reactive injections."""
+    p_load, q_load, legs = exogenous.p_load_kw, exogenous.q_load_kvar, _legs(exogenous)
+    if is_rows(p_load) and is_rows(p_kw):
+        return step_kernels().net_loads(p_load, q_load, legs, p_kw, q_kvar)
+    p_net = add_at(p_load, legs, _to_nodes(p_kw, legs))
+    return p_net, add_at(q_load, legs, _to_nodes(-q_kvar, legs))
+
+
+def _legs(exogenous: Exogenous) -> Array:
+    """Where the agents draw, (lane, n_agent, k)."""
+    return exogenous.nodes if exogenous.legs is None else exogenous.legs
+
+
+@cache
+def grid_pass() -> Any:
+    """The compiled pass over the grid, imported on first use as ``step_kernels`` are."""
+    from dcgrid_env.engine.physics import grid_pass as compiled
+
+    return compiled
+
+
+@cache
+def step_kernels() -> Any:
+    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.engine.physics import step_kernels as kernels
+
+    return kernels
+
+
+def _to_nodes(values: Array, nodes: Array) -> Array:
+    """Each agent's power in equal parts at its nodes, (lane, n_agent, n_node)."""
+    if nodes.shape[-1] == 1:
+        return values[..., None]
+    return namespace(values).broadcast_to((values / nodes.shape[-1])[..., None], nodes.shape)
+
+
+def from_nodes(v_pu: Array, nodes: Array) -> Array:
+    """Each agent's voltage, the mean of its nodes', (lane, n_agent)."""
+    at = take_at(v_pu, nodes)
+    return at[..., 0] if nodes.shape[-1] == 1 else at.sum(-1) / nodes.shape[-1]
+
+
+def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
+    """Lowest and highest voltage of each agent's nodes, (lane, n_agent) each."""
+    at = take_at(v_pu, nodes)
+    return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
+
+
+def _by_phase(scenario: Scenario, solution: Any, nodes: Array, equipment: Equipment) -> ThreePhaseState:
+    """What the state of a three-phase feeder has beside its voltages."""
+    feeder: Any = scenario.feeder
+    if is_rows(solution.v_pu):
+        v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
+        lowest, highest, factor = step_kernels().by_phase(*v, nodes, three_phase_nodes(feeder))
+    else:
+        lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
+        factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
+    equipment = feeder_equipment.measured(scenario, equipment, solution)
+    return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor, equipment)

@@ -1,0 +1,164 @@
+"""One compiled pass over the environments of a batch on a balanced feeder, instead of one pass for each part.
+
+The pass draws an environment's loads, adds its agents' powers, solves its power flow and sums up its voltages while
+they are in the processor's cache. Environments are distributed over threads once a step. Each part is also used alone
+(``core.random.load_step``, ``powerflow.balanced.distflow_kernels``, ``voltage_figures``), with the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.compiled import compiled
+from dcgrid_env.core.random import load_step
+from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.engine.physics.state import LoadsToDraw
+from dcgrid_env.engine.physics.step_kernels import net_loads
+from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, fill_figures
+from dcgrid_env.grid import Feeder
+from dcgrid_env.powerflow import has_ratings
+from dcgrid_env.powerflow.balanced.batch import constants, rows
+from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
+from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
+from dcgrid_env.powerflow.solution import raise_not_finite
+from dcgrid_env.scenario.scenario import Scenario
+
+CHUNK = 64  # lanes whose loads stand in the cache together
+TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
+
+
+class GridPass(NamedTuple):
+    """What a pass leads to; the fields that ``Solution`` has mean the same."""
+
+    v_pu: np.ndarray
+    restart: np.ndarray
+    loss_kw: np.ndarray
+    converged: np.ndarray
+    figures: VoltageFigures
+    noise: np.ndarray
+    """The load noise at the end of the interval, (lane, n_bus)."""
+
+
+@cached_on_owner
+def fits(scenario: Scenario) -> bool:
+    """Whether a pass does all that a step asks of the grid: plain DistFlow, and nothing that changes the grid."""
+    feeder = scenario.feeder
+    plain = type(feeder) is Feeder and scenario.power_flow == "distflow" and not has_ratings(feeder)
+    return plain and not scenario.faults and not any(device.changes_grid for device in scenario.devices)
+
+
+def grid_pass(
+    scenario: Scenario, drawing: LoadsToDraw, nodes: Any, p_kw: Any, q_kvar: Any, restart: np.ndarray
+) -> GridPass:
+    """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (lane, n_agent).
+
+    ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
+    not finite.
+    """
+    lanes, n = drawing.noise.shape
+    agents = (lanes, p_kw.shape[1])
+    own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (lanes, n - 1)))
+    given = (*_fixed(scenario), *drawing, nodes, *own)
+    over_buses, after = np.empty((4 if lanes <= FEW else 2, lanes, n)), np.empty((lanes, n - 1))
+    per_lane, converged = np.empty((7, lanes)), np.empty(lanes, np.bool_)
+    out = (over_buses, after, per_lane, converged)
+    if lanes <= FEW:
+        failed = _few_lanes(0, lanes, *given, *out, np.zeros(lanes, np.int64))
+    else:
+        failed = over_lanes(lambda first, last: _many_lanes(first, last, *given, *out), lanes)
+    if failed and not np.isfinite(p_kw + q_kvar).all():
+        loads = np.empty((3, lanes, n))
+        load_step(*drawing, *loads)
+        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *own[:2]))
+    figures = VoltageFigures(per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    return GridPass(over_buses[1], after, per_lane[4], converged, figures, over_buses[0])
+
+
+@cached_on_owner
+def _fixed(scenario: Scenario) -> tuple[Any, ...]:
+    """What a pass knows of the scenario, as the kernel takes it."""
+    feeder: Any = scenario.feeder
+    judged, source_pu, band_pu = feeder.load_slice.start, float(scenario.source_voltage_pu), float(scenario.band_pu)
+    return (*constants(feeder, np.float64), source_pu, TOLERANCE, MAX_SWEEPS, judged, band_pu)
+
+
+@compiled(inner=True)
+def _draw(
+    a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, noise_out, p, q,
+):  # fmt: skip
+    """Draw the loads of the environments from ``a`` up to ``b`` into p and q, and add the agents' powers."""
+    n, parts = noise.shape[1], nodes.shape[2]
+    load_step(
+        key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed, noise_out[a:b], p, q,
+    )  # fmt: skip
+    for lane in range(a, b):
+        for agent in range(nodes.shape[1]):
+            for part in range(parts):
+                at = nodes[lane, agent, part] - lane * n
+                p[lane - a, at] += p_agent[lane, agent] / parts
+                q[lane - a, at] += -q_agent[lane, agent] / parts
+
+
+@compiled(nogil=True)
+def _few_lanes(
+    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
+    key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
+    over_buses, restart, per_lane, converged, sweeps,
+):  # fmt: skip
+    """Run the pass over up to FEW environments, without the code for blocks; return how many have no solution.
+
+    Each array is an argument, because the compiler's dispatcher takes several times as long for tuples of arrays.
+    """
+    noise_out, v_pu, p, q = over_buses[0], over_buses[1], over_buses[2], over_buses[3]
+    _draw(
+        first, last, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
+        noise_out, p, q,
+    )  # fmt: skip
+    none, v0_pu = noise[:0], per_lane[6]
+    v0_pu[:] = source_pu
+    failed = distflow_lanes(
+        order, parent, r, x, shunt_g, shunt_b, ratio, p, q, v0_pu, warm, tolerance, max_sweeps,
+        (v_pu, none, none, restart, per_lane[4], converged, sweeps, per_lane[5]),
+    )  # fmt: skip
+    fill_figures(v_pu, first, last, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    return failed
+
+
+@compiled(nogil=True)
+def _many_lanes(
+    first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
+    key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
+    over_buses, restart, per_lane, converged,
+):  # fmt: skip
+    """Run the pass over the environments ``first`` up to ``last`` in chunks; return how many have no solution."""
+    n, failed = noise.shape[1], 0
+    noise_out, v_pu = over_buses[0], over_buses[1]
+    most, none = min(CHUNK, last - first), np.empty((0, 0))
+    p, q = np.empty((most, n)), np.empty((most, n))
+    sweeps, residual, v0_pu = np.empty(most, np.int64), np.empty(most), np.full(most, source_pu)
+    for a in range(first, last, CHUNK):
+        b = min(a + CHUNK, last)
+        m = b - a
+        _draw(
+            a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
+            noise_out, p[:m], q[:m],
+        )  # fmt: skip
+        out = (v_pu[a:b], none, none, restart[a:b], per_lane[4, a:b], converged[a:b], sweeps[:m], residual[:m])
+        sweeps[:m], unsettled = 0, m
+        if m > FEW and n <= MOST_IN_BLOCKS:
+            unsettled = distflow_blocks(
+                order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], tolerance,
+                max_sweeps, out,
+            )  # fmt: skip
+        if unsettled > 0:
+            failed += distflow_lanes(
+                order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], tolerance,
+                max_sweeps, out,
+            )  # fmt: skip
+        fill_figures(v_pu, a, b, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    return failed

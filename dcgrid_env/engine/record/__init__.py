@@ -1,0 +1,1 @@
+"""Episodes as they are recorded: series, streaming metrics and Parquet files."""

@@ -1,0 +1,223 @@
+"""Records episodes of any length: steps are held until they make a part, which is summed up and let go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from dcgrid_env.engine.physics.state import over_arrays
+from dcgrid_env.engine.record.episode_record import Series
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+import math
+
+from dcgrid_env.core.metric import Combined, Metric, Streaming, cost_metric
+from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
+from dcgrid_env.engine.cost.grid_metrics import grid_figures, phase_figures
+from dcgrid_env.engine.cost.metric_list import METRICS
+
+WHOLE_COURSE_BYTES = 256 * 2**20
+"""Largest course that a run keeps whole; beyond, it is recorded in parts."""
+_PART_BYTES = 48 * 2**20
+_PART_STEPS = 16, 1024
+_ARRAY_BYTES = 112
+"""What an array takes beside its values."""
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.simulation import Transition
+
+
+class PartSink(Protocol):
+    """Takes the course of episodes part by part, to write it or to draw it."""
+
+    def add(self, parts: Sequence[Series | None], first_step: int) -> None:
+        """Take the next steps of every lane.
+
+        Parameters
+        ----------
+        parts
+            One for each lane, from the end of the part before on; None where an episode has ended before.
+        first_step
+            Steps that the parts before had: the first of these is the one behind.
+        """
+        ...
+
+
+class StreamingRecorder:
+    """Collects the figures of one episode in every lane of a batch, in memory that does not grow with its length.
+
+    The figures are those of ``Recorder`` to rounding, some 1e-12 of their size. The course itself is gone; ``sinks``
+    are given it part by part.
+
+    Parameters
+    ----------
+    scenario
+        What is run.
+    begun
+        The transition of the reset.
+    sinks
+        What takes the course.
+    part_steps
+        Steps in a part; by default as many as fit into some 48 MiB, 16 to 1024.
+    """
+
+    def __init__(
+        self, scenario: Scenario, begun: Transition, sinks: Sequence[PartSink] = (), part_steps: int | None = None
+    ):
+        self.scenario, self.sinks = scenario, tuple(sinks)
+        values, arrays = _size(begun)
+        fitting = _PART_BYTES // (values + arrays * _ARRAY_BYTES)
+        self.part_steps = part_steps or int(np.clip(fitting, *_PART_STEPS))
+        self._waiting = [begun]
+        self._steps = 0
+        lanes = len(begun.terminated)
+        self._part_length = np.zeros(lanes, dtype=np.int64)
+        self._over = np.zeros(lanes, dtype=bool)
+        self._costs = np.zeros(lanes)
+        self._figures = [StreamingMetrics(scenario) for _ in range(lanes)]
+
+    def add(self, transition: Transition) -> None:
+        """Take a step's transition; a lane whose episode has ended before is not counted further."""
+        self._part_length += ~self._over
+        self._costs += np.where(self._over, 0.0, transition.cost_j)
+        self._over |= transition.terminated | transition.truncated
+        self._waiting.append(transition)
+        if len(self._waiting) > self.part_steps or self.over:
+            self._end_part()
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended in every lane."""
+        return bool(self._over.all())
+
+    def costs(self) -> np.ndarray:
+        """J of each lane's episode, (lane,); ValueError before all have ended."""
+        if not self.over:
+            raise ValueError("costs of an episode that has not ended; step until every lane is over")
+        return self._costs / self.scenario.horizon
+
+    def metrics(self) -> list[dict[str, float]]:
+        """The figures of each lane's episode; ValueError before all have ended."""
+        if not self.over:
+            raise ValueError("metrics of an episode that has not ended; step until every lane is over")
+        return [own.figures() for own in self._figures]
+
+    def _end_part(self) -> None:
+        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length.tolist())
+        for own, part in zip(self._figures, parts, strict=True):
+            if part is not None:
+                own.add(part)
+        for sink in self.sinks:
+            sink.add(parts, self._steps)
+        self._steps += len(self._waiting) - 1
+        del self._waiting[:-1]
+        self._part_length[:] = 0
+
+
+def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
+    """Memory that :class:`Recorder` takes for the whole course of an episode of each seed, bytes.
+
+    Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
+    """
+    from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it
+
+    values, arrays = _size(Simulation(scenario.member(seeds[0]), 1).reset([seeds[0]]))
+    return scenario.horizon * (len(seeds) * values + arrays * _ARRAY_BYTES)
+
+
+def _size(transition: Transition) -> tuple[int, int]:
+    """Bytes of the values of a transition, and the number of its arrays."""
+    sizes: list[int] = []
+
+    def measure(values: Any) -> Any:
+        sizes.append(getattr(values, "nbytes", 0))
+        return values
+
+    over_arrays(measure, tuple(transition))
+    return sum(sizes), len(sizes)
+
+
+_SQUARE = Metric("mean square", "mean square of |V-1|", "p.u.", 4, "lower", over_parts="mean")
+
+
+class StreamingMetrics:
+    """Accumulates the figures of one lane's episode."""
+
+    def __init__(self, scenario: Scenario):
+        self.scenario = scenario
+        self._grid: Combined | None = None
+        self._fluctuation = StreamingFluctuation(scenario)
+        self._outside = np.zeros(len(scenario.feeder.load_nodes), bool)
+        self._devices: list[Streaming] = []
+
+    def add(self, part: Series) -> None:
+        """Take the next steps of the episode, from the end of the part before on."""
+        s, steps = self.scenario, len(part.cost_j)
+        figures = grid_figures(part) | phase_figures(part) | part.after_loss()
+        if self._grid is None:
+            self._grid = Combined((*METRICS.values(), *(cost_metric(name, name) for name in part.costs), _SQUARE))
+            self._devices = [_of_device(device, part, i) for i, device in enumerate(s.devices)]
+        std, mean = figures.pop("voltage_deviation_std_pu"), figures["voltage_deviation_mean_pu"]
+        del figures["outside_buses_pct"]
+        self._grid.add(figures | {_SQUARE.name: std * std + mean * mean}, steps)
+        v = part.v_pu[1:, s.feeder.load_slice]
+        self._outside |= (np.abs(v - 1.0) > s.band_pu).any(axis=0)
+        self._fluctuation.add(part.v_pu, part.p_kw_from_reset)
+        for own, history in zip(self._devices, part.devices, strict=True):
+            own.add(history, steps)
+
+    def figures(self) -> dict[str, float]:
+        """Those of all parts so far, in the order of ``Series.metrics``; ValueError before the first."""
+        if self._grid is None:
+            raise ValueError("no step has been recorded yet")
+        figures = self._grid.figures()
+        mean = figures["voltage_deviation_mean_pu"]
+        figures["voltage_deviation_std_pu"] = math.sqrt(max(figures.pop(_SQUARE.name) - mean * mean, 0.0))
+        figures["outside_buses_pct"] = 100.0 * self._outside.mean()
+        figures |= self._fluctuation.figures()
+        for own in self._devices:
+            figures |= own.figures()
+        return {name: float(value) for name, value in figures.items()}
+
+
+def _of_device(device: Any, part: Series, i: int) -> Streaming:
+    """An accumulator for a device's figures: its own, rules, or its whole course where there are neither."""
+    dt_s, requests = part.scenario.dt_s, part.requests() if device.input == "workload" else None
+    if hasattr(device, "streaming"):
+        return device.streaming(dt_s, requests)
+    if all(name in METRICS and METRICS[name].over_parts for name in device.metrics(part.devices[i], dt_s, requests)):
+        return _Combined(device, dt_s, requests)
+    return _Whole(device, dt_s, requests)
+
+
+class _Combined:
+    """Figures that rules join."""
+
+    def __init__(self, device: Any, dt_s: float, requests: Any):
+        self._metrics = lambda history: device.metrics(history, dt_s, requests)
+        self._combined = Combined(METRICS.values())
+
+    def add(self, history: Any, steps: int) -> None:
+        self._combined.add(self._metrics(history), steps)
+
+    def figures(self) -> dict[str, float]:
+        return self._combined.figures()
+
+
+class _Whole:
+    """Figures of which nothing is said: the device's course is kept, which grows with the episode."""
+
+    def __init__(self, device: Any, dt_s: float, requests: Any):
+        self._metrics = lambda history: device.metrics(history, dt_s, requests)
+        self._parts: list[Any] = []
+
+    def add(self, history: Any, steps: int) -> None:
+        own = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
+        self._parts.append(own)
+
+    def figures(self) -> dict[str, float]:
+        return self._metrics(over_arrays(lambda *parts: np.concatenate(parts), *self._parts))

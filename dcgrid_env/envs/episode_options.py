@@ -1,0 +1,44 @@
+"""What a reset may be given of its episodes instead of drawing it: the agents' buses and the time of day."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions
+
+
+def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any]) -> EpisodeOptions | None:
+    """What ``options`` of a reset say of its episodes; None where they say nothing.
+
+    Raises
+    ------
+    ValueError
+        For ``buses`` that are no positions of buses but the substation's, (num_envs, n_agents), or a ``begin_h`` that
+        is no time of day, (num_envs,), or one of a scenario that does not follow the day.
+    """
+    buses, begin_h = options.get("buses"), options.get("begin_h")
+    if buses is None and begin_h is None:
+        return None
+    from dcgrid_env.engine.exogenous.episode import EpisodeOptions  # brings the compiler with it, so not on import
+
+    n_bus = scenario.feeder.n_bus
+    if buses is not None:
+        buses = np.asarray(buses)
+        want = (num_envs, scenario.n_agents)
+        whole = buses.dtype.kind in "iu" and buses.shape == want
+        if not whole or ((buses < 1) | (buses >= n_bus)).any():
+            raise ValueError(f"buses must be whole numbers in 1 to {n_bus - 1}, positions in bus_ids, of shape {want}")
+        buses = buses.astype(np.int64)
+    if begin_h is not None:
+        begin_h = np.asarray(begin_h, dtype=np.float64)
+        if begin_h.shape != (num_envs,) or not ((begin_h >= 0.0) & (begin_h < 24.0)).all():
+            raise ValueError(f"begin_h must be hours from 0 to less than 24, of shape {(num_envs,)}")
+        if not scenario.follows_day:
+            raise ValueError("begin_h is given, but the scenario does not follow the day; make it with start_hour")
+    return EpisodeOptions(buses, begin_h)

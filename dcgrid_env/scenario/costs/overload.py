@@ -1,0 +1,55 @@
+"""Overload of branches: what currents exceed ratings by, where the feeder says what its branches are rated for.
+
+    overload = mean over rated branches of min(max(loading - 1, 0), 9)      loading: current as a share of the rating
+
+On a three-phase feeder each phase of a line counts as a branch. The excess is cut at 9 ratings, so that the term has an
+upper bound; beyond it there is no operating point in practice. The term is a constraint in ``info["cost"]`` where it
+has a weight.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, positive_part, sum_last, take_at
+from dcgrid_env.core.metric import Metric
+from dcgrid_env.powerflow import rated_nodes
+
+MOST_EXCESS = 9.0
+"""Largest overload of a branch that is charged, as a share of its rating."""
+
+
+METRICS = (
+    Metric("loading_max_pct", "highest loading of a branch", "% of its rating", 1, "lower",
+        "largest current of a branch, as a share of its rating", "max", over_episodes="max"),
+    Metric("overloaded_branch_seconds_pct", "branch-seconds above the rating", "%", 2, "lower",
+        "share of rated branches (phases of a line) and steps above the rating", "mean"),
+)  # fmt: skip
+"""Metrics of loadings, on feeders that know ratings."""
+
+
+def mean_overload(scenario: Any, loading: Array) -> Array:
+    """Mean overload over the rated branches, (row,), of the loading at each node, (row, n_node)."""
+    over = positive_part(loading - 1.0)
+    return sum_last(MOST_EXCESS - positive_part(MOST_EXCESS - over)) / len(rated_nodes(scenario.feeder))
+
+
+def loading_of_agents(state: Any, nodes: Array) -> Array:
+    """Loading of the branch that feeds each agent's bus, of its most loaded phase, (row, n_agent)."""
+    at = take_at(state.loading, nodes)
+    if at.shape[-1] == 1:
+        return at[..., 0]
+    return at.max(-1) if isinstance(at, np.ndarray) else at.amax(-1)
+
+
+def overload_figures(scenario: Any, loading: Any) -> dict[str, float]:
+    """Metrics of the loading over the steps 1 .. T, (T + 1, n_node); none where it is None."""
+    if loading is None:
+        return {}
+    rated = loading[1:, rated_nodes(scenario.feeder)]
+    return {
+        "loading_max_pct": 100.0 * float(rated.max()),
+        "overloaded_branch_seconds_pct": 100.0 * float((rated > 1.0).mean()),
+    }

@@ -1,0 +1,91 @@
+"""Checks of a scenario whose parts are right each but may not fit together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcgrid_env.core.checked import FieldError, refuse
+from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.powerflow import has_ratings
+from dcgrid_env.scenario.costs.grid_terms import TERMS
+
+
+def check_feeder_kind(scenario: Any) -> None:
+    """Raise FieldError for what is no feeder, another kind's power flow, or a cost term that the kind does not have."""
+    feeder, weights = scenario.feeder, scenario.weights
+    if not isinstance(feeder, AnyFeeder | RandomFeeders):
+        raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder), or RandomFeeders")
+    balanced = not isinstance(feeder, ThreePhaseFeeder)
+    if balanced == (scenario.power_flow == "sweep"):
+        methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
+        kind = "balanced" if balanced else "three-phase"
+        raise refuse(scenario, "power_flow", f"give {methods} for the {kind} feeder {feeder.name!r}")
+    for term in TERMS:
+        weight = getattr(weights, term.name)
+        if balanced and weight and term.needs == "three phases":
+            remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
+            raise FieldError("Cost", f"weights.{term.name}", weight, remedy)
+
+
+def check_ratings(scenario: Any) -> None:
+    """Raise FieldError for a price on currents, or its observation, on a feeder that knows no rating."""
+    if has_ratings(scenario.feeder):
+        return
+    remedy = (
+        f"feeder {scenario.feeder.name!r} knows the rating of no branch; give its branches rating_a, or leave it out"
+    )
+    for term in TERMS:
+        if term.needs == "ratings" and (weight := getattr(scenario.weights, term.name)):
+            raise FieldError("Cost", f"weights.{term.name}", weight, remedy)
+    if scenario.observe_loading:
+        raise FieldError("Sensing", "observe_loading", True, remedy)
+
+
+MOST_STEPS = 10_000
+"""Longest window in steps. It may reach beyond an episode: before it a site has always drawn what it draws at t = 0."""
+
+
+def check_ramp_limit(scenario: Any) -> None:
+    """Raise FieldError for a limit without a site, or a window that no whole number of steps makes up."""
+    if scenario.ramp_limit_kw_per_s is not None and not scenario.n_sites:
+        limit = scenario.ramp_limit_kw_per_s
+        raise FieldError("Cost", "ramp_limit_kw_per_s", limit, "leave it out: the scenario has no data centre")
+    window_s, dt_s = scenario.ramp_window_s, scenario.dt_s
+    if window_s is None:
+        return
+    steps = round(window_s / dt_s)
+    if not 1 <= steps <= MOST_STEPS or abs(steps * dt_s - window_s) > 1e-6 * window_s:
+        remedy = f"give a whole number of steps of {dt_s:g} s, {MOST_STEPS:,} of them at most"
+        raise FieldError("Cost", "ramp_window_s", window_s, remedy)
+
+
+NAMES_OF_THE_GRID = (
+    "v_deviation", "v_change", "p", "q", "q_limit", "r", "x", "voltage", "violation", "effort", "step", "loss",
+    "unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload", "loading",
+)  # fmt: skip
+"""Fields and cost terms that every agent has, which no device may call its own."""
+
+
+def check_groups(devices: tuple[Any, ...], horizon: int, dt_s: float) -> None:
+    """Raise FieldError for two groups of a kind or of one source, or a name that is the grid's or another group's."""
+    kinds = [device.kind for device in devices]
+    for kind in kinds:
+        if kinds.count(kind) > 1:
+            raise _refused(f"more than one group is of kind {kind!r}; give one, with a rating for each slot")
+    for source in ("workload", "injection"):
+        if sum(device.input == source for device in devices) > 1:
+            raise _refused(f"more than one group is driven by {source}; give one, with a rating for each slot")
+    terms: dict[str, str] = {}
+    for device in devices:
+        own = [term.name for term in device.cost_terms(horizon, dt_s)]
+        for name in (*own, *(field.name for field in device.fields(horizon, dt_s))):
+            if name in NAMES_OF_THE_GRID:
+                raise _refused(f"{device.kind!r} calls something {name!r}, which is the grid's; rename it")
+        for name in own:
+            if terms.setdefault(name, device.kind) != device.kind:
+                raise _refused(f"{terms[name]!r} and {device.kind!r} both have a cost term {name!r}; rename one")
+
+
+def _refused(remedy: str) -> FieldError:
+    return FieldError("Scenario", "devices", ..., f"cannot be: {remedy}")

@@ -1,0 +1,317 @@
+"""An episode's figures against the same ones reckoned bus by bus and step by step."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dcgrid_env import PrefillDecodeDvfs, Recorder, Scenario, make_scenario
+from dcgrid_env.devices.datacenter.request_delay import RequestDelays
+from dcgrid_env.engine.cost.reward import terms
+from dcgrid_env.engine.exogenous import episode
+from dcgrid_env.engine.record import episode_record
+from dcgrid_env.engine.record.episode_record import Series
+from dcgrid_env.engine.simulation import Simulation, Transition
+from dcgrid_env.traces import RequestTimes, TraceRows
+from helpers.forms import FORMS
+
+Costs = terms(make_scenario("toy6")).kind
+NAMES = {
+    "J", "voltage_deviation_mean_pu", "voltage_deviation_std_pu", "outside_bus_seconds_pct", "outside_buses_pct",
+    "voltage_min_pu", "voltage_max_pu", "voltage_step_mean_pu", "delay_mean_s", "delay_p50_s", "delay_p95_s",
+    "delay_p99_s", "arrived_kws", "unserved_kws", "loss_mean_kw", "loss_energy_kwh", "q_effort_pct", "clock_mean_pct",
+    "steps", "power_flow_converged", *(f"cost_{name}" for name in Costs._fields),
+}  # fmt: skip
+
+
+def record(scenario: Scenario, lanes: int, action: Any, steps: int | None = None) -> tuple[Recorder, list[Transition]]:
+    simulation = Simulation(scenario, lanes)
+    course = [simulation.reset(range(lanes))]
+    recorder = Recorder(scenario, course[0])
+    for k in range(scenario.horizon if steps is None else steps):
+        course.append(simulation.step(action(k)))
+        recorder.add(course[-1])
+    return recorder, course
+
+
+def random_action(scenario: Scenario, lanes: int, seed: int = 0) -> Any:
+    rng = np.random.default_rng(seed)
+    return lambda k: rng.uniform(-1, 1, (lanes, 2 * scenario.n_datacenters + scenario.n_inverters))
+
+
+def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[str, float]:
+    """The module's table, one figure after another, in plain Python."""
+    steps = course[1:]
+    v = [[float(x) for x in t.state.v_pu[lane][1:]] for t in course]
+    deviation = [abs(x - 1.0) for row in v[1:] for x in row]
+    n, n_bus = len(deviation), scenario.feeder.n_bus - 1
+    mean = sum(deviation) / n
+    ever = sum(any(abs(row[bus] - 1.0) > scenario.band_pu for row in v[1:]) for bus in range(n_bus))
+    moves = [abs(b - a) for before, after in pairwise(v) for a, b in zip(before, after, strict=True)]
+    ratings = [*scenario.datacenter.s_rated_kva, *scenario.inverter.s_rated_kva]
+    effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[lane], ratings, strict=True)]
+    clocks = [f / scenario.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
+    loss = [float(t.loss_kw[lane]) for t in steps]
+    # Work, parcel by parcel, each work class of a site in its own queue.
+    waits: list[tuple[float, float]] = []
+    unserved = 0.0
+    for own in range(scenario.n_datacenters * scenario.work_classes):
+        queue: list[list[float]] = []
+        for k, t in enumerate(steps):
+            queue.append([k, float(t.state.class_arrived_kw[lane].flat[own]) * scenario.dt_s])
+            budget = float(t.state.class_served_kw[lane].flat[own]) * scenario.dt_s
+            while queue and budget > 1e-9:
+                taken = min(budget, queue[0][1])
+                waits.append(((k - queue[0][0]) * scenario.dt_s, taken))
+                budget, queue[0][1] = budget - taken, queue[0][1] - taken
+                if queue[0][1] <= 1e-9:
+                    queue.pop(0)
+        waits += [((len(steps) - k) * scenario.dt_s, kws) for k, kws in queue]
+        unserved += sum(kws for _, kws in queue)
+    work = sum(kws for _, kws in waits)
+
+    def percentile(share: float) -> float:
+        so_far = 0.0
+        for wait, kws in sorted(waits):
+            so_far += kws
+            if so_far >= share * work - 1e-7 * work:
+                return wait
+        return 0.0
+
+    return {
+        "J": sum(float(t.cost_j[lane]) for t in steps) / scenario.horizon,
+        **{
+            f"cost_{name}": sum(float(getattr(t.costs, name)[lane]) for t in steps) / scenario.horizon
+            for name in Costs._fields
+        },
+        "voltage_deviation_mean_pu": mean,
+        "voltage_deviation_std_pu": math.sqrt(sum((d - mean) ** 2 for d in deviation) / n),
+        "outside_bus_seconds_pct": 100 * sum(d > scenario.band_pu for d in deviation) / n,
+        "outside_buses_pct": 100 * ever / n_bus,
+        "voltage_min_pu": min(min(row) for row in v[1:]),
+        "voltage_max_pu": max(max(row) for row in v[1:]),
+        "voltage_step_mean_pu": sum(moves) / len(moves),
+        "delay_mean_s": sum(wait * kws for wait, kws in waits) / work if work else 0.0,
+        "delay_p50_s": percentile(0.50),
+        "delay_p95_s": percentile(0.95),
+        "delay_p99_s": percentile(0.99),
+        "arrived_kws": sum(float(x) for t in steps for x in t.state.arrived_kw[lane]) * scenario.dt_s,
+        "unserved_kws": unserved,
+        "loss_mean_kw": sum(loss) / len(loss),
+        "loss_energy_kwh": sum(loss) * scenario.dt_s / 3600,
+        "q_effort_pct": 100 * sum(effort) / len(effort),
+        "clock_mean_pct": 100 * sum(clocks) / len(clocks) if clocks else 100.0,
+        "steps": len(steps),
+        "power_flow_converged": float(steps[-1].converged[lane]),
+    }
+
+
+@pytest.mark.parametrize("extra", [{}, {"dvfs": PrefillDecodeDvfs(), "trace": "mixed"}], ids=["linear", "work_classes"])
+@pytest.mark.parametrize("dt_s", [1.0, 0.5])
+@pytest.mark.parametrize("name", FORMS)
+def test_metrics_of_a_short_episode(name, dt_s, extra):
+    scenario = make_scenario(name, horizon=45, dt_s=dt_s, **extra)
+    lanes = 3
+    recorder, course = record(scenario, lanes, random_action(scenario, lanes))
+    found = recorder.metrics()
+    assert len(found) == lanes
+    for lane in range(lanes):
+        assert set(found[lane]) == NAMES
+        assert all(type(value) is float and math.isfinite(value) for value in found[lane].values())
+        assert found[lane] == pytest.approx(reckoned(scenario, course, lane), rel=1e-6, abs=1e-7)
+        terms = sum(found[lane][f"cost_{term}"] for term in Costs._fields)
+        assert terms == pytest.approx(found[lane]["J"])
+    # The episodes differ, and something happened in them.
+    assert len({m["J"] for m in found}) == lanes
+    assert all(m["steps"] == 45.0 and m["power_flow_converged"] == 1.0 for m in found)
+
+
+def test_the_figures_say_something():
+    scenario = make_scenario("ieee33-weak", horizon=60)
+    found = record(scenario, 6, random_action(scenario, 6))[0].metrics()
+    for name in NAMES - {"cost_clock", "cost_step", "cost_loss", "delay_p50_s"}:
+        assert max(m[name] for m in found) > 0.0, name
+    assert any(0.0 < m["outside_bus_seconds_pct"] < m["outside_buses_pct"] for m in found)
+
+
+def test_a_voltage_at_the_edge_of_the_band_is_within_it():
+    scenario = make_scenario("toy6", band_pu=0.0625, horizon=1)
+    _, (begun, ended) = record(scenario, 1, random_action(scenario, 1))
+    # 1 +- 0.0625 are exact in binary; of five buses two are at the edges and one is beyond.
+    v_pu = np.array([[1.0, 1.0625, 0.9375, 1.0, np.nextafter(1.0625, 2.0), 1.0]])
+    at_edge = ended._replace(state=ended.state._replace(v_pu=v_pu))
+    found = Series(scenario, [begun, at_edge], 0).metrics()
+    assert found["outside_bus_seconds_pct"] == found["outside_buses_pct"] == pytest.approx(20.0)
+
+
+def test_no_datacenter_has_neither_work_nor_clock():
+    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
+    recorder, course = record(scenario, 2, random_action(scenario, 2))
+    for lane, found in enumerate(recorder.metrics()):
+        assert found == pytest.approx(reckoned(scenario, course, lane))
+        assert found["clock_mean_pct"] == 100.0
+        assert found["delay_mean_s"] == found["arrived_kws"] == found["unserved_kws"] == 0.0
+
+
+def test_series_has_the_reset_as_its_first_row():
+    scenario = make_scenario("ieee33-weak", horizon=7)
+    recorder, course = record(scenario, 2, random_action(scenario, 2))
+    for lane in range(2):
+        series = recorder.lane(lane)
+        assert series.v_pu.shape == (8, 33)
+        assert series.backlog_kws.shape == (8, 3)
+        for k, t in enumerate(course):
+            np.testing.assert_array_equal(series.v_pu[k], t.state.v_pu[lane])
+            np.testing.assert_array_equal(series.backlog_kws[k], t.state.backlog_kws[lane])
+        for k, t in enumerate(course[1:]):
+            for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw", "class_arrived_kw", "class_served_kw"):
+                np.testing.assert_array_equal(getattr(series, field)[k], getattr(t.state, field)[lane])
+            assert series.loss_kw[k] == t.loss_kw[lane]
+            assert series.cost_j[k] == t.cost_j[lane]
+            assert {name: values[k] for name, values in series.costs.items()} == {
+                name: values[lane] for name, values in t.costs._asdict().items()
+            }
+        assert series.f_mhz.shape == (7, 3)
+        assert series.p_kw.shape == series.q_kvar.shape == (7, 7)
+        assert series.converged is True
+
+
+def test_work_is_conserved_in_an_episode():
+    scenario = make_scenario("ieee33-weak", horizon=40)
+    recorder, _ = record(scenario, 4, random_action(scenario, 4))
+    for lane, found in enumerate(recorder.metrics()):
+        series = recorder.lane(lane)
+        assert found["unserved_kws"] == pytest.approx(series.backlog_kws[-1].sum(), rel=1e-9, abs=1e-6)
+        served = series.served_kw.sum() * scenario.dt_s
+        assert found["arrived_kws"] == pytest.approx(served + found["unserved_kws"], rel=1e-9)
+        # Little's law, as the episode's own backlog has it.
+        waited = series.backlog_kws[1:].sum() * scenario.dt_s
+        assert found["delay_mean_s"] * found["arrived_kws"] == pytest.approx(waited, rel=1e-6)
+
+
+# --- requests --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> TraceRows:
+    """Four rows of 200 s of noisy load with requests of every length, which every scenario draws from."""
+    rng = np.random.default_rng(0)
+    arrival = np.sort(rng.uniform(0.0, 200.0, (4, 3000)), axis=1)
+    first = rng.uniform(0.01, 2.0, arrival.shape)
+    rows = TraceRows(
+        p_share=rng.uniform(0.2, 1.0, (4, 200)),
+        compute_share=rng.uniform(0.0, 1.0, (4, 200)),
+        requests=tuple(map(RequestTimes, arrival, first, first + rng.uniform(0.0, 20.0, arrival.shape), 0.5 * first)),
+    )
+    for module in (episode, episode_record):
+        monkeypatch.setattr(module, "trace_pool", lambda scenario: rows)
+    return rows
+
+
+def in_episode(pool: TraceRows, start: np.ndarray, steps: int) -> RequestTimes:
+    """Requests of all sites that arrive within an episode's steps of a second, one after another."""
+    found = []
+    for position in start.tolist():
+        row, offset = divmod(position, 200)
+        times = np.array(pool.requests[row])
+        found.append(times[:, (times[0] >= offset + 1) & (times[0] < offset + 1 + steps)])
+    return RequestTimes(*np.concatenate(found, axis=1))
+
+
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
+def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
+    scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
+    recorder, course = record(scenario, 3, lambda k: np.ones((3, 10)))
+    for lane, found in enumerate(recorder.metrics()):
+        assert set(found) == NAMES | set(RequestDelays._fields)
+        taken = in_episode(pool, course[0].trace_start[lane], 30)
+        assert found["requests_sampled"] == len(taken.arrival_s) > 500
+        assert found["requests_unfinished_pct"] == 0.0
+        assert found["ttft_mean_s"] == pytest.approx(taken.first_token_s.mean(), rel=1e-12)
+        assert found["e2e_mean_s"] == pytest.approx(taken.end_s.mean(), rel=1e-12)
+        assert found["ttft_p50_s"] in taken.first_token_s
+        assert (taken.end_s <= found["e2e_p95_s"]).mean() == pytest.approx(0.95, abs=2e-3)
+        assert found["delay_mean_s"] == 0.0
+
+
+@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
+def test_requests_of_a_throttled_site_wait(pool, dvfs):
+    scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
+    recorder, course = record(scenario, 3, lambda k: np.tile([-0.5, 0.0] * 3 + [0.0] * 4, (3, 1)))
+    for lane, found in enumerate(recorder.metrics()):
+        taken = in_episode(pool, course[0].trace_start[lane], 30)
+        assert found["requests_sampled"] == len(taken.arrival_s)
+        assert found["requests_unfinished_pct"] > 5.0
+        assert found["ttft_mean_s"] > taken.first_token_s.mean() + 0.3
+        assert found["ttft_p50_s"] <= found["ttft_p95_s"] <= found["ttft_p99_s"]
+        assert found["e2e_mean_s"] > taken.end_s.mean()
+        assert found["e2e_p50_s"] <= found["e2e_p95_s"] <= found["e2e_p99_s"]
+        assert all(math.isfinite(value) for value in found.values())
+
+
+def test_requests_of_a_lane_that_was_reset_are_its_new_episodes(pool):
+    scenario = make_scenario("ieee33-weak", horizon=10)
+    simulation = Simulation(scenario, 2)
+    simulation.reset([0, 1])
+    for _ in range(3):
+        simulation.step(np.ones((2, 10)))
+    begun = simulation.reset([5, 5], np.array([True, False]))
+    fresh = Simulation(scenario, 1).reset([5])
+    np.testing.assert_array_equal(begun.trace_start[0], fresh.trace_start[0])
+    np.testing.assert_array_equal(begun.trace_start, simulation.now.episode.start)
+
+
+def test_no_site_has_no_requests(pool):
+    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
+    assert set(record(scenario, 1, random_action(scenario, 1))[0].metrics()[0]) == NAMES
+
+
+def collapse() -> tuple[Scenario, Any]:
+    """The site's full load, from t = 20 s on, is more than the feeder carries; only lane 1 asks for it."""
+    scenario = make_scenario("toy6", p_rated_kw=25_000.0, horizon=30)
+    return scenario, lambda k: np.array([[-1.0, 0, 0, 0], [1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
+
+
+def test_a_collapsed_lane_counts_its_own_steps_alone():
+    scenario, action = collapse()
+    recorder, course = record(scenario, 3, action)
+    found = recorder.metrics()
+    assert [m["steps"] for m in found] == [30.0, 20.0, 30.0]
+    assert [m["power_flow_converged"] for m in found] == [1.0, 0.0, 1.0]
+    for lane, last in enumerate((31, 21, 31)):
+        assert found[lane] == pytest.approx(reckoned(scenario, course[:last], lane), rel=1e-6, abs=1e-7)
+    assert all(math.isfinite(value) for m in found for value in m.values())
+    assert recorder.lane(1).v_pu.shape == (21, 6)
+    assert recorder.lane(1).converged is False
+    # The charge for what would have followed is in J, which is over the horizon and dearer than any other lane's.
+    assert found[1]["J"] > max(found[0]["J"], found[2]["J"])
+
+
+def test_what_follows_a_lanes_end_is_not_counted():
+    scenario, action = collapse()
+    recorder, course = record(scenario, 3, action)
+    before = recorder.metrics()
+    recorder.add(course[-1])
+    recorder.add(course[5])
+    assert recorder.metrics() == before
+
+
+def test_metrics_before_the_end_are_refused():
+    scenario, action = collapse()
+    recorder, _ = record(scenario, 3, action, steps=29)
+    assert not recorder.over  # lane 1 is, the others are not
+    with pytest.raises(ValueError, match="not ended; step until every lane is over"):
+        recorder.metrics()
+    recorder, _ = record(scenario, 3, action, steps=30)
+    assert recorder.over
+    assert len(recorder.metrics()) == 3
+
+
+def test_series_of_one_lane_is_that_of_a_batch():
+    scenario = make_scenario("ieee123", horizon=5)
+    recorder, course = record(scenario, 3, lambda k: np.full((3, 17), 0.3))
+    alone, _ = record(scenario, 1, lambda k: np.full((1, 17), 0.3))
+    assert alone.metrics()[0] == pytest.approx(recorder.metrics()[0], rel=1e-9, abs=1e-12)
+    assert Series(scenario, course, 0).metrics() == recorder.metrics()[0]
