@@ -1,4 +1,4 @@
-"""Metrics of an episode: what each is called, how it is shown, and how the values of parts become one.
+"""Metrics of an episode: their names, their look in tables, and the rules that combine values of parts.
 
 A metric is declared once, next to the function that computes it. ``engine.cost.metric_list`` collects the records.
 Tables, streaming and the documentation are derived from them.
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 Rule = Literal["sum", "mean", "min", "max", "last"]
-"""How the values of parts become one; a mean is weighted, by the number of steps unless by something else."""
+"""Rule that combines the values of parts. A mean is weighted, by the number of steps unless otherwise stated."""
 Table = Literal["run", "evaluate", "benchmark", "check"]
 """Commands whose tables choose among the metrics."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric: its name, its unit, and how it is shown and combined."""
+    """A metric: its name, its unit, its look in tables, and the rules that combine its values."""
 
     name: str
     """Its name in records, with the unit of its value."""
@@ -31,17 +31,17 @@ class Metric:
     better: Literal["lower", "higher", "neither"]
     """Which of two values is preferable, all else equal."""
     meaning: str = ""
-    """What it measures; the label where it is empty."""
+    """Explanation; the label says all if it is empty."""
     over_parts: Rule | None = None
-    """How the values of an episode's parts become one; None where an accumulator is needed."""
+    """Rule that combines the values of an episode's parts; None if an accumulator is needed."""
     share_of: str = ""
     """Field of the device's state whose sum weights a mean over parts; the number of steps if it is empty."""
     over_episodes: Literal["mean", "min", "max"] = "mean"
-    """How the values of several episodes become one."""
+    """Rule that combines the values of several episodes."""
     tables: tuple[Table, ...] = ()
     """Tables that show it."""
     short: str = ""
-    """Heading of a narrow column, with the unit; that of other tables where it is empty."""
+    """Heading of a narrow column, with the unit; the heading of other tables if it is empty."""
     scale: float = 1.0
     """Factor of the value in tables."""
 
@@ -106,7 +106,7 @@ class Combined:
         steps
             Length of the part.
         weights
-            What means are weighted by that are not by steps.
+            Weights of means that are not weighted by steps.
         """
         for name, value in figures.items():
             rule = self._rules[name]

@@ -12,7 +12,7 @@ from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 
 def check_feeder_kind(scenario: Any) -> None:
-    """Raise FieldError for what is no feeder, another kind's power flow, or a cost term that the kind does not have."""
+    """Raise FieldError for a wrong type, another kind's power flow, or a cost term that the kind of feeder lacks."""
     feeder, weights = scenario.feeder, scenario.weights
     if not isinstance(feeder, AnyFeeder | RandomFeeders):
         raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder), or RandomFeeders")
@@ -29,7 +29,7 @@ def check_feeder_kind(scenario: Any) -> None:
 
 
 def check_ratings(scenario: Any) -> None:
-    """Raise FieldError for a price on currents, or its observation, on a feeder that knows no rating."""
+    """Raise FieldError for a price on currents, or for their observation, on a feeder without ratings."""
     if has_ratings(scenario.feeder):
         return
     remedy = (

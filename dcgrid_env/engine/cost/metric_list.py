@@ -1,4 +1,4 @@
-"""Every metric of an episode. The records stand next to what computes them.
+"""Every metric of an episode. The records are next to the functions that compute them.
 
 Metrics of requests are over those that arrived in the episode at any site; all are 0 if none did. Metrics of storage,
 of devices that may leave the grid, of smoothing, routing, batching and service levels are there where a scenario has

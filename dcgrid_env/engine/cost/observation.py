@@ -30,7 +30,7 @@ _LARGEST_LOADING = 4.0
 
 
 class Seen(NamedTuple):
-    """What the fields of the grid are taken from."""
+    """Input of the fields of the grid."""
 
     state: State
     placed: Placement

@@ -3,8 +3,8 @@
     c_t = 100 mean|V-1| + 1000 mean max(|V-1| - 0.05, 0) + 0.3 sum(backlog)/sum(p_rated) + 0.02 mean|q|/q_rating
     J   = (1/T) sum_t c_t + 9 (1/T) sum(backlog_T)/sum(p_rated)
 
-Means are over the nodes other than the substation's, and over agents. reward_t is minus its share of J times T. The
-terms of the grid, these and those at weight 0, stand in ``scenario.costs.grid_terms``; devices bring theirs.
+Means are over the nodes other than the substation's, and over agents. reward_t is minus its share of J times T. All
+terms of the grid are in ``scenario.costs.grid_terms``; devices bring theirs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _step(scenario: Scenario, state: State, solution: Any, figures: Any = None) 
 
 
 def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, figures: Any = None) -> Costs:
-    """The terms of c_t after a step, (row,) each; what is charged at the end is where ``last`` (bool) is True.
+    """The terms of c_t after a step, (row,) each. Terms of the end are charged where ``last`` (bool) is True.
 
     ``figures`` of its voltages (``VoltageFigures``) are used if they are given.
     """
@@ -162,7 +162,7 @@ def constraint(scenario: Scenario, costs: Costs) -> Array:
 
 
 def largest_costs(scenario: Scenario) -> Costs:
-    """An upper bound of each term, as floats: what a step is charged once the power flow has no solution.
+    """An upper bound of each term, as floats. A step is charged these if the power flow has no solution.
 
     The bounds of the grid's terms stand in their records; devices state those of theirs.
     """

@@ -25,7 +25,7 @@ _ROUNDING_S = 1e-9
 
 
 class EpisodeOptions(NamedTuple):
-    """What of an episode is set from outside rather than drawn; None is drawn."""
+    """Properties of an episode that a caller sets; those that are None are drawn."""
 
     buses: np.ndarray | None = None
     """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""

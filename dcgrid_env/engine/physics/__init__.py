@@ -1,1 +1,1 @@
-"""How a step of the grid and its devices is computed from a state and an action."""
+"""A step of the grid and its devices, from a state and an action."""

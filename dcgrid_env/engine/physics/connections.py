@@ -20,7 +20,7 @@ N_NEIGHBOURS = 3
 
 
 class Placement(NamedTuple):
-    """Where the agents stand, as far as observing goes; fixed for an episode, made by :func:`placement`."""
+    """Positions of the agents for observations; fixed for an episode, made by :func:`placement`."""
 
     distance: Array
     """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""

@@ -1,1 +1,1 @@
-"""The terms of the cost that the grid brings; what devices are charged for stands in `devices`."""
+"""The terms of the cost that the grid brings. Those of devices are in `devices`."""

@@ -1,4 +1,4 @@
-"""Moves of regulators and capacitor banks in a step: their mean over what is not fixed, which a cost may charge."""
+"""Moves of regulators and capacitor banks in a step, as a mean over those that are not fixed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _deciders(scenario: Any) -> np.ndarray:
 
 @cached_on_owner
 def _moving(scenario: Any) -> np.ndarray:
-    """1 for what is not fixed, (n_regulator + n_capacitor,)."""
+    """1 for equipment that is not fixed, else 0, (n_regulator + n_capacitor,)."""
     return (_deciders(scenario) != "fixed").astype(np.float64)
 
 
@@ -33,13 +33,13 @@ def _n_moving(scenario: Any) -> int:
 
 
 def mean_switching(scenario: Any, equipment: Any) -> Array:
-    """Taps and switchings of the step, the mean over what is not fixed, (row,)."""
+    """Mean number of taps and switchings in the step of the equipment that is not fixed, (row,)."""
     moves = _moves(equipment)
     return sum_last(moves * as_like(_moving(scenario), moves)) / _n_moving(scenario)
 
 
 def switching_of_agents(scenario: Any, state: Any) -> Array:
-    """Each agent's own moves, and for every agent the mean of what the controls of equipment move, (row, n_agent)."""
+    """Each agent's moves, and for every agent the mean number of moves by controls of equipment, (row, n_agent)."""
     moves, none = _moves(state.three_phase.equipment), 0.0 * state.v_agent_pu
     controlled = sum_last(moves * as_like((_deciders(scenario) == "controlled").astype(np.float64), moves))
     parts, begin = [], 0

@@ -1,8 +1,8 @@
 """The terms of a step's cost that the grid brings, one record each, next to what it charges.
 
 A new term is a function and a record in ``TERMS``. Everything else is derived from the records: the weights of a
-scenario, the costs of a step and their bounds, the metrics ``cost_*``, the constraint in ``info``, and which
-controllers accept a scenario that charges the term.
+scenario, the costs of a step and their bounds, and the metrics ``cost_*``. So are the constraint in ``info``, and the
+controllers that accept a scenario which charges the term.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dcgrid_env.scenario.costs import equipment_moves, overload, utility_limits
 
 @dataclass(eq=False)
 class Step:
-    """What a term is computed from: a scenario and its state after a step."""
+    """Input of a term: a scenario and its state after a step."""
 
     scenario: Any
     state: Any
