@@ -118,7 +118,8 @@ class TensorEnv:
         self._copied = None if copies == 1 else self._index(lanes)
         placed = connections.placement(self._on, buses[lanes])
         self._placed = Placement(
-            as_like(placed.distance, self.like), *map(self._index, (placed.nodes, placed.legs, placed.nearest))
+            *(as_like(distance, self.like) for distance in (placed.r, placed.x)),
+            *map(self._index, (placed.nodes, placed.legs, placed.nearest)),
         )
         self.step_number = 0
         with self._torch_threads():

@@ -9,6 +9,7 @@ in node_ids.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,13 +33,14 @@ _LARGEST_LOADING = 4.0
 class Seen(NamedTuple):
     """Input of the fields of the grid."""
 
+    n_agents: int
     state: State
     placed: Placement
     deviation_pu: Array
     """Measured voltage of each agent less 1, p.u., (row, n_agent)."""
     change_pu: Array
     """Its change over a step."""
-    phases_pu: Array | None
+    phases_pu: Any
     """Lowest voltages of the agents' phases, then the highest, p.u., (row, 2 n_agent); None on a balanced feeder."""
 
 
@@ -78,40 +80,37 @@ def _has_phases(scenario: Scenario) -> bool:
     return isinstance(scenario.feeder, ThreePhaseFeeder)
 
 
-def _half(both: Any, second: bool) -> Array:
-    n = both.shape[-1] // 2
-    return both[..., n:] if second else both[..., :n]
-
-
 _IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
 FIELDS = (
-    ObservationField("v_deviation", _IN_BANDS, lambda seen: seen.deviation_pu, _per_band, _band_edges),
-    ObservationField("v_change", "change of V over a step / band", lambda seen: seen.change_pu, _per_band, _band_edges),
+    ObservationField("v_deviation", _IN_BANDS, attrgetter("deviation_pu"), _per_band, _band_edges),
+    ObservationField("v_change", "change of V over a step / band", attrgetter("change_pu"), _per_band, _band_edges),
     ObservationField(
-        "p", "share of the rating, an injection negative", lambda seen: seen.state.p_kw, _per_p,
+        "p", "share of the rating, an injection negative", attrgetter("state.p_kw"), _per_p,
         lambda scenario: (-1.0, max(device.largest_draw_share for device in scenario.devices)),
     ),
     ObservationField(
-        "q", "share of the reactive limit at no active power, an injection positive", lambda seen: seen.state.q_kvar,
+        "q", "share of the reactive limit at no active power, an injection positive", attrgetter("state.q_kvar"),
         _per_q, lambda _: (-1.0, 1.0),
     ),
-    ObservationField("q_limit", "the same share", lambda seen: seen.state.q_limit_kvar, _per_q, lambda _: (0.0, 1.0)),
+    ObservationField("q_limit", "the same share", attrgetter("state.q_limit_kvar"), _per_q, lambda _: (0.0, 1.0)),
     ObservationField(
         "r", "R_ii as believed: drop of the agent's voltage per MW drawn / band",
-        lambda seen: _half(seen.placed.distance, False), lambda _: 1.0,
+        attrgetter("placed.r"), lambda _: 1.0,
         lambda scenario: (0.0, max(_largest_distance(scenario)[0], 1e-6)),
     ),
     ObservationField(
         "x", "X_ii as believed: drop of the agent's voltage per Mvar drawn / band",
-        lambda seen: _half(seen.placed.distance, True), lambda _: 1.0,
+        attrgetter("placed.x"), lambda _: 1.0,
         lambda scenario: (0.0, max(_largest_distance(scenario)[1], 1e-6)),
     ),
     ObservationField(
-        "v_lowest", f"{_IN_BANDS}, of the lowest phase", lambda seen: _half(seen.phases_pu, False) - 1.0, _per_band,
+        "v_lowest", f"{_IN_BANDS}, of the lowest phase", lambda seen: seen.phases_pu[..., : seen.n_agents] - 1.0,
+        _per_band,
         _band_edges, _has_phases,
     ),
     ObservationField(
-        "v_highest", f"{_IN_BANDS}, of the highest phase", lambda seen: _half(seen.phases_pu, True) - 1.0, _per_band,
+        "v_highest", f"{_IN_BANDS}, of the highest phase", lambda seen: seen.phases_pu[..., seen.n_agents :] - 1.0,
+        _per_band,
         _band_edges, _has_phases,
     ),
     ObservationField(
@@ -205,6 +204,7 @@ def _largest_distance(scenario: Scenario) -> tuple[float, float]:
 
 
 class _Layout(NamedTuple):
+    raw: tuple[Callable[[Seen], Array], ...]  # of the fields of the grid
     scale: Array  # of each raw figure, (n_raw,)
     column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
 
@@ -236,7 +236,9 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     elif scenario.observe == "feeder":
         scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
     return _Layout(
-        xp.asarray(scale, dtype=dtype, device=device_of), xp.asarray(np.array(column, dtype=np.int64), device=device_of)
+        tuple(field.raw for field in grid_fields(scenario)),
+        xp.asarray(scale, dtype=dtype, device=device_of),
+        xp.asarray(np.array(column, dtype=np.int64), device=device_of),
     )
 
 
@@ -269,7 +271,7 @@ def observe(
 def observe_within_bounds(scenario: Scenario, *observed: Any) -> np.ndarray:
     """What ``observe`` gives of NumPy arrays, as float32 and cut to its bounds."""
     raw, layout = _raw(scenario, *observed)
-    return step_kernels().joint_observation(raw, *layout, *joint_bounds(scenario))
+    return step_kernels().joint_observation(raw, layout.scale, layout.column, *joint_bounds(scenario))
 
 
 def _raw(
@@ -285,8 +287,8 @@ def _raw(
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, phases = of_agents(scenario, v_measured_pu, placed.nodes)
     v_before, _ = of_agents(scenario, v_before_pu, placed.nodes)
-    seen = Seen(state, placed, v_now - 1.0, v_now - v_before, phases)
-    raw = [field.raw(seen) for field in grid_fields(scenario)]
+    seen = Seen(scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases)
+    raw = [of_field(seen) for of_field in layout.raw]
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])

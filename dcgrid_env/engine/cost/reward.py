@@ -15,7 +15,9 @@ from functools import cache, reduce
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, sum_last
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
@@ -23,7 +25,7 @@ from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step
+from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
 from dcgrid_env.scenario.scenario import Scenario
 
 Costs = Any
@@ -32,9 +34,14 @@ agent. ``leftover`` and other terms that are charged at the end are 0 before an 
 
 
 def _step(scenario: Scenario, state: State, solution: Any, figures: Any = None) -> Step:
-    t = terms(scenario)
-    params = parameters(scenario, state.v_pu)
-    return Step(scenario, state, solution, params, t.judged, t.n_judged, t.n_converters, figures)
+    t, v_pu = terms(scenario), state.v_pu
+    kind, band_pu = scenario.voltage_cost, scenario.band_pu
+    if kind == "l1" and figures is not None:
+        sums = figures.deviation_pu, figures.excess_pu
+    else:
+        deviation = namespace(v_pu).abs(v_pu[..., t.judged] - 1.0)
+        sums = sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
+    return Step(scenario, state, solution, parameters(scenario, v_pu), t.judged, t.n_judged, t.n_converters, *sums)
 
 
 def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, figures: Any = None) -> Costs:
@@ -44,8 +51,8 @@ def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, fig
     """
     t, step = terms(scenario), _step(scenario, state, solution, figures)
     costs = [none := 0.0 * solution.loss_kw] * len(t.kind._fields)
-    for at, amount, divisor, weight in t.of_grid:
-        costs[at] = amount(step) * (weight / divisor(step))
+    for at, amount, factor in t.of_grid:
+        costs[at] = amount(step) * factor
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, step.params.devices[i], state.devices[i])) / team_scale
         for weight, at_end, at in of_amount:
@@ -61,10 +68,9 @@ def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) ->
     """
     xp, t, step = namespace(state.v_pu), terms(scenario), _step(scenario, state, solution)
     costs = [none := 0.0 * state.v_agent_pu] * len(t.kind._fields)
-    for term, weight in charged_terms(scenario):
-        at = t.kind._fields.index(term.name)
+    for (term, weight), (at, amount, factor) in zip(charged_terms(scenario), t.of_grid, strict=True):
         if term.of_agents is None:
-            costs[at] = none + (term.amount(step) * (weight / term.divisor(step)))[..., None]
+            costs[at] = none + (amount(step) * factor)[..., None]
         else:
             costs[at] = term.of_agents(step) * weight
     for i, term, weight, at in t.charged:
@@ -81,8 +87,8 @@ class Terms(NamedTuple):
 
     kind: Any
     """A named tuple with the terms of the grid that the scenario has, and then those of its devices."""
-    of_grid: tuple[tuple[int, Any, Any, float], ...]
-    """Place, amount, divisor and weight of the grid's terms that have a weight."""
+    of_grid: tuple[tuple[int, Any, float], ...]
+    """Place and amount of the grid's terms that have a weight, and the weight over the divisor."""
     charged: tuple[tuple[int, CostTerm, float, int], ...]
     """Position of the device, term, weight and place among the terms, of those that have a weight; by amount."""
     shares: tuple[tuple[int, str, float, tuple[tuple[float, bool, int], ...]], ...]
@@ -114,17 +120,13 @@ def terms(scenario: Scenario) -> Terms:
     by_amount = groupby(charged, lambda entry: (entry[0], entry[1].amount, entry[1].team_scale))
     shares = tuple((*key, tuple((weight, term.at_end, at) for _, term, weight, at in of)) for key, of in by_amount)
     constraints = {term.name for term in (*TERMS, *(term for _, term, _ in of_devices)) if term.is_constraint}
-    n_converters = sum(device.count for device in scenario.devices if not is_equipment(device))
-    return Terms(
-        _costs(names),
-        tuple((place(term.name), term.amount, term.divisor, weight) for term, weight in charged_terms(scenario)),
-        charged,
-        shares,
-        tuple(place(name) for name in names if name in constraints),
-        scenario.feeder.load_slice,
-        len(scenario.feeder.load_nodes),
-        max(n_converters, 1),
-    )
+    judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
+    n_converters = max(sum(device.count for device in scenario.devices if not is_equipment(device)), 1)
+    zero = np.zeros(1)
+    fixed = Step(scenario, None, None, parameters(scenario, zero), judged, n_judged, n_converters, zero, zero)
+    grid = tuple((place(t.name), t.amount, weight / t.divisor(fixed)) for t, weight in charged_terms(scenario))
+    listed = tuple(place(name) for name in names if name in constraints)
+    return Terms(_costs(names), grid, charged, shares, listed, judged, n_judged, n_converters)
 
 
 def _is_listed(scenario: Scenario, term: GridTerm) -> bool:
@@ -158,7 +160,8 @@ def total(costs: Costs) -> Array:
 
 def constraint(scenario: Scenario, costs: Costs) -> Array:
     """Cost that a constrained learner keeps below its budget: the violation, what is charged of limits, and trips."""
-    return reduce(operator.add, [costs[at] for at in terms(scenario).constraints])
+    places = terms(scenario).constraints
+    return costs[places[0]] if len(places) == 1 else reduce(operator.add, [costs[at] for at in places])
 
 
 def largest_costs(scenario: Scenario) -> Costs:

@@ -22,8 +22,9 @@ N_NEIGHBOURS = 3
 class Placement(NamedTuple):
     """Positions of the agents for observations; fixed for an episode, made by :func:`placement`."""
 
-    distance: Array
-    """R_ii of every agent, then X_ii, in bands per MW and Mvar, (lane, 2 n_agent)."""
+    r: Array
+    """R_ii of each agent, in bands per MW, (row, n_agent), and X_ii in bands per Mvar."""
+    x: Array
     nodes: Array
     """Where the agents are connected, as in ``Exogenous.nodes``, (lane, n_agent, k)."""
     legs: Array
@@ -253,4 +254,4 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
         nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
-    return Placement(np.concatenate((own[..., 0], own[..., 1]), axis=-1), nodes, legs, nearest)
+    return Placement(own[..., 0].copy(), own[..., 1].copy(), nodes, legs, nearest)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,8 +19,7 @@ from dcgrid_env.core.metric import Table
 from dcgrid_env.scenario.costs import equipment_moves, overload, utility_limits
 
 
-@dataclass(eq=False)
-class Step:
+class Step(NamedTuple):
     """Input of a term: a scenario and its state after a step."""
 
     scenario: Any
@@ -34,17 +32,10 @@ class Step:
     n_nodes: int
     """Their number."""
     n_converters: int
-    figures: Any = None
-    """Sums over the voltages (``VoltageFigures``) where they are known already."""
-
-    @cached_property
-    def voltage_sums(self) -> tuple[Array, Array]:
-        """Sums of the voltage cost and of the excess over the band, over the charged nodes, (row,) each."""
-        kind, band_pu, v_pu = self.scenario.voltage_cost, self.scenario.band_pu, self.state.v_pu
-        if kind == "l1" and self.figures is not None:
-            return self.figures.deviation_pu, self.figures.excess_pu
-        deviation = namespace(v_pu).abs(v_pu[..., self.judged] - 1.0)
-        return sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
+    voltage_sum: Array
+    """Sum of the voltage cost over the charged nodes, (row,)."""
+    excess_sum: Array
+    """Sum of the excess over the band, (row,)."""
 
     @property
     def voltages_pu(self) -> tuple[Array, Array]:
@@ -72,7 +63,7 @@ class GridTerm(NamedTuple):
     amount: Callable[[Step], Array] | None = None
     """Amount of the whole grid, (row,); None for a term of which devices bring the amounts."""
     divisor: Callable[[Step], float] = _one
-    """Number that the amount is a sum over."""
+    """Number that the amount is a sum over; it does not depend on the state."""
     of_agents: Callable[[Step], Array] | None = None
     """Amount of each agent, (row, n_agent); None where every agent is charged the team's term."""
     largest: Callable[[Any], float] = _one
@@ -155,7 +146,7 @@ TERMS = (
         "voltage cost",
         "mean voltage cost of the nodes, |V - 1| unless the scenario has another form",
         100.0,
-        amount=lambda step: step.voltage_sums[0],
+        amount=attrgetter("voltage_sum"),
         divisor=_nodes,
         of_agents=lambda step: voltage_cost(step.scenario.voltage_cost, _agents_deviation(step), step.scenario.band_pu),
         # The deviation at which every form of the voltage cost is largest is 1.
@@ -167,7 +158,7 @@ TERMS = (
         "violation cost",
         "mean excess of |V - 1| over the band",
         1000.0,
-        amount=lambda step: step.voltage_sums[1],
+        amount=attrgetter("excess_sum"),
         divisor=_nodes,
         of_agents=lambda step: positive_part(_agents_deviation(step) - step.scenario.band_pu),
         largest=lambda scenario: 1.0 - scenario.band_pu,
@@ -199,7 +190,7 @@ TERMS = (
         "loss",
         "loss cost",
         "loss of the feeder as a share of its base load and the data centres' ratings",
-        amount=lambda step: step.solution.loss_kw,
+        amount=attrgetter("solution.loss_kw"),
         divisor=lambda step: step.params.p_all_kw,
         # A feeder at its limit loses about as much as it delivers.
         largest=lambda scenario: 2.0 * max(device.largest_draw_share for device in scenario.devices),

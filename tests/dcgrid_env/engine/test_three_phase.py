@@ -118,7 +118,7 @@ def test_own_distance_is_the_derivative_of_the_own_voltage():
         np.add.at(p[1], legs, h / len(legs))
         v = solve(feeder, p, np.tile(feeder.q_load_kvar, (2, 1)), feeder.v0_pu).v_pu[:, at].mean(-1)
         rise = (v[0] - v[1]) / (2.0 * h) * 1000.0
-        assert placed.distance[0, agent] == pytest.approx(rise / scenario.band_pu, rel=1e-3)
+        assert placed.r[0, agent] == pytest.approx(rise / scenario.band_pu, rel=1e-3)
     assert sensitivity(feeder).by_p_pu_per_mw.shape == (feeder.n_node, feeder.n_node)
 
 
@@ -139,7 +139,7 @@ def test_distances_are_those_of_the_scenario_and_its_error(overrides):
         given = (np.tile(feeder.p_load_kw, (2, 1)), load, scenario.source_voltage_pu, control)
         v = solve(feeder, *given).v_pu[:, at].mean(-1)
         rise = (v[0] - v[1]) * 500.0 * scenario.x_model_share / scenario.band_pu
-        assert drawn.placed.distance[0, n + agent] == pytest.approx(rise, rel=1e-3)
+        assert drawn.placed.x[0, agent] == pytest.approx(rise, rel=1e-3)
     far = scenario.replace(r_model_share=10.0, x_model_share=10.0)
     assert np.isfinite(play(far, steps=1)[1][-1].observation).all()
 

@@ -313,7 +313,7 @@ def test_distances_and_neighbours_walked_along_the_feeder(name):
     for lane in range(lanes):
         paths = [path_to_root(scenario, int(bus)) for bus in drawn.buses[lane]]
         own = [[sum(z[k] for k in path) / 0.05 for path in paths] for z in (r_pu, x_pu)]
-        np.testing.assert_allclose(drawn.placed.distance[lane], np.ravel(own), rtol=1e-9)
+        np.testing.assert_allclose((drawn.placed.r[lane], drawn.placed.x[lane]), own, rtol=1e-9)
         for i in range(n):
             between = [math.hypot(*(sum(z[k] for k in paths[i] ^ paths[j]) for z in (r_pu, x_pu))) for j in range(n)]
             seen = drawn.placed.nearest[lane, i] - lane * n

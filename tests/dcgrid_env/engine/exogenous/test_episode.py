@@ -48,7 +48,7 @@ def test_same_seed_same_episode_in_any_lane(name):
         assert alone.start[0].tolist() == together.start[seed].tolist()
         assert alone.sun[0] == together.sun[seed]
         assert alone.fault[0].tolist() == together.fault[seed].tolist()
-        assert alone.placed.distance[0].tolist() == together.placed.distance[seed].tolist()
+        assert alone.placed.r[0].tolist() == together.placed.r[seed].tolist()
 
 
 def test_another_seed_or_the_next_episode_is_another():
