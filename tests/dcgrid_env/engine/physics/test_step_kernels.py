@@ -12,7 +12,7 @@ from dcgrid_env.engine.physics import step_kernels
 from dcgrid_env.engine.physics.dynamics import _net_loads
 from dcgrid_env.engine.physics.state import Exogenous
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
-from dcgrid_env.scenario.costs.grid_terms import Step, voltage_cost
+from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from dcgrid_env.scenario.presets import make_scenario
 
 RNG = np.random.default_rng(0)
@@ -25,14 +25,15 @@ def test_sums_over_voltages(kind):
     judged = reward.terms(scenario).judged
     figures = voltage_figures(V_PU, judged.start, scenario.band_pu)
 
-    def step(v_pu, figures=None):
-        return Step(scenario, SimpleNamespace(v_pu=v_pu), None, None, judged, V_PU.shape[1] - 1, 1, figures)
+    def sums_of(v_pu, figures=None):
+        step = reward._step(scenario, SimpleNamespace(v_pu=v_pu), None, figures)
+        return step.voltage_sum, step.excess_sum
 
-    sums = step(V_PU, figures).voltage_sums
+    sums = sums_of(V_PU, figures)
     deviation = np.abs(V_PU[:, judged] - 1.0)
     np.testing.assert_array_equal(sums[0], voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
     np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.band_pu, 0.0).sum(-1))
-    tensors = step(torch.tensor(V_PU)).voltage_sums
+    tensors = sums_of(torch.tensor(V_PU))
     for ours, theirs in zip(sums, tensors, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-14)
 
