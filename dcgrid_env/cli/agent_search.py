@@ -18,7 +18,9 @@ from dcgrid_env.cli.workers import OverWorkers
 
 @dataclass(frozen=True)
 class TuneAgent(OverWorkers):
-    """Search over an algorithm's settings for a scenario, on the validation split, and print the best as TOML.
+    """Search an algorithm's settings for a scenario.
+
+    Scores on the validation split and prints the best settings as TOML.
 
     Trials are kept in OUT: an interrupted search goes on where it was, and a larger --trials adds to it. What is
     printed at the end stands in agents/training/preset_settings.toml as it is.

@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluate(OverWorkers):
-    """Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
+    """Score a policy on held-out episodes.
+
+    Compares it with the tuned droop law and the best rules that measure nothing.
+    """
 
     policy: tyro.conf.Positional[str]
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class List(Command):
-    """Show the scenarios, feeders, kinds of devices, controllers and traces that can be named."""
+    """List scenarios, feeders, controllers, traces and fields.
+
+    Without KINDS all of them are listed.
+    """
 
     def run(self) -> None:
         """Print the tables."""

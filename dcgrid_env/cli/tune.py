@@ -29,7 +29,9 @@ Laws = dict[str, dict[str, dict[str, Any]]]
 
 @dataclass(frozen=True)
 class Tune(OverWorkers):
-    """Tune laws on the validation split of scenarios, and write their parameters with the command that made each.
+    """Tune control laws on the validation split of scenarios.
+
+    Writes their parameters with the command that made each.
 
     The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
     same command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.

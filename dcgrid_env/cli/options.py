@@ -1,0 +1,108 @@
+"""Options of a dataclass, read and shown by tyro: no option shows None as a value, and help fits the terminal."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from typing import Annotated, Any, TextIO, Union, cast, get_args, get_origin, get_type_hints
+
+import docstring_parser
+import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
+
+_REGISTRY = ConstructorRegistry()
+_ABOUT = "{about}"
+"""What tyro is given as the description; the output has the text in its place."""
+
+
+def parsed(kind: type[Any], words: Sequence[str], prog: str, about: str, default: Any = None) -> Any:
+    """Return a dataclass from the words of a command line.
+
+    Raises SystemExit if a word is wrong, after tyro's message, and after the help.
+
+    Parameters
+    ----------
+    kind
+        The dataclass; the docstrings of its fields are the help of the options.
+    words
+        The words that follow ``prog``.
+    prog, about
+        How the command is called, and what it does.
+    default
+        An instance that has the defaults; those of the class if None.
+    """
+    default = tyro.MISSING_NONPROP if default is None else default
+    with redirect_stdout(cast("TextIO", _Output(sys.stdout, about))):
+        return tyro.cli(kind, args=words, prog=prog, description=_ABOUT, default=default, registry=_REGISTRY)
+
+
+class _Output:
+    """Standard output that folds the description to the width of the terminal, which tyro does not."""
+
+    def __init__(self, out: TextIO, about: str):
+        self._out, self._about = out, about
+
+    def write(self, text: str) -> int:
+        """Write a text, with the description in the place that is kept for it."""
+        width = max(40, shutil.get_terminal_size().columns)
+        paragraphs = (textwrap.fill(" ".join(part.split()), width) for part in self._about.split("\n\n"))
+        return self._out.write(text.replace(_ABOUT, "\n\n".join(paragraphs)))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._out, name)
+
+
+@_REGISTRY.struct_rule
+def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """The options of a dataclass, as tyro has them but for their help."""
+    if not dataclasses.is_dataclass(info.type):
+        return None
+    hints, helps, fields = get_type_hints(info.type, include_extras=True), _helps(info.type), []
+    for field in dataclasses.fields(info.type):
+        default = _default(field, info.default)
+        hint = _described(hints[field.name], field, required=default is tyro.MISSING_NONPROP)
+        fields.append(StructFieldSpec(field.name, hint, default, helps[field.name]))
+    return StructConstructorSpec(info.type, tuple(fields))
+
+
+def _helps(kind: type[Any]) -> dict[str, str]:
+    """Docstrings of the fields, each as one paragraph."""
+    documented = (docstring_parser.parse_from_object(own) for own in reversed(kind.__mro__) if own is not object)
+    return {field.arg_name: " ".join((field.description or "").split()) for text in documented for field in text.params}
+
+
+def _default(field: dataclasses.Field[Any], instance: Any) -> Any:
+    if dataclasses.is_dataclass(instance):
+        return getattr(instance, field.name)
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return tyro.MISSING_NONPROP if field.default is dataclasses.MISSING else field.default
+
+
+def _described(hint: Any, field: dataclasses.Field[Any], *, required: bool) -> Any:
+    """A field's type for tyro: its placeholder has no None, and its default is shown where it is a value."""
+    inner, *more = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    metavar = None
+    if tyro.conf.Positional in more:
+        name = field.name.replace("_", "-").upper()
+        metavar = name if required else f"[{name}]"
+    elif type(None) in get_args(inner):
+        others = Union[tuple(option for option in get_args(inner) if option is not type(None))]  # noqa: UP007
+        spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(cast(Any, others), set()))
+        metavar = spec.metavar if isinstance(spec, PrimitiveConstructorSpec) else None
+    return Annotated[inner, tyro.conf.arg(metavar=metavar, help_behavior_hint=_default_shown), *more]
+
+
+def _default_shown(value: str) -> str:
+    return "" if value in ("", "None") else f"(default: {value})"
