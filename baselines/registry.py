@@ -136,7 +136,7 @@ def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Pa
     Raises
     ------
     ValueError
-        For an unknown name, listing those that exist; for one that depends on the scenario where none is given or
+        For an unknown name, naming similar ones; for one that depends on the scenario where none is given or
         there is nothing for it; a ``PluginError`` where another package's controller cannot be made.
     """
     if name not in CONTROLLER_REGISTRY:

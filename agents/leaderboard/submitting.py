@@ -178,4 +178,6 @@ def _trained_on(policy: str) -> str:
     file = controller_file(inner)
     if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
         return without_horizon(Policy.load(file or inner).trained_on)
+    if file is None and parse(inner) is None and inner not in CONTROLLER_REGISTRY:
+        raise SubmissionError(CONTROLLER_REGISTRY.unknown(inner))
     raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")

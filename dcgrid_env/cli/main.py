@@ -66,8 +66,7 @@ def parse(words: Sequence[str]) -> Command:
     if isinstance(member, Entry):
         return member.load().parse(rest, prog)
     if rest and rest[0] not in HELP:
-        names = [name for name, _ in COMMANDS.commands("dcgrid")]
-        raise ValueError(unknown("command", rest[0], names, f"`{prog} --help` lists all"))
+        raise ValueError(unknown("command", rest[0], dict(COMMANDS.below("dcgrid")), f"`{prog} --help` lists all"))
     print(member.page(prog), file=sys.stdout if rest else sys.stderr)
     raise SystemExit(0 if rest else 2)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shutil
 import sys
 import textwrap
@@ -56,7 +57,7 @@ class _Output:
     def write(self, text: str) -> int:
         """Write a text, with the description in the place that is kept for it."""
         width = max(40, shutil.get_terminal_size().columns)
-        paragraphs = (textwrap.fill(" ".join(part.split()), width) for part in self._about.split("\n\n"))
+        paragraphs = (textwrap.fill(_plain(part), width) for part in self._about.split("\n\n"))
         return self._out.write(text.replace(_ABOUT, "\n\n".join(paragraphs)))
 
     def __getattr__(self, name: str) -> Any:
@@ -68,18 +69,24 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
     """The options of a dataclass, as tyro has them but for their help."""
     if not dataclasses.is_dataclass(info.type):
         return None
-    hints, helps, fields = get_type_hints(info.type, include_extras=True), _helps(info.type), []
+    hints, texts, fields = get_type_hints(info.type, include_extras=True), helps(info.type), []
     for field in dataclasses.fields(info.type):
         default = _default(field, info.default)
         hint = _described(hints[field.name], field, required=default is tyro.MISSING_NONPROP)
-        fields.append(StructFieldSpec(field.name, hint, default, helps[field.name]))
+        fields.append(StructFieldSpec(field.name, hint, default, texts[field.name]))
     return StructConstructorSpec(info.type, tuple(fields))
 
 
-def _helps(kind: type[Any]) -> dict[str, str]:
+def helps(kind: type[Any]) -> dict[str, str]:
     """Docstrings of the fields, each as one paragraph."""
     documented = (docstring_parser.parse_from_object(own) for own in reversed(kind.__mro__) if own is not object)
-    return {field.arg_name: " ".join((field.description or "").split()) for text in documented for field in text.params}
+    return {field.arg_name: _plain(field.description or "") for text in documented for field in text.params}
+
+
+def _plain(text: str) -> str:
+    """A paragraph without its line breaks and without reStructuredText's marks."""
+    joined = " ".join(text.split())
+    return re.sub(r":[a-z]+:`~?(.*?)`", r"\1", joined).replace("``", "`")
 
 
 def _default(field: dataclasses.Field[Any], instance: Any) -> Any:

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
+from dcgrid_command.group import Entry
 from dcgrid_command.table import COMMANDS
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
@@ -196,8 +197,8 @@ def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
 
 ALGORITHMS = {
     line.split()[-1]: Algorithm(line.split()[-1])
-    for line, entry in COMMANDS.commands("dcgrid")
-    if entry.where == f"train:{Algorithm.__name__}"
+    for line, member in COMMANDS.below("dcgrid")
+    if isinstance(member, Entry) and member.where == "train:Algorithm"
 }
 """Algorithms by name, as the table of commands has them."""
 

@@ -45,13 +45,12 @@ class Group(NamedTuple):
         """All commands by name."""
         return {name: member for section in self.sections.values() for name, member in section.items()}
 
-    def commands(self, prog: str) -> Iterator[tuple[str, Entry]]:
-        """Every command with the words that call it, those of the groups below too."""
+    def below(self, prog: str) -> Iterator[tuple[str, Entry | Group]]:
+        """Every command and group below this one, with the words that call it."""
         for name, member in self.members.items():
+            yield f"{prog} {name}", member
             if isinstance(member, Group):
-                yield from member.commands(f"{prog} {name}")
-            else:
-                yield f"{prog} {name}", member
+                yield from member.below(f"{prog} {name}")
 
     def page(self, prog: str) -> str:
         """The help: the commands in their sections, as wide as the terminal."""

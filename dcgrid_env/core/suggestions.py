@@ -10,12 +10,23 @@ _SIMILAR = 0.6
 
 
 def unknown(kind: str, name: object, names: Iterable[str], listed: str) -> str:
-    """Return the message for a name that does not exist, with up to three similar names.
+    """Return the message for a name that does not exist.
 
     Parameters
     ----------
     kind
         What is named, for instance "scenario".
+    name, names, listed
+        As for ``nearest``.
+    """
+    return f"no {kind} {name!r}; {nearest(name, names, listed)}"
+
+
+def nearest(name: object, names: Iterable[str], listed: str) -> str:
+    """Return up to three names that are similar to one that does not exist, and where all names are listed.
+
+    Parameters
+    ----------
     name
         The name that does not exist.
     names
@@ -26,5 +37,4 @@ def unknown(kind: str, name: object, names: Iterable[str], listed: str) -> str:
     given = str(name).lower()
     similarity = {known: SequenceMatcher(None, known.split()[-1].lower(), given).ratio() for known in names}
     near = sorted((known for known in similarity if similarity[known] >= _SIMILAR), key=lambda n: -similarity[n])[:3]
-    asked = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"no {kind} {name!r}; {asked}{listed}"
+    return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}? {listed}" if near else listed
