@@ -1,4 +1,4 @@
-"""What a command of ``dcgrid`` is; ``dcgrid_command.table`` lists them all."""
+"""What a command of ``dcgrid`` is; ``dcgrid_command.command_table`` lists them all."""
 
 from __future__ import annotations
 

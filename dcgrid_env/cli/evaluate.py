@@ -147,9 +147,8 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
     from dcgrid_env import PRESETS
     from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
-    from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, split_prefix
+    from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-    from dcgrid_env.baselines.user_code import parse
 
     if cfg.scenario is not None:
         return ScenarioSpec(cfg.scenario, cfg.set)
@@ -164,8 +163,7 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     else:
         where = Policy.load(file).trained_on if file is not None and file.suffix == SUFFIX else ""
     if where not in PRESETS:
-        if file is None and parse(inner) is None and inner not in CONTROLLER_REGISTRY:
-            raise ValueError(CONTROLLER_REGISTRY.unknown(inner))
+        require_known(inner)
         raise ValueError(f"policy {inner!r} is of no preset of its own; say on which --scenario (dcgrid list)")
     return ScenarioSpec(where, cfg.set)
 

@@ -10,9 +10,9 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from dcgrid_command.command_table import COMMANDS, TRACEBACK, VERSION
 from dcgrid_command.group import HELP, Entry, found
-from dcgrid_command.output import ends_unread
-from dcgrid_command.table import COMMANDS, TRACEBACK, VERSION
+from dcgrid_command.unread import ends_unread
 from dcgrid_env import __version__
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.terminal import any_characters

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
+from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry
-from dcgrid_command.table import COMMANDS
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.options import parsed

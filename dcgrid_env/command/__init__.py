@@ -7,9 +7,9 @@ import os
 import signal
 import sys
 
+from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import help_page
-from dcgrid_command.output import ends_unread
-from dcgrid_command.table import COMMANDS
+from dcgrid_command.unread import ends_unread
 
 
 def main() -> None:

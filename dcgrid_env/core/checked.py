@@ -57,7 +57,7 @@ class UnknownFieldError(FieldError):
     Parameters
     ----------
     owner, name, value
-        As for ``FieldError``.
+        Class, name of the field and value, see ``FieldError``.
     names
         The fields that exist.
     """

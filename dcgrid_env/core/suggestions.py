@@ -17,7 +17,7 @@ def unknown(kind: str, name: object, names: Iterable[str], listed: str) -> str:
     kind
         What is named, for instance "scenario".
     name, names, listed
-        As for ``nearest``.
+        Passed on to ``nearest``.
     """
     return f"no {kind} {name!r}; {nearest(name, names, listed)}"
 
@@ -35,6 +35,6 @@ def nearest(name: object, names: Iterable[str], listed: str) -> str:
         Where all names are listed, a clause: "`dcgrid list scenarios` lists all".
     """
     given = str(name).lower()
-    similarity = {known: SequenceMatcher(None, known.split()[-1].lower(), given).ratio() for known in names}
+    similarity = {known: SequenceMatcher(None, known.rpartition(" ")[2].lower(), given).ratio() for known in names}
     near = sorted((known for known in similarity if similarity[known] >= _SIMILAR), key=lambda n: -similarity[n])[:3]
     return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}? {listed}" if near else listed

@@ -10,7 +10,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from dcgrid_command.table import COMMANDS
+from dcgrid_command.command_table import COMMANDS
 from dcgrid_env.cli.main import parse
 
 WIDTH = "80"

@@ -27,7 +27,7 @@ _EXPORT = Group(
             ),
             "matpower": Entry("Write a balanced feeder as a MATPOWER case file.", "grid_export:ExportMatpower"),
             "power-grid-model": Entry(
-                "Write a balanced feeder as power-grid-model's JSON input data.", "grid_export:ExportPowerGridModel"
+                "Write a balanced feeder as power-grid-model JSON.", "grid_export:ExportPowerGridModel"
             ),
         }
     },
