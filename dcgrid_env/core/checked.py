@@ -68,7 +68,7 @@ class UnknownFieldError(FieldError):
 
     def said(self, name: str) -> str:
         """The message under another name of the field."""
-        owner, _, field = name.rpartition(".")
+        owner, _, field = str(name).rpartition(".")
         return unknown(f"{owner or self.owner} field", field, self.names, f"its fields are {', '.join(self.names)}")
 
     def within(self, owner: str, field: str) -> FieldError:

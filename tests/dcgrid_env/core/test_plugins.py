@@ -177,7 +177,7 @@ def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_
     warned, error = ran.stderr.splitlines()
     assert ran.returncode == 2
     assert "is left out: ModuleNotFoundError" in warned
-    assert "devices[1].kind: no kind of device 'battery'; there are datacenter, inverter, storage; entry point" in error
+    assert "devices[1].kind: no kind of device 'battery'; `dcgrid list devices` lists all; entry point" in error
 
 
 def test_nothing_is_loaded_before_it_is_asked_for(site):

@@ -258,7 +258,7 @@ def test_what_a_user_writes_into_stays_outside():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ({"trace": "foo"}, "trace is 'foo'; choose one of inference"),
+        ({"trace": "foo"}, "trace is 'foo'; `dcgrid list traces` lists all"),
         ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
         ({"weights": {"volts": 1}}, "no weights field 'volts'; did you mean voltage"),
         ({"dvfs": None}, "dvfs is None; give 'linear', 'prefill-decode', or a clock law"),

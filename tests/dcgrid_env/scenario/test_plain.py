@@ -236,7 +236,7 @@ def test_recordings_and_feeders_by_path(tmp_path):
     assert isinstance(sun, PowerTrace)
     with pytest.raises(ScenarioError, match=r"trace is '.*none.csv'"):
         make_scenario("ieee33-weak", trace=[str(tmp_path / "none.csv")])
-    with pytest.raises(ScenarioError, match=r"trace is 'none\.csv'; choose one of inference"):
+    with pytest.raises(ScenarioError, match=r"trace is 'none\.csv'; `dcgrid list traces`"):
         make_scenario("ieee33-weak", trace="none.csv")
     cases = Path(__file__).parents[2] / "cases" / "ieee33"
     if (cases / "feeder.toml").exists():
