@@ -73,7 +73,7 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
     for field in dataclasses.fields(info.type):
         default = _default(field, info.default)
         hint = _described(hints[field.name], field, required=default is tyro.MISSING_NONPROP)
-        fields.append(StructFieldSpec(field.name, hint, default, texts[field.name]))
+        fields.append(StructFieldSpec(field.name, hint, default, texts.get(field.name)))
     return StructConstructorSpec(info.type, tuple(fields))
 
 

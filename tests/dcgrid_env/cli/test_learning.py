@@ -82,7 +82,7 @@ def test_generalise_leaves_each_out(here, capsys):
         (("dev", "ablate", "--seeds", "0"), "seeds is 0; give at least 1"),
         (("dev", "ablate", "--episodes", "1"), "episodes is 1; give 2 to 100"),
         (("dev", "ablate", "--transfer", "mars"), "no scenario 'mars'"),
-        (("dev", "ablate", "--policies", "none-such"), "none-such: no policy of that name ships"),
+        (("dev", "ablate", "--policies", "none-such"), "no policy 'none-such'; "),
         (("dev", "generalise", "--scenarios", "ieee33"), "scenarios is 'ieee33'; give at least two, one is left out"),
         (("dev", "generalise", "--vary", "-1"), "vary is -1; give at least 0"),
         (("dev", "generalise", "--workers", "0"), "workers is 0; give at least 1"),
