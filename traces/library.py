@@ -68,7 +68,7 @@ class Law:
 
 
 def checked(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> Law:
-    """The arguments of `library` as it takes them; TraceError for one that cannot be."""
+    """The arguments of `library` as it takes them; TraceError for an invalid one."""
     if source not in TRACE_SOURCES:
         raise TraceError(unknown("trace source", source, TRACE_SOURCES, "`dcgrid list traces` lists all"))
     dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")

@@ -1,4 +1,4 @@
-"""What a command of ``dcgrid`` is; ``dcgrid_command.command_table`` lists them all."""
+"""Base class of the commands of ``dcgrid``; ``dcgrid_command.command_table`` lists them all."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Command(ABC):
 
     @classmethod
     def parse(cls, words: Sequence[str], prog: str) -> Self:
-        """Read the words that follow the command's own; SystemExit for words that cannot be, or after the help."""
+        """Read the words after the command; raise SystemExit if a word is wrong, and after the help."""
         return parsed(cls, words, prog, cls.about())
 
     @property

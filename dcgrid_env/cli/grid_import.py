@@ -68,8 +68,8 @@ class ImportPandapower(_Import):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    A JSON file is read without importing or calling what it names (docs/import.md). What cannot be represented is
-    refused by name: loops, several sources, generators that keep a voltage, DC lines.
+    A JSON file is read without importing or calling what it names (docs/import.md). The import
+    refuses these elements by name: loops, several sources, generators that keep a voltage, DC lines.
     """
 
     net: tyro.conf.Positional[str]
@@ -144,7 +144,7 @@ class ImportPowerGridModel(_Import):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    What cannot be represented is refused by name (docs/import.md).
+    The import refuses by name the elements that it cannot represent (docs/import.md).
     """
 
     file: tyro.conf.Positional[Path]

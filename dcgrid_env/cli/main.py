@@ -1,4 +1,4 @@
-"""The command line, ``dcgrid``: how a command is run, and what an error or an interruption looks like.
+"""The command line, ``dcgrid``: run a command, and report an error or an interruption.
 
 This is the one room that sees all others; a command is imported when it runs.
 """
@@ -58,7 +58,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 def parse(words: Sequence[str]) -> Command:
-    """Read a whole command line but for its first word.
+    """Read a command line without its first word.
 
     Raises ValueError for a command that does not exist, and SystemExit for wrong options and after a help.
     """

@@ -30,7 +30,7 @@ class ImportOpenDss(Command):
     Writes the feeder as a folder of tables and compares the voltages.
 
     The script is looked at first: commands beyond a model's definition, and files that are not beneath its folder, are
-    refused (docs/opendss.md). What cannot be represented is refused by name.
+    refused (docs/opendss.md). So are elements that cannot be represented, by name.
     """
 
     master: tyro.conf.Positional[Path]

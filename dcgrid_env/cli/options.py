@@ -24,7 +24,7 @@ from tyro.constructors import (
 
 _REGISTRY = ConstructorRegistry()
 _ABOUT = "{about}"
-"""What tyro is given as the description; the output has the text in its place."""
+"""Description that is passed to tyro; the output replaces this line by the text."""
 
 
 def parsed(kind: type[Any], words: Sequence[str], prog: str, about: str, default: Any = None) -> Any:
@@ -49,16 +49,19 @@ def parsed(kind: type[Any], words: Sequence[str], prog: str, about: str, default
 
 
 class _Output:
-    """Standard output that folds the description to the width of the terminal, which tyro does not."""
+    """Standard output that folds usage and description to the width of the terminal, which tyro does not."""
 
     def __init__(self, out: TextIO, about: str):
         self._out, self._about = out, about
 
     def write(self, text: str) -> int:
-        """Write a text, with the description in the place that is kept for it."""
+        """Write a line of tyro's."""
         width = max(40, shutil.get_terminal_size().columns)
-        paragraphs = (textwrap.fill(_plain(part), width) for part in self._about.split("\n\n"))
-        return self._out.write(text.replace(_ABOUT, "\n\n".join(paragraphs)))
+        if "usage:" in text[:12]:  # the word is in bold on a terminal
+            text = textwrap.fill(text, width, subsequent_indent=" " * 7)
+        elif text == _ABOUT:
+            text = "\n\n".join(textwrap.fill(_plain(part), width) for part in self._about.split("\n\n"))
+        return self._out.write(text)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._out, name)
@@ -66,7 +69,7 @@ class _Output:
 
 @_REGISTRY.struct_rule
 def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """The options of a dataclass, as tyro has them but for their help."""
+    """Return the options of a dataclass, with their help."""
     if not dataclasses.is_dataclass(info.type):
         return None
     hints, texts, fields = get_type_hints(info.type, include_extras=True), helps(info.type), []
@@ -100,16 +103,23 @@ def _default(field: dataclasses.Field[Any], instance: Any) -> Any:
 def _described(hint: Any, field: dataclasses.Field[Any], *, required: bool) -> Any:
     """A field's type for tyro: its placeholder has no None, and its default is shown where it is a value."""
     inner, *more = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    metavar = None
-    if tyro.conf.Positional in more:
-        name = field.name.replace("_", "-").upper()
-        metavar = name if required else f"[{name}]"
-    elif type(None) in get_args(inner):
-        others = Union[tuple(option for option in get_args(inner) if option is not type(None))]  # noqa: UP007
-        spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(cast(Any, others), set()))
-        metavar = spec.metavar if isinstance(spec, PrimitiveConstructorSpec) else None
+    metavar = field.name.replace("_", "-").upper() if tyro.conf.Positional in more else _placeholder(inner)
+    if get_args(inner)[1:] == (...,):
+        metavar = f"{metavar} ..."
+    if tyro.conf.Positional in more and not required:
+        metavar = f"[{metavar}]"
     return Annotated[inner, tyro.conf.arg(metavar=metavar, help_behavior_hint=_default_shown), *more]
 
 
+def _placeholder(kind: Any) -> str | None:
+    """Placeholder of a value, or of one of a tuple of any length; None for tyro's default."""
+    parts = tuple(part for part in get_args(kind) if part is not type(None))
+    if type(None) not in get_args(kind) and parts[1:] != (...,):
+        return None
+    value: Any = parts[0] if parts[1:] == (...,) else Union[parts]  # noqa: UP007
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(value, set()))
+    return spec.metavar if isinstance(spec, PrimitiveConstructorSpec) else None
+
+
 def _default_shown(value: str) -> str:
-    return "" if value in ("", "None") else f"(default: {value})"
+    return "" if value in ("", "''", "None") else f"(default: {value})"

@@ -75,7 +75,7 @@ class Algorithm:
     def parse(cls, words: Sequence[str], prog: str) -> Command:
         """Read the options of the algorithm that is the last word of ``prog``.
 
-        ValueError where torch is not installed, or for seeds that cannot be.
+        ValueError if torch is not installed or a seed is invalid.
         """
         algorithm = cls(prog.split()[-1])
         asked, words = _seeds(words)

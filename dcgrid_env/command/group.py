@@ -20,7 +20,7 @@ class Entry(NamedTuple):
     """A command in the table."""
 
     text: str
-    """What it does, on one line; the first line of the class's docstring too."""
+    """Summary on one line; the docstring of the class begins with it."""
     where: str
     """Its class, ``module:Class`` of ``dcgrid_env.cli``, which has ``parse(words, prog)``."""
 
@@ -34,7 +34,7 @@ class Group(NamedTuple):
     """Commands under a common first word."""
 
     text: str
-    """What they are for, on one line."""
+    """Their purpose, on one line."""
     sections: Mapping[str, Mapping[str, Entry | Group]]
     """Commands by name, by the heading that they have on the page."""
     options: Mapping[str, str] = {}

@@ -106,7 +106,7 @@ class Registry(Mapping[str, Entry]):
         return self._origins.get(name)
 
     def unknown(self, name: Any) -> str:
-        """What to say of a name that nothing stands for: the nearest names, and what could not be loaded."""
+        """Message for a name that does not exist: the nearest names, and entry points that failed to load."""
         listed = f"`dcgrid list {self.group.removeprefix('dcgrid.')}` lists all"
         said = [unknown(self.kind, name, filter(is_name, self), listed), *self._refused]
         if not self._is_installed:

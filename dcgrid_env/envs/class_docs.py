@@ -20,7 +20,7 @@ CHANNELS = (
     ("clock", "data centre", "lowest to highest GPU clock, held over the step"),
     ("q", "data centre, inverter", "share of the reactive limit at zero active power; an injection is positive"),
 )
-"""Channels of the usual devices: name, devices, and what -1 to 1 stand for."""
+"""Channels of the usual devices: name, devices and meaning of -1 to 1."""
 FIELDS = (
     ("v_deviation", "all", "-1/band .. 1/band", "measured (V - 1) / band; 1 is the upper edge of the band"),
     ("v_change", "all", "-1/band .. 1/band", "change of the measured V over the last step / band"),
@@ -122,7 +122,7 @@ solves the power flow: DistFlow on a balanced feeder, a sweep on a three-phase f
 Each agent has the channels of its device, in this order.
 ``action_layout(scenario).names`` lists all.
 
-{table(("channel", "device", "-1 to 1 stand for"), CHANNELS, (7, 21, 54))}
+{table(("channel", "device", "meaning of -1 to 1"), CHANNELS, (7, 21, 54))}
 
 Reactive power is limited to min(q_max, sqrt(s_rated^2 - p^2)) at the active power p.
 Values outside of [-1, 1] are cut to it. ``ActionError`` is raised for a value that is
@@ -177,7 +177,7 @@ none.
 
 ``METRICS`` lists the metrics of a whole episode, and ``Recorder`` computes them.""",
 }
-"""Parts by the names that stand for them in the docstrings."""
+"""Parts by their places in the docstrings."""
 
 
 def documented(environment: Class) -> Class:

@@ -57,7 +57,7 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
     TypeError
         For a name that is none of these.
     ScenarioError
-        For a value that cannot be.
+        For an invalid value.
     """
     own = list(own)
     for key in given:

@@ -46,7 +46,7 @@ class Scenario(PickledByFields, FlatNames):
     """
 
     name: str
-    """What the scenario is called in files and tables."""
+    """Name in files and tables."""
     feeder: Any
     """A Feeder, a ThreePhaseFeeder or RandomFeeders: of no one type here, as code for one kind knows which it has."""
     source_voltage_pu: float = number(0.5, 1.5)
@@ -122,7 +122,7 @@ class Scenario(PickledByFields, FlatNames):
         TypeError
             For a name that is not a field.
         ScenarioError
-            For a value that cannot be.
+            For an invalid value.
         """
         other = object.__new__(type(self))
         other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)

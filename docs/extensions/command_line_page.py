@@ -17,7 +17,7 @@ WIDTH = "80"
 
 
 def help_of(line: str, text: str) -> str:
-    """What ``--help`` of a command prints, or how to see it where that needs what is not installed here."""
+    """Return the help of a command, or how to show it if a package for it is not installed."""
     out = io.StringIO()
     try:
         with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
