@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HindsightValues(OverWorkers):
-    """Solve episodes with perfect foresight, store the cost.
+    """Solve episodes with perfect foresight and store the costs.
 
     Writes one JSON file for each scenario.
 

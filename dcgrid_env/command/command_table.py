@@ -61,7 +61,9 @@ _DEV = Group(
     "Make the data, policies and studies that this project publishes.",
     {
         "Upper bounds": {
-            "hindsight": Entry("Solve episodes with perfect foresight, store the cost.", "hindsight:HindsightValues"),
+            "hindsight": Entry(
+                "Solve episodes with perfect foresight and store the costs.", "hindsight:HindsightValues"
+            ),
             "best-known": Entry(
                 "Search for the least cost where no linear program applies.", "best_known_values:BestKnownValues"
             ),
