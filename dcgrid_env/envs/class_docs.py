@@ -1,18 +1,20 @@
 """What the docstrings of the environment classes share: problem, spaces, reward, start, end and ``info``.
 
-``documented`` fills the places that the docstring of a class has for these parts. Names and default weights of the cost
-terms come from the code; tests compare the other tables with it.
+``documented`` fills the places that the docstring of a class has for these parts. The cost terms and the observation
+fields of the grid come from their records; tests compare the rest with the code.
 """
 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from textwrap import wrap
 from typing import TypeVar
 
-from dcgrid_env.scenario.cost import CostWeights
+from dcgrid_env.engine.cost import observation
+from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 Class = TypeVar("Class", bound=type)
 
@@ -21,14 +23,21 @@ CHANNELS = (
     ("q", "data centre, inverter", "share of the reactive limit at zero active power; an injection is positive"),
 )
 """Channels of the usual devices: name, devices and meaning of -1 to 1."""
+RANGES = {
+    "v_deviation": ("all", "-1/band .. 1/band"),
+    "v_change": ("all", "-1/band .. 1/band"),
+    "p": ("all", "-1 .. boost_share"),
+    "q": ("all", "-1 .. 1"),
+    "q_limit": ("all", "0 .. 1"),
+    "r": ("all", "0 .. largest"),
+    "x": ("all", "0 .. largest"),
+    "v_lowest": ("all (a)", "-1/band .. 1/band"),
+    "v_highest": ("all (a)", "-1/band .. 1/band"),
+    "loading": ("all (b)", "0 .. 4"),
+}
+"""Agents that observe each field of the grid, and its range."""
 FIELDS = (
-    ("v_deviation", "all", "-1/band .. 1/band", "measured (V - 1) / band; 1 is the upper edge of the band"),
-    ("v_change", "all", "-1/band .. 1/band", "change of the measured V over the last step / band"),
-    ("p", "all", "-1 .. boost_share", "draw as a share of the rating; an inverter's injection is negative"),
-    ("q", "all", "-1 .. 1", "reactive power as a share of the limit at zero active power"),
-    ("q_limit", "all", "0 .. 1", "reactive limit at the present active power, the same share"),
-    ("r", "all", "0 .. largest", "voltage drop at the own bus per MW drawn there / band"),
-    ("x", "all", "0 .. largest", "voltage drop at the own bus per Mvar drawn there / band"),
+    *((field.name, *RANGES[field.name], field.unit) for field in observation.FIELDS),
     ("p_ref_next", "data centre", "0 .. boost_share", "draw in the coming step at the top clock, share of the rating"),
     ("backlog", "data centre", "0 .. horizon dt_s", "queued work, s at the rating"),
 )
@@ -60,22 +69,8 @@ FEATURES = (
     ("device capacitor_bank", "on", "on, since_switching", ""),
 )
 """What features and further devices add: channels, observation fields and cost terms."""
-CHARGED = {
-    "voltage": "mean of abs(V - 1) over buses, p.u.",
-    "violation": "mean excess of abs(V - 1) over the band, p.u.",
-    "backlog": "queued work of all data centres, s at their rating",
-    "effort": "mean of abs(q) over agents, share of the apparent-power rating",
-    "leftover": "work queued after the last step, s at the rating; charged once",
-    "clock": "mean movement of the clocks, share of their range",
-    "step": "mean change of V over buses, p.u.",
-    "loss": "loss of the feeder, share of its base load and the sites' ratings",
-    "unbalance": "mean squared unbalance factor of three-phase buses",
-    "switching": "mean number of moves of regulators and capacitor banks",
-    "ramp_excess": "mean excess over the limit on ramps, share of the limit",
-    "voltage_step_excess": "mean excess over the limit on voltage steps, share of the limit",
-    "overload": "mean excess over the ratings of branches, share of the rating",
-}
-"""What each cost term charges before its weight."""
+COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)
+"""Cost terms: name, default weight and meaning; bars would be markup of reStructuredText."""
 INFO = (
     ("cost_TERM", "cost term of the step, as charged"),
     ("cost", "constraint for constrained learning: violation, excesses over limits and trips"),
@@ -134,6 +129,8 @@ believe (``r_model_share``, ``x_model_share``).
 
 {table(("field", "agents", "range", "meaning"), FIELDS, (11, 11, 18, 42))}
 
+(a) on a three-phase feeder, (b) with ``observe_loading=True``.
+
 ``observe="neighbours"`` adds v_deviation, p and q of the three electrically nearest
 agents. ``observe="feeder"`` adds v_deviation of every bus. ``preview=False`` sets
 p_ref_next to 0. ``voltage_noise_pu`` and ``measurement_delay`` add noise and delay to
@@ -146,13 +143,7 @@ Features of the scenario and further devices add channels, fields and cost terms
 The reward of a step is minus its cost, the sum of these terms times their weights.
 ``weights={{"step": 1.0}}`` changes a weight.
 
-{
-        table(
-            ("term", "weight", "charges"),
-            ((name, f"{weight:g}", CHARGED[name]) for name, weight in CostWeights._field_defaults.items()),
-            (19, 7, 54),
-        )
-    }
+{table(("term", "weight", "charges"), COSTS, (19, 7, 54))}
 
 ``voltage_cost`` replaces abs(V - 1) by another function of it. J, the cost of an
 episode, is the sum of all terms over its steps, divided by ``horizon``.""",
