@@ -136,7 +136,7 @@ def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Pa
     Raises
     ------
     ValueError
-        For an unknown name, listing those that exist; for one that depends on the scenario where none is given or
+        For an unknown name, naming similar ones; for one that depends on the scenario where none is given or
         there is nothing for it; a ``PluginError`` where another package's controller cannot be made.
     """
     if name not in CONTROLLER_REGISTRY:
@@ -174,11 +174,16 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
         return CONTROLLER_REGISTRY.make(before, find_controller(inner, scenario, tuned), scenario, tuned)
     if (own := shared(CARRIED, {}).get(spec)) is not None:
         return pickle.loads(own)
+    require_known(spec)
     if parse(spec) is not None or controller_file(spec) is not None:
         return _own_controller(spec)
-    if spec not in CONTROLLER_REGISTRY:
-        raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
     return make_controller(spec, scenario, tuned)
+
+
+def require_known(spec: str) -> None:
+    """Raise ValueError for what is neither a name nor the form of a file or of code."""
+    if parse(spec) is None and controller_file(spec) is None and spec not in CONTROLLER_REGISTRY:
+        raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
 
 
 def _own_controller(spec: str) -> Controller:

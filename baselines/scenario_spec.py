@@ -223,5 +223,5 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
     try:
         return make_scenario(base, **overrides, **chosen, split=split)
     except (TypeError, OverflowError, MemoryError) as error:
-        is_field = "unexpected keyword argument" not in str(error)
+        is_field = not str(error).startswith("no scenario field")
         raise ValueError(f"set: {f'{shlex.join(texts)} cannot be: ' * is_field}{error}") from None

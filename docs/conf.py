@@ -50,6 +50,8 @@ python_use_unqualified_type_names = True
 maximum_signature_line_length = 88
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+napoleon_custom_sections = ["Problem", "Action space", "Observation space", "Reward", "Starting state", "Episode end"]
+napoleon_custom_sections += ["Information"]
 
 
 def without_empty_globs(app: Any, docname: str, source: list[str]) -> None:

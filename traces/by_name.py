@@ -6,6 +6,7 @@ import math
 import re
 from pathlib import Path
 
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.gpu_columns import split
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
@@ -43,7 +44,7 @@ def _read(name: str) -> PowerTrace:
     path = Path(name)
     if not path.is_file():
         raise TraceError(
-            f"trace {name!r} is neither a file nor known; there are {', '.join((*TRACE_SOURCES, *RECORDINGS))}"
+            unknown("trace", name, (*TRACE_SOURCES, *RECORDINGS), "`dcgrid list traces` lists all; or give a file")
         )
     first = _first_line(path)
     if first.startswith(RECORDED):

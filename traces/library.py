@@ -11,6 +11,7 @@ from operator import index
 
 import numpy as np
 
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
@@ -67,9 +68,9 @@ class Law:
 
 
 def checked(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> Law:
-    """The arguments of `library` as it takes them; TraceError for one that cannot be."""
+    """The arguments of `library` as it takes them; TraceError for an invalid one."""
     if source not in TRACE_SOURCES:
-        raise TraceError(f"trace source {source!r} is unknown; choose one of {', '.join(TRACE_SOURCES)}")
+        raise TraceError(unknown("trace source", source, TRACE_SOURCES, "`dcgrid list traces` lists all"))
     dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
     if dt_s < GRID_S * (1 - 1e-9):
         raise TraceError(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.download import Progress, download, sha256_of
 from dcgrid_env.traces.logs.request_log import read_request_log
@@ -144,7 +145,7 @@ def load_requests(recording: Recording | str, path: str | Path | None = None) ->
 def _recording(recording: Recording | str, kind: str | None = None) -> Recording:
     if not isinstance(recording, Recording):
         if recording not in RECORDINGS:
-            raise TraceError(f"recording {recording!r} is unknown; choose one of {', '.join(RECORDINGS)}")
+            raise TraceError(unknown("recording", recording, RECORDINGS, "`dcgrid list traces` lists all"))
         recording = RECORDINGS[recording]
     if kind not in (None, recording.kind):
         raise TraceError(f"recording {recording.name!r} is one of {recording.kind}; use load_{recording.kind}")

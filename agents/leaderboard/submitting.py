@@ -33,7 +33,7 @@ from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.shipping import without_horizon
-from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, split_prefix
+from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, require_known, split_prefix
 from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.files import whole_folder, write_bytes, write_json
 from dcgrid_env.core.versions import PACKAGES, versions
@@ -178,4 +178,5 @@ def _trained_on(policy: str) -> str:
     file = controller_file(inner)
     if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
         return without_horizon(Policy.load(file or inner).trained_on)
+    require_known(inner)
     raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")

@@ -19,6 +19,7 @@ from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacke
 from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
+from dcgrid_env.core.suggestions import unknown
 
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
@@ -292,8 +293,7 @@ class Policy:
             return policy
         path = Path(name_or_path)
         if path.suffix != SUFFIX:
-            names = ", ".join(SHIPPED) or "none"
-            raise PolicyError(f"{path}: no policy of that name ships (there are: {names}), nor does it end in {SUFFIX}")
+            raise PolicyError(unknown("policy", str(path), SHIPPED, "`dcgrid list controllers` lists all"))
         return _load(path)
 
 

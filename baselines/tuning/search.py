@@ -25,6 +25,7 @@ from dcgrid_env.baselines.laws.stability import ClosedLoops, is_stable
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters, Tunable
+from dcgrid_env.core.suggestions import unknown
 
 
 class Tuned(NamedTuple):
@@ -69,7 +70,7 @@ def tune(
         ``ControllerError`` where the law refuses a scenario or fails.
     """
     if name not in TUNABLE:
-        raise ValueError(f"tune: {name!r} cannot be tuned; there are {', '.join(TUNABLE)}")
+        raise ValueError(unknown("tunable law", name, TUNABLE, f"there are {', '.join(TUNABLE)}"))
     if not scenarios or episodes < 1:
         raise ValueError(f"tune: {len(scenarios)} scenarios and {episodes} episodes; give at least one of each")
     law = TUNABLE[name]

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ablate(Study):
-    """Train a policy without this or that and score each; and score trained policies on other scenarios than their own.
+    """Train a policy without some of its parts and score each.
+
+    Also scores trained policies on other scenarios than their own.
 
     Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
     """

@@ -14,11 +14,14 @@ from dcgrid_env.cli.names import one_scenario
 from dcgrid_env.cli.settings import alone_in, at_least
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.suggestions import unknown
 
 
 @dataclass(frozen=True)
 class TuneAgent(OverWorkers):
-    """Search over an algorithm's settings for a scenario, on the validation split, and print the best as TOML.
+    """Search an algorithm's settings for a scenario.
+
+    Scores on the validation split and prints the best settings as TOML.
 
     Trials are kept in OUT: an interrupted search goes on where it was, and a larger --trials adds to it. What is
     printed at the end stands in agents/training/preset_settings.toml as it is.
@@ -61,8 +64,10 @@ class TuneAgent(OverWorkers):
 
         require_optuna()
         if self.algorithm not in SPACES:
-            why = ", which has no search space" if self.algorithm in ALGORITHMS else ""
-            raise ValueError(f"algorithm is {self.algorithm!r}{why}; there are spaces for {', '.join(SPACES)}")
+            there = f"there are search spaces for {', '.join(SPACES)}"
+            if self.algorithm in ALGORITHMS:
+                raise ValueError(f"algorithm is {self.algorithm!r}, which has no search space; {there}")
+            raise ValueError(unknown("algorithm", self.algorithm, ALGORITHMS, there))
         at_least(self, trials=1, seed=0, batch=1)
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
@@ -107,11 +112,11 @@ class TuneAgent(OverWorkers):
 
         kind, given = ALGORITHMS[self.algorithm].configuration(), self._given()
         names = {field.name for field in dataclasses.fields(kind)} - {"scenario", "out", "resume"}
-        if unknown := next((name for name in given if name not in names), None):
-            listed = ", ".join(sorted(names))
-            raise ValueError(f"fixed: {unknown} is no setting of {self.algorithm}; there are {listed}")
         hints = get_type_hints(kind)
         for name, value in given.items():
+            if name not in names:
+                listed = f"`dcgrid train {self.algorithm} --help` lists all"
+                raise ValueError(f"fixed: {unknown(f'{self.algorithm} setting', name, names, listed)}")
             try:
                 TypeAdapter(hints[name]).validate_python(value, strict=True)
             except ValidationError as error:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Benchmark(OverWorkers):
-    """Run controllers over scenarios on the test split and score them.
+    """Score controllers over scenarios on the test split.
 
     This writes results.json, results.md and report.html, and prints the table of scores. Finished units are kept in
     OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or episodes can be added

@@ -27,7 +27,9 @@ EPISODES = 16
 
 @dataclass(frozen=True)
 class BestKnownValues(OverWorkers):
-    """Search the least cost of episodes in which sites trip or smooth their power, which no linear program plans.
+    """Search for the least cost where no linear program applies.
+
+    These are scenarios in which sites trip or smooth their power.
 
     Each episode is searched alone and over its actions, with all of it known. The search starts from the best
     trajectory of the named controllers, or from the one in the file, whichever costs less. The costs replace

@@ -29,7 +29,9 @@ Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
 @dataclass(frozen=True)
 class Capacity(OverWorkers):
-    """Hosting capacity: the largest data centre that each bus of a feeder carries under each controller.
+    """Find the largest data centre that each bus can carry.
+
+    This is the hosting capacity of the feeder, under each controller.
 
     One data centre is added at one bus at a time, in ever other sizes, and run through windows of sampled load; a size
     carries if every bus keeps within the limits of voltage, and every branch of known rating within that. Beside the MW

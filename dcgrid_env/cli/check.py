@@ -13,7 +13,7 @@ from dcgrid_env.cli.workers import OverWorkers
 
 @dataclass(frozen=True)
 class Check(OverWorkers):
-    """Say within a minute whether a scenario is worth learning on.
+    """Check in a minute whether a scenario is worth learning on.
 
     What no control, the droop, the best constant and perfect foresight reach in a few episodes, as a table and in plain
     words: whether there is anything to gain, whether the band can be kept, what the clock is worth, how large the

@@ -1,20 +1,16 @@
-"""What a command of ``dcgrid`` is, and how commands stand in groups."""
+"""Base class of the commands of ``dcgrid``; ``dcgrid_command.command_table`` lists them all."""
 
 from __future__ import annotations
 
-import functools
 import inspect
-import operator
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass
-from typing import Annotated, Any, Protocol, Self
+from collections.abc import Sequence
+from typing import Self
 
-import tyro
+from dcgrid_env.cli.options import parsed
 
 GOES_ON = "the same command goes on from there"
 """What a command says that keeps what it has done, and does not do it again."""
-PLAIN = (tyro.conf.OmitSubcommandPrefixes,)
 
 
 class Command(ABC):
@@ -31,8 +27,8 @@ class Command(ABC):
 
     @classmethod
     def parse(cls, words: Sequence[str], prog: str) -> Self:
-        """Read the words that follow the command's own; SystemExit for words that cannot be, or after the help."""
-        return tyro.cli(cls, args=words, prog=prog, description=cls.about(), config=PLAIN)
+        """Read the words after the command; raise SystemExit if a word is wrong, and after the help."""
+        return parsed(cls, words, prog, cls.about())
 
     @property
     def resumes(self) -> str:
@@ -42,65 +38,3 @@ class Command(ABC):
     @abstractmethod
     def run(self) -> None:
         """Do what the fields say."""
-
-
-class Member(Protocol):
-    """What may stand in a group: a class of commands, a group, or something that finds its options when asked."""
-
-    def about(self) -> str:
-        """What it does."""
-        ...
-
-    def parse(self, words: Sequence[str], prog: str) -> Command:
-        """Read the words that follow its own."""
-        ...
-
-
-@dataclass(frozen=True)
-class Group:
-    """Commands under a common first word, by their names."""
-
-    text: str
-    """What they are for."""
-    members: Mapping[str, Member]
-    moved: Mapping[str, str] = field(default_factory=dict)
-    """Commands that stood here once, and what they are called now."""
-
-    def about(self) -> str:
-        """What the commands are for."""
-        return self.text
-
-    def parse(self, words: Sequence[str], prog: str) -> Command:
-        """Read a command and its options.
-
-        ValueError for a command that there is not, saying where it stands if it is in a group below; SystemExit for
-        words that cannot be, or after the help.
-        """
-        first = words[0] if words else ""
-        if first in self.members:
-            return self.members[first].parse(words[1:], f"{prog} {first}")
-        if first and not first.startswith("-"):
-            below = self.moved.get(first) or "` or `".join(self._below(first, prog))
-            raise ValueError(
-                f"there is no `{prog} {first}`; it is `{below}`" if below else
-                f"`{prog}` has no command {first!r}; there are {', '.join(self.members)}"
-            )  # fmt: skip
-        self._page(words, prog)
-        raise ValueError(f"`{prog}` takes a command; there are {', '.join(self.members)}")
-
-    def _below(self, name: str, prog: str) -> Any:
-        """Where commands of a name stand in the groups of this one."""
-        for word, member in self.members.items():
-            if isinstance(member, Group) and name in member.members:
-                yield f"{prog} {word} {name}"
-
-    def _page(self, words: Sequence[str], prog: str) -> None:
-        """Show the help, or what is wrong with options that come before a command."""
-        listed: list[Any] = [
-            Annotated[
-                make_dataclass(name, ()), tyro.conf.subcommand(name, description=member.about().partition("\n\n")[0])
-            ]
-            for name, member in self.members.items()
-        ]
-        any_of = functools.reduce(operator.or_, listed)
-        tyro.cli(any_of, args=words, prog=prog, description=self.about(), config=PLAIN)

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Curves(Command):
-    """Draw learning curves of training runs: a panel for each scenario, a line with its band for each algorithm."""
+    """Draw learning curves of training runs.
+
+    Draws a panel for each scenario, and a line with its band for each algorithm.
+    """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of training runs (dcgrid train); those that differ in the seed alone are one line with its band."""

@@ -31,7 +31,9 @@ RANDOM, HINDSIGHT, DROOP = "random", "hindsight", "droop-tuned"
 
 @dataclass(frozen=True)
 class Dataset(OverWorkers):
-    """Write episodes as a Minari data set for offline reinforcement learning (takes the extra minari).
+    """Write episodes as a Minari data set for offline learning.
+
+    Takes the extra minari.
 
     The data set is there whole once the command has ended, or not at all.
     """

@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluate(OverWorkers):
-    """Score a policy on held-out episodes, beside the tuned droop law and the best rules that measure nothing."""
+    """Score a policy on held-out episodes.
+
+    Compares it with the tuned droop law and the best rules that measure nothing.
+    """
 
     policy: tyro.conf.Positional[str]
     """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
@@ -144,7 +147,7 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
     from dcgrid_env import PRESETS
     from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
-    from dcgrid_env.baselines.registry import controller_file, split_prefix
+    from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     if cfg.scenario is not None:
@@ -160,6 +163,7 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     else:
         where = Policy.load(file).trained_on if file is not None and file.suffix == SUFFIX else ""
     if where not in PRESETS:
+        require_known(inner)
         raise ValueError(f"policy {inner!r} is of no preset of its own; say on which --scenario (dcgrid list)")
     return ScenarioSpec(where, cfg.set)
 

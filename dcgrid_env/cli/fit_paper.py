@@ -18,7 +18,9 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class FitPaper(OverWorkers):
-    """Search for values of what the paper does not state, so that the study comes close to its Table I.
+    """Search for the values that the paper does not state.
+
+    With these values the study comes close to the paper's Table I.
 
     A setting takes some 1.5 s of CPU time at 20 episodes. docs/reproduction.md compares the best of the search with
     the settings of the study.

@@ -14,7 +14,7 @@ from dcgrid_env.core.versions import meta
 
 @dataclass(frozen=True)
 class Generalise(Study):
-    """Leave one feeder out: train one policy on all the other scenarios, and score it on the one that it never saw.
+    """Train on all scenarios but one and score on that one.
 
     Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
     """

@@ -11,8 +11,11 @@ from dcgrid_env.cli.settings import at_least
 
 @dataclass(frozen=True)
 class GradientCosine(Command):
-    """Compare two independent estimates of PPO's policy gradient, by the team's return and by counterfactual
-    advantages: the table of docs/decisions/0014-counterfactual-advantages.md."""
+    """Compare two estimates of PPO's gradient.
+
+    One estimate uses the team's return, the other counterfactual advantages. Prints the table of
+    docs/decisions/0014-counterfactual-advantages.md.
+    """
 
     scenarios: str = "ieee33-weak,das69,khodr141,mixed,toy6"
     """Names of scenarios (dcgrid list), separated by commas."""

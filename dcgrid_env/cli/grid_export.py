@@ -57,7 +57,7 @@ class _Export(Command):
 
 @dataclass(frozen=True)
 class ExportPandapower(_Export):
-    """Write a balanced feeder as a pandapower net, a JSON file."""
+    """Write a balanced feeder as the JSON of a pandapower net."""
 
     def write(self, feeder: Feeder, path: Path) -> None:
         """Write the net."""
@@ -91,7 +91,7 @@ class ExportMatpower(_Export):
 
 @dataclass(frozen=True)
 class ExportPowerGridModel(_Export):
-    """Write a balanced feeder as power-grid-model's JSON input data."""
+    """Write a balanced feeder as power-grid-model JSON."""
 
     def write(self, feeder: Feeder, path: Path) -> None:
         """Write the data."""

@@ -64,10 +64,13 @@ class _Import(Command):
 
 @dataclass(frozen=True)
 class ImportPandapower(_Import):
-    """Read a balanced feeder from a pandapower net, write it as a folder of tables and compare voltages.
+    """Read a balanced feeder from a pandapower net.
 
-    A JSON file is read without importing or calling what it names (docs/import.md). What cannot be represented is
-    refused by name: loops, several sources, generators that keep a voltage, DC lines."""
+    Writes the feeder as a folder of tables and compares the voltages.
+
+    A JSON file is read without importing or calling what it names (docs/import.md). The import
+    refuses these elements by name: loops, several sources, generators that keep a voltage, DC lines.
+    """
 
     net: tyro.conf.Positional[str]
     """A network of pandapower.networks such as case33bw, a SimBench code, a JSON file, or a MATPOWER case (.m)."""
@@ -106,10 +109,13 @@ class ImportPandapower(_Import):
 
 @dataclass(frozen=True)
 class ImportMatpower(_Import):
-    """Read a balanced feeder from a MATPOWER case file, write it as a folder of tables and compare voltages.
+    """Read a balanced feeder from a MATPOWER case file.
+
+    Writes the feeder as a folder of tables and compares the voltages.
 
     The file is not executed: arithmetic on its own tables is understood, all other code is refused with its line
-    (docs/import.md)."""
+    (docs/import.md).
+    """
 
     file: tyro.conf.Positional[Path]
     """The case file (.m)."""
@@ -134,9 +140,12 @@ class ImportMatpower(_Import):
 
 @dataclass(frozen=True)
 class ImportPowerGridModel(_Import):
-    """Read a balanced feeder from a power-grid-model JSON file, write it as a folder of tables and compare voltages.
+    """Read a balanced feeder from a power-grid-model JSON file.
 
-    What cannot be represented is refused by name (docs/import.md)."""
+    Writes the feeder as a folder of tables and compares the voltages.
+
+    The import refuses by name the elements that it cannot represent (docs/import.md).
+    """
 
     file: tyro.conf.Positional[Path]
     """The file of input data (.json)."""

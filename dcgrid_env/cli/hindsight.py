@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HindsightValues(OverWorkers):
-    """Solve episodes with perfect foresight and keep what they cost: one JSON file a scenario.
+    """Solve episodes with perfect foresight and store the costs.
+
+    Writes one JSON file for each scenario.
 
     A file is written after each episode, so that an interrupted command goes on where it stopped. The command in it is
     the one that gives all its episodes, seeds 0 to the largest one there; where an interruption left a hole between

@@ -13,7 +13,10 @@ from dcgrid_env.cli.terminal import plain_console, say
 
 @dataclass(frozen=True)
 class Leaderboard(Command):
-    """Make the tables of the leaderboard's page from verified folders; nothing is run."""
+    """Make the leaderboard's tables from verified folders.
+
+    Runs nothing.
+    """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders that dcgrid verify has been through, or folders of such."""

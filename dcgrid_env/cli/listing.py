@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
+import tyro
 from rich.table import Table
 
 from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.options import helps
 from dcgrid_env.cli.terminal import plain_console
 
 if TYPE_CHECKING:
@@ -15,44 +17,77 @@ if TYPE_CHECKING:
     from dcgrid_env.core.plugins import Registry
 
 
+Kind = Literal["scenarios", "fields", "feeders", "devices", "controllers", "traces"]
+"""What can be listed."""
+
+
 @dataclass(frozen=True)
 class List(Command):
-    """Show the scenarios, feeders, kinds of devices, controllers and traces that can be named."""
+    """List scenarios, feeders, controllers, traces and fields.
+
+    Without KINDS all of them are listed.
+    """
+
+    kinds: tyro.conf.Positional[tuple[Kind, ...]] = ()
+    """What to list: scenarios, fields (of scenarios), feeders, devices, controllers (policies too) or traces."""
 
     def run(self) -> None:
         """Print the tables."""
-        from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
-        from dcgrid_env.agents import Card
-        from dcgrid_env.agents.controllers import ENTRIES as POLICIES
-        from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
-        from dcgrid_env.baselines import CONTROLLER_REGISTRY
-        from dcgrid_env.devices import DEVICE_REGISTRY
-        from dcgrid_env.grid.random_feeders.styles import STYLES
-        from dcgrid_env.traces import TRACE_SOURCES
-        from dcgrid_env.traces.recordings import RECORDINGS
-
-        id_of = {scenario: name for name, scenario in IDS.items()}
-        scenarios, controllers = described(SCENARIO_REGISTRY), described(CONTROLLER_REGISTRY)
-        tables = {
-            "scenario": {
-                f"{name}  ({id_of[name]})" if name in id_of else name: text for name, text in scenarios.items()
-            },
-            "feeder": described(FEEDER_REGISTRY),
-            "random feeder": {name: style.about for name, style in STYLES.items()},
-            "device": described(DEVICE_REGISTRY),
-            "controller": {
-                name: text for name, text in controllers.items() if name not in POLICIES or name.endswith(":")
-            },
-            "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
-            "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
-            "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
-        }
         console = plain_console()
-        for kind, rows in tables.items():
-            table = Table(kind, "what it is", box=None, header_style="bold", pad_edge=False)
-            for name, text in rows.items():
-                table.add_row(name, text)
-            console.print(table, end="\n\n")
+        for kind in self.kinds or get_args(Kind):
+            for title, rows in tables(kind).items():
+                table = Table(title, "what it is", box=None, header_style="bold", pad_edge=False)
+                for name, text in rows.items():
+                    table.add_row(name, text)
+                console.print(table, end="\n\n")
+
+
+def tables(kind: str) -> dict[str, dict[str, str]]:
+    """The tables of a kind: by their titles, names and what each is."""
+    from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
+    from dcgrid_env.agents import Card
+    from dcgrid_env.agents.controllers import ENTRIES as POLICIES
+    from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
+    from dcgrid_env.baselines import CONTROLLER_REGISTRY
+    from dcgrid_env.devices import DEVICE_REGISTRY
+    from dcgrid_env.grid.random_feeders.styles import STYLES
+    from dcgrid_env.traces import TRACE_SOURCES
+    from dcgrid_env.traces.recordings import RECORDINGS
+
+    if kind == "scenarios":
+        id_of = {scenario: f"{scenario}  ({name})" for name, scenario in IDS.items()}
+        return {"scenario": {id_of.get(name, name): text for name, text in described(SCENARIO_REGISTRY).items()}}
+    if kind == "fields":
+        return {"scenario field": scenario_fields()}
+    if kind == "feeders":
+        styles = {name: style.about for name, style in STYLES.items()}
+        return {"feeder": described(FEEDER_REGISTRY), "random feeder": styles}
+    if kind == "devices":
+        return {"device": described(DEVICE_REGISTRY)}
+    if kind == "controllers":
+        controllers = described(CONTROLLER_REGISTRY).items()
+        return {
+            "controller": {name: text for name, text in controllers if name not in POLICIES or name.endswith(":")},
+            "policy": {name: card_line(Card.load(FOLDER / f"{name}.json")) for name in SHIPPED},
+        }
+    return {
+        "trace": {name: source.description for name, source in TRACE_SOURCES.items()},
+        "recording": {name: f"{r.description} ({r.licence})" for name, r in RECORDINGS.items()},
+    }
+
+
+def scenario_fields() -> dict[str, str]:
+    """What each field of a scenario is, and each field of a part that has a flat name."""
+    from dcgrid_env import Scenario
+    from dcgrid_env.devices import device_kind
+    from dcgrid_env.scenario.assembly import PARTS
+    from dcgrid_env.scenario.flat_names import FLAT
+
+    rows = {name: helps(Scenario).get(name, "") for name in Scenario.__dataclass_fields__}
+    rows |= {name: f"a part with the fields {', '.join(part.__dataclass_fields__)}" for name, part in PARTS.items()}
+    for name, (part, field) in FLAT.items():
+        rows[name] = helps(PARTS.get(part) or device_kind(part))[field] if part else rows[field]
+    return rows
 
 
 def described(registry: Registry) -> dict[str, str]:

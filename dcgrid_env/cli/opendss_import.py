@@ -25,10 +25,13 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class ImportOpenDss(Command):
-    """Read a three-phase feeder from an OpenDSS master file, write it as a folder of tables and compare voltages.
+    """Read a three-phase feeder from an OpenDSS master file.
+
+    Writes the feeder as a folder of tables and compares the voltages.
 
     The script is looked at first: commands beyond a model's definition, and files that are not beneath its folder, are
-    refused (docs/opendss.md). What cannot be represented is refused by name."""
+    refused (docs/opendss.md). So are elements that cannot be represented, by name.
+    """
 
     master: tyro.conf.Positional[Path]
     """The master file; it may redirect to others beneath its folder."""

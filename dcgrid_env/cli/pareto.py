@@ -14,7 +14,9 @@ from dcgrid_env.core.versions import meta
 
 @dataclass(frozen=True)
 class Pareto(Study):
-    """Train policies under limits on mean delay and draw voltage against delay, over the droop law's own curve.
+    """Draw voltage against delay of policies with delay limits.
+
+    Trains policies under limits on the mean delay and draws them over the droop law's own curve.
 
     Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
     """

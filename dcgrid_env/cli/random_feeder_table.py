@@ -25,7 +25,10 @@ LABELS = {
 
 @dataclass(frozen=True)
 class RandomFeederTable(Command):
-    """Compare random feeders with published ones, figure by figure: the tables of docs/random-feeders.md."""
+    """Compare random feeders with published ones.
+
+    Prints the tables of docs/random-feeders.md.
+    """
 
     draws: int = 200
     """Feeders of each style: seeds 0, 1, .."""

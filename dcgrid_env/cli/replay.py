@@ -28,7 +28,9 @@ MOST_FPS = 100
 
 @dataclass(frozen=True)
 class Replay(Command):
-    """Replay an episode in the browser: one file with maps, curves and a slider, which needs no server and no network.
+    """Show an episode in the browser, step by step.
+
+    Writes one HTML file with maps, curves and a slider, which needs no server and no network.
 
     Episodes are run again, which gives the very same, as all that is drawn follows from the scenario and the seed.
     --gif and --mp4 write films instead.

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run(Command):
-    """Run controllers on the same episodes of a scenario, side by side: a table, a figure and results.json."""
+    """Run controllers on the same episodes and compare them.
+
+    Prints a table of metrics and writes results.json and a figure.
+    """
 
     scenario: str | None = None
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that

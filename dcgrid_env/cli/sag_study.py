@@ -14,8 +14,9 @@ from dcgrid_env.core.versions import meta
 
 @dataclass(frozen=True)
 class Sags(OverWorkers):
-    """Drive a recorded sequence of sags under one controller after another: who leaves the grid, how high the voltage
-    goes, and how long until all are back.
+    """Compare controllers during a recorded sequence of sags.
+
+    Shows which sites disconnect, how high the voltage rises and how long until all have reconnected.
     """
 
     scenario: str = "ride-through"

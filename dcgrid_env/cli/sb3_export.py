@@ -18,7 +18,9 @@ SUFFIX = ".zip"
 
 @dataclass(frozen=True)
 class ExportSb3(Command):
-    """Convert a Stable-Baselines3 model into a policy's file, which needs neither torch nor trust.
+    """Convert a Stable-Baselines3 model into a policy file.
+
+    The file needs neither torch nor trust.
 
     No object of the zip is unpickled without --trust: torch reads the weights as tensors alone, and what the network is
     stands beside them as text. PPO, A2C, SAC, TD3 and DDPG with MlpPolicy can be converted.

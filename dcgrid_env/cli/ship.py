@@ -13,7 +13,7 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Ship(Command):
-    """Score training runs that differ in the seed alone, and write the best of them.
+    """Score training runs that differ in the seed; write the best.
 
     They are scored on the test split; the one that is best on validation is written, with its card.
     """
@@ -47,7 +47,9 @@ class Ship(Command):
 
 @dataclass(frozen=True)
 class Rescore(Command):
-    """Score bundled policies again, against the tuned droop and hindsight as they are now, and write their cards.
+    """Score bundled policies again and write their cards.
+
+    Scores them against the tuned droop and hindsight as they are now.
 
     The costs of the other training seeds on the test split are those of the card.
     """

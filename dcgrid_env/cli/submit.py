@@ -14,7 +14,9 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Submit(Command):
-    """Write an entry of the leaderboard: a folder with a policy, its card, and what it is claimed to reach.
+    """Write an entry of the leaderboard.
+
+    An entry is a folder with a policy, its card and the score that is claimed.
 
     The folder holds the hashes of scenario and episodes and the versions that the figures were made with. dcgrid verify
     runs it again.

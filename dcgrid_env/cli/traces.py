@@ -20,7 +20,10 @@ SHORTEST_S = 2.0
 
 @dataclass(frozen=True)
 class Fetch(Command):
-    """Download a published recording into the user's cache and verify it; interrupted, the same command resumes."""
+    """Download a published recording and verify it.
+
+    The recording goes into the user's cache. After an interruption, the same command resumes.
+    """
 
     name: tyro.conf.Positional[str]
     """Name of the recording (dcgrid list)."""
@@ -83,7 +86,10 @@ class Show(Command):
 
 @dataclass(frozen=True)
 class Record(Command):
-    """Record the power of this machine's GPUs through NVML; no setting is changed. Ctrl-C ends it and keeps it."""
+    """Record the power of this machine's GPUs through NVML.
+
+    Changes no setting. Ctrl-C ends the recording and keeps it.
+    """
 
     out: tyro.conf.Positional[Path]
     """The trace file, compressed if its name ends in .gz."""

@@ -14,10 +14,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
-import tyro
-
+from dcgrid_command.command_table import COMMANDS
+from dcgrid_command.group import Entry
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
+from dcgrid_env.cli.options import parsed
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import place
@@ -36,16 +37,10 @@ SEEDS = (
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An algorithm as a member of the group; it is imported when it is asked for, as it needs torch."""
+    """A training algorithm; its module is imported when it is asked for, as it needs torch."""
 
     name: str
     """Its name on the command line, and, with underscores, of its module under ``dcgrid_env.agents.algorithms``."""
-    text: str
-    """What it does, on one line."""
-
-    def about(self) -> str:
-        """What it does."""
-        return self.text
 
     def module(self) -> ModuleType:
         """Import the algorithm's module; ValueError, saying what to install, where a package is missing."""
@@ -74,17 +69,20 @@ class Algorithm:
             begin = kind.for_scenario(**vars(first.parse_known_args(words)[0]))
         except argparse.ArgumentError:  # no value, or no view, which the whole command line reports below
             begin = kind()
-        about = (self.module().__doc__ or "").strip()
-        about = f"{about}\n\n{SEEDS}"
-        return tyro.cli(kind, args=words, default=begin, prog=prog, description=about)
+        return parsed(kind, words, prog, f"{(self.module().__doc__ or '').strip()}\n\n{SEEDS}", begin)
 
-    def parse(self, words: Sequence[str], prog: str) -> Command:
-        """Read the algorithm's own options; ValueError where torch is not installed, or for seeds that cannot be."""
+    @classmethod
+    def parse(cls, words: Sequence[str], prog: str) -> Command:
+        """Read the options of the algorithm that is the last word of ``prog``.
+
+        ValueError if torch is not installed or a seed is invalid.
+        """
+        algorithm = cls(prog.split()[-1])
         asked, words = _seeds(words)
         own = {field: option in words for option, field in OWN.items()}
-        configuration = self.configured([word for word in words if word not in OWN], prog)
+        configuration = algorithm.configured([word for word in words if word not in OWN], prog)
         if asked.seeds is None:
-            return Training(self.module(), configuration, **own)
+            return Training(algorithm.module(), configuration, **own)
         if any(own.values()):
             raise ValueError(f"seeds: {' and '.join(OWN)} are of a single training; leave them out, or --seeds")
         configurations = tuple(of_seed(configuration, configuration.seed + i) for i in range(asked.seeds))
@@ -198,18 +196,11 @@ def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
 
 
 ALGORITHMS = {
-    algorithm.name: algorithm
-    for algorithm in (
-        Algorithm("ppo", "Proximal policy optimisation of Stable-Baselines3, shared or centralised."),
-        Algorithm("ppo-counterfactual", "PPO on what each agent's own action changed in a step, by the grid's model."),
-        Algorithm("sac", "Soft actor-critic of Stable-Baselines3, shared or centralised."),
-        Algorithm("td3", "Twin delayed deep deterministic policy gradient of Stable-Baselines3."),
-        Algorithm("analytic", "Gradients through the power flow, on local observations."),
-        Algorithm("safe", "Gradients through the power flow, for monotone networks of bounded gain."),
-        Algorithm("carry-over", "Corrections of the model-aided law, learned on random feeders for any feeder."),
-    )
+    line.split()[-1]: Algorithm(line.split()[-1])
+    for line, member in COMMANDS.below("dcgrid")
+    if isinstance(member, Entry) and member.where == "train:Algorithm"
 }
-"""Algorithms by their names, each registered by its line."""
+"""Algorithms by name, as the table of commands has them."""
 
 
 def shipped_settings(configuration: Any) -> str:

@@ -17,7 +17,10 @@ BALANCED = "toy6,ieee123,ieee33-weak,ieee33,das69,khodr141,bursty,sync,training,
 
 @dataclass(frozen=True)
 class Transfer(Command):
-    """Score the policies that ship on scenarios that they were not made for, as they are and under guard."""
+    """Score bundled policies on other scenarios than their own.
+
+    Scores them unchanged and under guard.
+    """
 
     scenarios: str = BALANCED
     """Names of presets separated by commas, or all (dcgrid list)."""

@@ -16,6 +16,7 @@ from dcgrid_env.cli.settings import Overrides, Scenarios, alone_in
 from dcgrid_env.cli.terminal import plain_console
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
@@ -29,7 +30,9 @@ Laws = dict[str, dict[str, dict[str, Any]]]
 
 @dataclass(frozen=True)
 class Tune(OverWorkers):
-    """Tune laws on the validation split of scenarios, and write their parameters with the command that made each.
+    """Tune control laws on the validation split of scenarios.
+
+    Writes their parameters with the command that made each.
 
     The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
     same command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
@@ -68,9 +71,12 @@ class Tune(OverWorkers):
 
         specs = scenario_specs(self.scenarios, self.set, SPLIT)
         laws = list(TUNABLE) if self.laws.strip() == "all" else split_names(self.laws)
-        unknown = [law for law in laws if law not in TUNABLE]
-        if unknown or not laws:
-            raise ValueError(f"laws is {self.laws!r}; choose among {', '.join(TUNABLE)}, or all")
+        there = f"choose among {', '.join(TUNABLE)}, or all"
+        for law in laws:
+            if law not in TUNABLE:
+                raise ValueError(f"laws: {unknown('tunable law', law, TUNABLE, there)}")
+        if not laws:
+            raise ValueError(f"laws is {self.laws!r}; {there}")
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         place = self.place

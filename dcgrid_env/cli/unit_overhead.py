@@ -11,7 +11,9 @@ from dcgrid_env.cli.workers import OverWorkers, place
 
 @dataclass(frozen=True)
 class UnitOverhead(OverWorkers):
-    """Measure what units of work cost beside their work, on this machine and, with --ray, on a cluster beside it.
+    """Measure the overhead of units of work.
+
+    Measures it on this machine and, with --ray, on a cluster.
 
     Units of about --seconds of CPU time are run one at a time and on all workers, and units without work by the
     hundred; times are the least of --repeats. How long many units take on many workers is simulated from that.

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class UnseenFeeders(OverWorkers):
-    """Score controllers and policies on feeders that they never saw: named ones, and each random one of zero-shot."""
+    """Score controllers on feeders they never saw.
+
+    Scores policies too, on named feeders and on each random one of zero-shot.
+    """
 
     controllers: str = "model-aided"
     """Names of controllers, or files of policies, separated by commas."""

@@ -13,7 +13,9 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Verify(Command):
-    """Run entries of the leaderboard again, on their own episodes and on fresh ones, and write what was found.
+    """Run entries of the leaderboard again and report the scores.
+
+    Runs each entry on its own episodes and on fresh ones.
 
     The report is verified.json in the folder of the entry. It is signed where the verifier's key is there, and only
     signed reports are listed.

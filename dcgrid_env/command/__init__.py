@@ -1,13 +1,25 @@
-"""Entry point of the command ``dcgrid``, a separate package: it handles Ctrl-C before ``dcgrid_env`` loads."""
+"""Entry point of the command ``dcgrid``, a separate package: it handles Ctrl-C before ``dcgrid_env`` loads.
+
+It also shows the help of groups of commands, for which it does not load ``dcgrid_env``.
+"""
 
 import os
 import signal
+import sys
+
+from dcgrid_command.command_table import COMMANDS
+from dcgrid_command.group import help_page
+from dcgrid_command.unread import ends_unread
 
 
 def main() -> None:
     """Run the command line. Before and after it, Ctrl-C ends the process at once."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the shell has it ignored
         signal.signal(signal.SIGINT, _end)
+    if page := help_page(COMMANDS, "dcgrid", sys.argv[1:]):
+        with ends_unread():
+            print(page)
+        return
     from dcgrid_env.cli.main import main as command_line
 
     command_line()

@@ -10,12 +10,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, field
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
+
+from dcgrid_env.core.suggestions import unknown
 
 _LARGEST = sys.float_info.max
 """Largest finite number; whole numbers in Python may be larger, and are then no number of ours."""
@@ -43,6 +45,35 @@ class FieldError(ValueError):
     def said(self, name: str) -> str:
         """The message under another name of the field."""
         return f"{name} {self.remedy}" if self.value is ... else f"{name} is {self.value!r}; {self.remedy}"
+
+    def within(self, owner: str, field: str) -> FieldError:
+        """The error of a value that is itself in a field of ``owner``."""
+        return FieldError(owner, f"{field}.{self.name}", self.value, self.remedy)
+
+
+class UnknownFieldError(FieldError):
+    """A field that does not exist.
+
+    Parameters
+    ----------
+    owner, name, value
+        Class, name of the field and value, see ``FieldError``.
+    names
+        The fields that exist.
+    """
+
+    def __init__(self, owner: str, name: str, value: Any, names: Iterable[str]):
+        self.names = list(names)
+        super().__init__(owner, name, value, "")
+
+    def said(self, name: str) -> str:
+        """The message under another name of the field."""
+        owner, _, field = str(name).rpartition(".")
+        return unknown(f"{owner or self.owner} field", field, self.names, f"its fields are {', '.join(self.names)}")
+
+    def within(self, owner: str, field: str) -> FieldError:
+        """The error of a value that is itself in a field of ``owner``."""
+        return UnknownFieldError(owner, f"{field}.{self.name}", self.value, self.names)
 
 
 def is_number(value: Any) -> bool:
@@ -94,7 +125,7 @@ def from_mapping(kind: type[Any], value: Any) -> Any:
     there = {f.name: f for f in dataclasses.fields(kind)}
     for name in value:
         if name not in there:
-            raise FieldError(kind.__name__, name, value[name], f"is no field; there are {', '.join(there)}")
+            raise UnknownFieldError(kind.__name__, name, value[name], there)
     for name, f in there.items():
         if name not in value and f.default is MISSING and f.default_factory is MISSING:
             raise FieldError(kind.__name__, name, ..., "is missing; give it")

@@ -22,6 +22,8 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from dcgrid_env.core.suggestions import unknown
+
 OWN_DISTRIBUTION = "dcgrid-env"
 Entry = tuple[str, Callable[..., Any]]
 """What it is, in a few words, and what makes it."""
@@ -104,9 +106,9 @@ class Registry(Mapping[str, Entry]):
         return self._origins.get(name)
 
     def unknown(self, name: Any) -> str:
-        """What to say of a name that nothing stands for: which names there are, and what could not be loaded."""
-        listed = ", ".join(filter(is_name, self))
-        said = [f"unknown {self.kind} {name!r}; there are {listed}", *self._refused]
+        """Message for a name that does not exist: the nearest names, and entry points that failed to load."""
+        listed = f"`dcgrid list {self.group.removeprefix('dcgrid.')}` lists all"
+        said = [unknown(self.kind, name, filter(is_name, self), listed), *self._refused]
         if not self._is_installed:
             said.append(f"the installed metadata of {OWN_DISTRIBUTION} is older than its code: install it again")
         return "; ".join(said)

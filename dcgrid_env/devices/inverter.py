@@ -49,7 +49,7 @@ class Inverters(PickledByFields):
     """When an inverter trips, and how it returns; None for inverters that stay connected whatever the voltage."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, injection=_injection, ride_through=lambda v: rule_of(RideThrough, v))
+        settle(self, buses=buses_as_text, injection=_injection, ride_through=_rule)
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
         check_rating(self, "s_rated_kva", self.count)
@@ -164,6 +164,13 @@ class Inverters(PickledByFields):
         if isinstance(self.injection, tuple) and len(self.injection) < horizon + 1:
             remedy = f"give {horizon + 1} numbers from -1 to 1, for t = 0 and each step"
             raise FieldError("Inverters", "injection", ..., f"has {len(self.injection)} shares; {remedy}")
+
+
+def _rule(value: Any) -> Any:
+    try:
+        return rule_of(RideThrough, value)
+    except FieldError as error:
+        raise error.within("Inverters", "ride_through") from None
 
 
 def _injection(value: Any) -> Any:

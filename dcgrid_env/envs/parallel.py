@@ -15,6 +15,7 @@ from dcgrid_env.engine.cost import observation
 from dcgrid_env.engine.physics.actions import action_layout, joined_actions
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.envs.base import BaseEnvironment, check_running, warn_if_huge
+from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
@@ -27,23 +28,69 @@ STATE_BOUND = 1e4
 """Bound of the global state's entries: far beyond any voltage deviation in bands or any backlog in seconds."""
 
 
+@documented
 class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
-    """A scenario with an agent in each slot: ``dc_0``.. then ``inv_0``.., the same in every episode.
+    """Voltage control of a distribution feeder as a PettingZoo environment, with an agent for each device.
 
-    A data centre acts on (clock, q), an inverter on (q,), each in [-1, 1]; ``info[agent]["bus"]`` is where it stands.
+    Problem
+    -------
+    {problem}
+
+    The agents are dc_0, dc_1 and so on, then inv_0, inv_1 and so on. They are the same in every episode.
+
+    Action space
+    ------------
+    ``Box(-1, 1, (n_channel,), float32)`` for each agent.
+
+    {actions}
+
+    Observation space
+    -----------------
+    ``Box(low, high, (n_field,), float32)`` for each agent. ``state()`` returns the global state.
+
+    {observations}
+
+    Reward
+    ------
+    Every agent receives the same reward. With ``reward="local"`` each agent is charged for its own voltage, work and
+    effort instead.
+
+    {reward}
+
+    Starting state
+    --------------
+    {start}
+
+    Episode end
+    -----------
+    {end} All agents end together.
+
+    Information
+    -----------
+    ``infos[agent]`` has NumPy scalars, and the bus of the agent under the key "bus".
+
+    {info}
 
     Parameters
     ----------
     scenario
-        Name of a preset or a Scenario.
+        Name of a scenario, or a Scenario.
     render_mode
         None, "rgb_array" or "human".
     max_cycles
-        Steps in an episode; the scenario's horizon by default.
+        Steps in an episode (default: the horizon of the scenario).
     info
-        What stands in each agent's ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
+        Contents of each agent's ``info``: "full", "costs" or "none".
     **overrides
-        Any field of the Scenario, for instance ``reward="local", observe="neighbours"``.
+        Fields of the scenario to override, for instance ``reward="local", observe="neighbours"``.
+
+    Examples
+    --------
+    >>> import dcgrid_env
+    >>> env = dcgrid_env.parallel_env("ieee33", horizon=60)
+    >>> observations, infos = env.reset(seed=0)
+    >>> actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+    >>> observations, rewards, terminations, truncations, infos = env.step(actions)
     """
 
     metadata = {  # noqa: RUF012 (pettingzoo declares it so)

@@ -10,6 +10,7 @@ import numpy as np
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_spaces
+from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
@@ -19,22 +20,64 @@ if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
 
 
+@documented
 class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
-    """A scenario as a single-agent environment; observation and action are the agents' joined, in their order.
+    """Voltage control of a distribution feeder as a Gymnasium environment, whose agent controls every device.
 
-    ``max_episode_steps`` of ``gymnasium.make`` becomes the scenario's horizon. Where a TimeLimit shorter than the
-    horizon is put around the environment by hand, ``reset`` raises a ScenarioError.
+    Problem
+    -------
+    {problem}
+
+    Action space
+    ------------
+    ``Box(-1, 1, (n_action,), float32)``: the actions of all devices, one after the other, dc_0 first.
+
+    {actions}
+
+    Observation space
+    -----------------
+    ``Box(low, high, (n_observation,), float32)``: the observations of all devices, in the same order.
+
+    {observations}
+
+    Reward
+    ------
+    {reward}
+
+    Starting state
+    --------------
+    {start}
+
+    Episode end
+    -----------
+    {end}
+
+    ``max_episode_steps`` of ``gymnasium.make`` becomes the horizon. ``reset`` raises a ScenarioError if a ``TimeLimit``
+    around the environment is shorter.
+
+    Information
+    -----------
+    ``info`` has NumPy scalars, and the bus of each agent under the key "bus_AGENT", such as "bus_dc_0".
+
+    {info}
 
     Parameters
     ----------
     scenario
-        Name of a preset or a Scenario.
+        Name of a scenario, or a Scenario.
     render_mode
         None, "rgb_array" or "human".
     info
-        What stands in ``info``, as NumPy scalars: "full", "costs" (the cost terms and J) or "none".
+        Contents of ``info``: "full", "costs" or "none".
     **overrides
-        Any field of the Scenario, for instance ``horizon=60, split="test"``.
+        Fields of the scenario to override, for instance ``horizon=60, split="test"``.
+
+    Examples
+    --------
+    >>> import gymnasium, dcgrid_env
+    >>> env = gymnasium.make("dcgrid/IEEE33-v0", horizon=60)
+    >>> observation, info = env.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012 (gymnasium declares it so)

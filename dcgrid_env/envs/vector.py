@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
+from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.episode_options import episode_options
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
@@ -29,37 +30,84 @@ AUTORESET_MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 """Gymnasium's modes by the names that ``autoreset_mode`` takes."""
 
 
+@documented
 class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     PlainSpec, BaseEnvironment, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
-    """``num_envs`` lanes of a scenario; lane i seeded with seed + i is the single environment's episode of that seed.
+    """Voltage control of distribution feeders as a Gymnasium vector environment: a batch that is stepped together.
 
-    Lanes whose episode has ended begin their next one as ``autoreset_mode`` has it, in each mode as gymnasium's own
-    SyncVectorEnv does:
+    Problem
+    -------
+    {problem}
 
-    - "same_step" (default): in the same step. The observation returned is the new episode's first, the old one's last
-      stands in ``infos["final_obs"]`` and its info in ``infos["final_info"]``. No step is lost, which is why it is the
-      default; Stable-Baselines3 and TorchRL work this way.
-    - "next_step": in the following step, which ignores the lane's action, pays 0 and returns the new episode's first
-      observation. This is the default of gymnasium's own vector environments, and what its vector observation wrappers
-      and RLlib need.
-    - "disabled": not by itself. A step is refused until ``reset`` with ``options={"reset_mask": mask}`` has begun new
-      episodes in the lanes that ended.
+    The batch has ``num_envs`` environments of one scenario. Environment i with seed n + i has the same episode as
+    ``DcgridEnv`` with that seed.
+
+    Action space
+    ------------
+    ``Box(-1, 1, (num_envs, n_action), float32)``: the actions of all devices, one after the other, dc_0 first.
+
+    {actions}
+
+    Observation space
+    -----------------
+    ``Box(low, high, (num_envs, n_observation), float32)``: the observations of all devices, in the same order.
+
+    {observations}
+
+    Reward
+    ------
+    {reward}
+
+    Starting state
+    --------------
+    {start}
+
+    Episode end
+    -----------
+    {end}
+
+    An environment whose episode has ended begins the next one as ``autoreset_mode`` selects, in the way of
+    ``SyncVectorEnv``:
+
+    - "same_step" (default): in the same step. The observation is the first of the new episode. The last observation of
+      the old one is in ``infos["final_obs"]``, its info in ``infos["final_info"]``. No step is lost.
+      Stable-Baselines3 and TorchRL need this mode.
+    - "next_step": in the next step, which ignores the action and has reward 0. This is the default of Gymnasium's
+      vector environments. Gymnasium's vector observation wrappers and RLlib need this mode.
+    - "disabled": only by ``reset(options={"reset_mask": mask})``. ``step`` raises RuntimeError before it.
+
+    Information
+    -----------
+    ``infos`` has an array (num_envs,) for each key, and the bus of each agent under the key "bus_AGENT", such as
+    "bus_dc_0". The array under "_KEY" is True for the environments that have the key.
+
+    {info}
 
     Parameters
     ----------
     num_envs
-        Lanes.
-    scenario, **overrides
-        What :class:`dcgrid_env.DcgridEnv` takes.
+        Number of environments.
+    scenario
+        Name of a scenario, or a Scenario.
     render_mode
-        None, "rgb_array" (``render`` gives a tuple of images, one for each lane) or "human" (a window shows lane 0).
+        None, "rgb_array" (``render`` returns a tuple of images, one for each environment) or "human" (a window shows
+        environment 0).
     info
-        What stands in ``infos``: "full", "costs" (the cost terms and J) or "none".
+        Contents of ``infos``: "full", "costs" or "none".
     autoreset_mode
-        "same_step", "next_step" or "disabled", or gymnasium's AutoresetMode.
+        "same_step", "next_step" or "disabled", or Gymnasium's AutoresetMode.
     max_episode_steps
-        Steps in an episode, another name for the horizon; None or -1 for the scenario's own.
+        Steps in an episode (default: the horizon of the scenario); -1 means the default too.
+    **overrides
+        Fields of the scenario to override, for instance ``horizon=60, split="test"``.
+
+    Examples
+    --------
+    >>> import gymnasium, dcgrid_env
+    >>> envs = gymnasium.make_vec("dcgrid/IEEE33-v0", num_envs=64)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations, rewards, terminations, truncations, infos = envs.step(envs.action_space.sample())
     """
 
     metadata = {  # noqa: RUF012 (gymnasium declares it so)

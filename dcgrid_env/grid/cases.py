@@ -44,7 +44,7 @@ def load_feeder(name: str) -> Any:
     Raises
     ------
     FeederError
-        For an unknown name, listing those that exist.
+        For an unknown name, naming similar ones.
     PluginError
         Where another package's feeder cannot be made.
     """

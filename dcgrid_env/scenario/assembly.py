@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
@@ -54,18 +55,14 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
     Raises
     ------
     TypeError
-        For a name that is none of these, listing them; in the words that Python has for it, by which clients that try
-        out arguments know it.
+        For a name that is none of these.
     ScenarioError
-        For a value that cannot be.
+        For an invalid value.
     """
     own = list(own)
     for key in given:
         if key not in own and key not in FLAT:
-            whose = f"scenario {base.name!r}" if base is not None else "Scenario"
-            raise TypeError(
-                f"{whose} got an unexpected keyword argument {key!r}; its fields are {', '.join((*own, *FLAT))}"
-            )
+            raise TypeError(unknown("scenario field", key, (*own, *FLAT), "`dcgrid list fields` lists all"))
     fields = {} if base is None else {name: getattr(base, name) for name in own}
     fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
     flat: dict[str, dict[str, tuple[str, Any]]] = {}

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, UnknownFieldError, check_fields, choice, finite, number, refuse, settle
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
@@ -82,6 +82,5 @@ def changed_weights(weights: CostWeights, given: Any) -> Any:
         return given
     for key in given:
         if key not in CostWeights._fields:
-            there = ", ".join(CostWeights._fields)
-            raise FieldError("Cost", f"weights.{key}", given[key], f"there is no weight {key!r}; there are {there}")
+            raise UnknownFieldError("Cost", f"weights.{key}", given[key], CostWeights._fields)
     return weights._replace(**given)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from dcgrid_env.core.checked import FieldError, refuse, settle
+from dcgrid_env.core.checked import FieldError, UnknownFieldError, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.grid_equipment import is_equipment
@@ -113,9 +113,9 @@ def _settings(value: Any) -> Any:
         return value
     for key in value:
         if key not in CapacitorControl.__dataclass_fields__:
-            there = ", ".join(CapacitorControl.__dataclass_fields__)
-            raise FieldError("GridControl", f"capacitor_settings.{key}", ..., f"is no field; there are {there}")
+            fields = CapacitorControl.__dataclass_fields__
+            raise UnknownFieldError("GridControl", f"capacitor_settings.{key}", value[key], fields)
     try:
         return CapacitorControl(**value)
     except FieldError as error:
-        raise FieldError("GridControl", f"capacitor_settings.{error.name}", error.value, error.remedy) from None
+        raise error.within("GridControl", "capacitor_settings") from None

@@ -10,6 +10,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
+from dcgrid_env.core.checked import UnknownFieldError
 from dcgrid_env.scenario.errors import ScenarioError
 
 
@@ -36,8 +37,10 @@ def checked_mapping(scenario: Any, path: str, kind: type[Any], given: Mapping[st
         wrong = error.errors()[0]
         where = ".".join([path, *(str(step) for step in wrong["loc"][:1])])
         if wrong["type"] == "extra_forbidden":
-            there = ", ".join(field.name for field in dataclasses.fields(kind))
-            raise ScenarioError(f"scenario {scenario!r}: {where} is no field; there are {there}") from None
+            names = [field.name for field in dataclasses.fields(kind)]
+            raise ScenarioError(
+                f"scenario {scenario!r}: {UnknownFieldError(path, where, ..., names).said(where)}"
+            ) from None
         remedy = wrong["msg"][:1].lower() + wrong["msg"][1:]
         raise ScenarioError(f"scenario {scenario!r}: {where} is {wrong['input']!r}; {remedy}") from None
     return dict(given)

@@ -41,11 +41,11 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
     Raises
     ------
     ScenarioError
-        For an unknown scenario, listing those that exist, or a value that cannot be.
+        For an unknown scenario, naming similar ones, or a value that cannot be.
     PluginError
         Where another package's scenario cannot be made.
     TypeError
-        For an override that is no field, listing the fields.
+        For an override that is not a field.
     """
     if isinstance(scenario, Path) or (isinstance(scenario, str) and scenario.endswith(SUFFIX)):
         base = read_toml(scenario, make_scenario, Scenario)

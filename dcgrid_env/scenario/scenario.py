@@ -46,6 +46,7 @@ class Scenario(PickledByFields, FlatNames):
     """
 
     name: str
+    """Name in files and tables."""
     feeder: Any
     """A Feeder, a ThreePhaseFeeder or RandomFeeders: of no one type here, as code for one kind knows which it has."""
     source_voltage_pu: float = number(0.5, 1.5)
@@ -119,9 +120,9 @@ class Scenario(PickledByFields, FlatNames):
         Raises
         ------
         TypeError
-            For a name that is no field, listing the fields.
+            For a name that is not a field.
         ScenarioError
-            For a value that cannot be.
+            For an invalid value.
         """
         other = object.__new__(type(self))
         other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)

@@ -76,8 +76,7 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
             return new(**{"name": path.stem, **given})
         return preset(base).replace(**{"name": path.stem, **given})
     except (TypeError, ValueError) as error:
-        said = str(error).replace("got an unexpected keyword argument", "has no field")
-        raise ScenarioError(f"{path}: {said}") from None
+        raise ScenarioError(f"{path}: {error}") from None
 
 
 def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, brief: bool = False) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
 
 TraceWindow = Literal["random", "start", "together"]
@@ -46,7 +47,11 @@ class Workload:
             raise refuse(self, "full_load_s", "give its begin and its end, 0 <= begin < end, in s, or None")
         if isinstance(self.trace, str):
             if self.trace not in TRACE_SOURCES:
-                raise refuse(self, "trace", f"choose one of {', '.join(TRACE_SOURCES)}, or give recordings or a file")
+                raise refuse(
+                    self,
+                    "trace",
+                    nearest(self.trace, TRACE_SOURCES, "`dcgrid list traces` lists all; or give recordings or a file"),
+                )
         elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
 

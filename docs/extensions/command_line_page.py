@@ -5,35 +5,25 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
 
-from dcgrid_env.cli.command import Group
-from dcgrid_env.cli.main import COMMANDS
+from dcgrid_command.command_table import COMMANDS
+from dcgrid_env.cli.main import parse
 
 WIDTH = "80"
 
 
-def helps(group: Group, prog: str) -> Iterator[tuple[str, str]]:
-    """Every command below a group and its help, commands of maintainers last."""
-    for name, member in group.members.items():
-        if isinstance(member, Group) or hasattr(member, "members"):
-            yield from helps(member, f"{prog} {name}")  # pyright: ignore[reportArgumentType]
-        else:
-            yield f"{prog} {name}", help_of(member, f"{prog} {name}")
-
-
-def help_of(member: Any, prog: str) -> str:
-    """What ``--help`` of a command prints, or how to see it where that needs what is not installed here."""
+def help_of(line: str, text: str) -> str:
+    """Return the help of a command, or how to show it if a package for it is not installed."""
     out = io.StringIO()
     try:
         with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-            member.parse(["--help"], prog)
+            parse([*line.split()[1:], "--help"])
     except ValueError:
-        return f"{member.about()}\n\n{prog} --help, with the extra agents, shows its options."
+        return f"{text}\n\n{line} --help, with the extra agents, shows its options."
     return "\n".join(line.rstrip() for line in out.getvalue().strip().splitlines())
 
 
@@ -46,7 +36,8 @@ def page() -> str:
         "What ``--help`` says of each command; ``dcgrid list`` shows names.",
         "",
     ]
-    for command, text in helps(COMMANDS, "dcgrid"):
+    for command, member in [("dcgrid", COMMANDS), *COMMANDS.below("dcgrid")]:
+        text = help_of(command, member.text)
         lines += [
             command,
             "-" * len(command),

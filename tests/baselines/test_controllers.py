@@ -181,7 +181,7 @@ def test_without_preview_the_droop_caps_at_the_rating():
 
 
 def test_unknown_name_lists_what_exists():
-    with pytest.raises(ValueError, match="unknown controller 'pid'; there are none, inverters, droop"):
+    with pytest.raises(ValueError, match="no controller 'pid'; `dcgrid list controllers`"):
         make_controller("pid")
 
 

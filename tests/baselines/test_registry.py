@@ -101,7 +101,7 @@ def test_a_file_is_read_anew(here, toy6):
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
-        ("pid", r"unknown controller 'pid'; there are none, .*; or give package.module:Class"),
+        ("pid", r"no controller 'pid'; `dcgrid list controllers` lists all; or give package.module:Class"),
         ("nowhere.py:Still", "'nowhere.py:Still': there is no file nowhere.py; give the path of one"),
         ("no.such:Still", "importing no.such fails: ModuleNotFoundError: No module named 'no'"),
         ("broken.py:Still", "importing broken.py fails: SyntaxError"),
@@ -137,7 +137,7 @@ def test_constructor_arguments(here, toy6):
     "arguments", ["(q=1 + 1)", "(q=open('x'))", "(q=", "(**{'q': 1})", "(q=1) + (2)", "(q=1, q=2)"]
 )
 def test_arguments_are_read_and_never_run(here, toy6, arguments):
-    with pytest.raises(ValueError, match=r"the arguments cannot be read \(.*give literals|unknown controller"):
+    with pytest.raises(ValueError, match=r"the arguments cannot be read \(.*give literals|no controller"):
         find_controller(f"mine.py:Still{arguments}", toy6)
 
 

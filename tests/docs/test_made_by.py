@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from dcgrid_env.cli import main
-from dcgrid_env.cli.command import Group
+from dcgrid_command.command_table import COMMANDS
+from dcgrid_command.group import Group
+from dcgrid_env.cli.main import parse
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("agents", "baselines", "dcgrid_env", "docs", "traces")
@@ -26,7 +27,7 @@ def read(*words):
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            main.COMMANDS.parse(list(words), "dcgrid")
+            parse(words)
     except SystemExit as stopped:
         return ("" if stopped.code in (0, None) else said.getvalue()), said.getvalue()
     except ValueError as error:  # there is no such command
@@ -62,7 +63,7 @@ def test_commands_in_a_source_file_exist_with_their_options(path):
 
 def group_and_command(words):
     """The words that choose a command, or only a group where a placeholder or nothing follows it."""
-    member, chosen = main.COMMANDS, []
+    member, chosen = COMMANDS, []
     for word in words:
         if not isinstance(member, Group) or word.isupper() or word.startswith(("{", "-")):
             break

@@ -182,7 +182,7 @@ def test_toy_step_row_is_the_papers_experiment():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("solar", "train", 1.0, 60.0), r"source 'solar' is unknown; choose one of inference, training, mixed, step"),
+        (("solar", "train", 1.0, 60.0), r"no trace source 'solar'; `dcgrid list traces` lists all"),
         (("mixed", "exam", 1.0, 60.0), r"split 'exam' is unknown; choose one of train, validation, test, ood"),
         (("mixed", "train", 0.0, 60.0), r"dt_s = 0.0 is not a finite number above 0"),
         (("mixed", "train", -1.0, 60.0), r"dt_s = -1.0"),

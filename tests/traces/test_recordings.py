@@ -96,8 +96,8 @@ def test_requests_are_loaded_with_their_credit(cache):
 
 
 @pytest.mark.parametrize("use", [fetch, load_power, load_requests])
-def test_an_unknown_name_is_told_the_known_ones(use):
-    with pytest.raises(TraceError, match=r"'azure' is unknown; choose one of chen-zhang-2025-inference, azure"):
+def test_an_unknown_name_is_refused(use):
+    with pytest.raises(TraceError, match=r"no recording 'azure'; .*`dcgrid list traces` lists all"):
         use("azure")
 
 

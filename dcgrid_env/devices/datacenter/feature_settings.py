@@ -54,7 +54,7 @@ def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:
     try:
         return function(*given)
     except FieldError as error:
-        raise FieldError("DataCenters", f"{field}.{error.name}", error.value, error.remedy) from None
+        raise error.within("DataCenters", field) from None
 
 
 CONVERSIONS: dict[str, Callable[[Any], Any]] = {

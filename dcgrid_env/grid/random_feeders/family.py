@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.checked import check_fields, choice, count, number, refuse, settle
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.network import BusId, bus_text
@@ -65,8 +66,9 @@ class RandomFeeders(OneNodeABus):
         """A family out of its plain form, a mapping of its fields; FeederError for a field that there is not."""
         for key in value:
             if key not in cls.__dataclass_fields__:
-                fields = ", ".join(cls.__dataclass_fields__)
-                raise FeederError(f"feeder: a mapping gives random feeders, and {key!r} is no field of them; {fields}")
+                fields = cls.__dataclass_fields__
+                said = unknown("random feeders field", key, fields, f"their fields are {', '.join(fields)}")
+                raise FeederError(f"feeder: {said}")
         return cls(**value)
 
     @property

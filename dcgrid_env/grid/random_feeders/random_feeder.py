@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.seeds import whole_seed
+from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.random_feeders.drawn import DrawnFeeder, draw_feeder
 from dcgrid_env.grid.random_feeders.styles import STYLES, own_buses
@@ -71,7 +72,7 @@ def random_feeder(seed: int, *, n_bus: int = 60, style: str = "urban", load_kw: 
     if seed >= 2**64:
         raise ValueError(f"seed is {seed}; give less than 2^64")
     if style not in STYLES:
-        raise FeederError(f"random feeder: style is {style!r}; choose one of {', '.join(STYLES)}")
+        raise FeederError(f"random feeder: {unknown('style', style, STYLES, '`dcgrid list feeders` lists all')}")
     if isinstance(n_bus, bool) or not isinstance(n_bus, int | np.integer) or not LEAST_BUSES <= n_bus <= MOST_BUSES:
         raise FeederError(f"random feeder: n_bus is {n_bus!r}; give a whole number from 10 to 100,000")
     if load_kw is not None and not 0.0 < load_kw < 1e9:

@@ -202,8 +202,8 @@ def test_the_command(tmp_path, trained, monkeypatch, capsys):
     assert (tmp_path / "results/tune-agent/toy6-analytic/journal.log").exists()
     for asked, message in (
         (["dev", "tune-agent", "carry-over"], "algorithm is 'carry-over', which has no search space; there are"),
-        (["dev", "tune-agent", "dqn"], "algorithm is 'dqn'; there are spaces for analytic, safe, ppo"),
-        ([*words[:-1], "colour=1"], "fixed: colour is no setting of analytic"),
+        (["dev", "tune-agent", "dqn"], "no algorithm 'dqn'; there are search spaces for analytic, safe, ppo"),
+        ([*words[:-1], "colour=1"], "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all"),
         ([*words[:-1], "updates"], "fixed: 'updates' is no field with its value"),
         ([*words[:-1], "updates=abc", "--out", "other"], "fixed: updates is 'abc'; input should be a valid integer"),
         ([*words[:-1], "updates=0", "--out", "other"], "updates is 0; give more than 0"),

@@ -74,7 +74,7 @@ def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_wh
         main([*words, "droop-q,nosuch"])
     said = capsys.readouterr()
     assert (raised.value.code, said.out) == (2, "")
-    assert said.err.startswith("dcgrid: unknown controller 'nosuch'")
+    assert said.err.startswith("dcgrid: no controller 'nosuch'")
     main([*words, "routing-analytic"])
     said = " ".join(capsys.readouterr().out.split())
     assert "does not apply" in said

@@ -21,7 +21,7 @@ def test_no_name(names):
 
 
 def test_an_unknown_name():
-    with pytest.raises(ScenarioError, match="unknown scenario 'ieee124'"):
+    with pytest.raises(ScenarioError, match="no scenario 'ieee124'"):
         scenarios("toy6,ieee124")
 
 

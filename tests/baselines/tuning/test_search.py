@@ -69,7 +69,7 @@ def test_one_share_for_several_scenarios_and_one_for_each_agent_of_one():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("volt-var", ["toy6"], 2), "'volt-var' cannot be tuned; there are droop, droop-q"),
+        (("volt-var", ["toy6"], 2), "no tunable law 'volt-var'; there are droop, droop-q"),
         (("droop", [], 2), "0 scenarios and 2 episodes"),
         (("droop", ["toy6"], 0), "1 scenarios and 0 episodes"),
     ],
@@ -127,7 +127,7 @@ def test_a_scenario_without_tuned_parameters_says_how_to_find_them():
         make_controller("droop-tuned", own)
     with pytest.raises(ValueError, match="'droop-tuned' depends on the scenario; say which"):
         make_controller("droop-tuned")
-    with pytest.raises(ValueError, match="unknown controller 'pid-tuned'"):
+    with pytest.raises(ValueError, match="no controller 'pid-tuned'"):
         make_controller("pid-tuned", own)
     assert isinstance(tuned_parameters("constant-q", make_scenario("ieee33")).parameters["q_share"], tuple)
 

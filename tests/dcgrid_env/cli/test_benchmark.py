@@ -314,9 +314,9 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scenarios": "toy6,ieee124"}, "unknown scenario 'ieee124'; there are toy6"),
+        ({"scenarios": "toy6,ieee124"}, "no scenario 'ieee124'; did you mean"),
         ({"scenarios": " , "}, "name at least one, or all"),
-        ({"controllers": "none,pid"}, "unknown controller 'pid'; there are none"),
+        ({"controllers": "none,pid"}, "no controller 'pid'; "),
         ({"controllers": ","}, "name at least one, local, all or policies"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
         ({"controllers": "nowhere.safetensors"}, "there is no file nowhere.safetensors"),

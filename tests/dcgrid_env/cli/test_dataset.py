@@ -98,7 +98,7 @@ def test_what_cannot_be_is_one_line_and_writes_nothing(here, capsys, monkeypatch
     assert "episodes is 0" in refused(capsys, "--episodes", "0")
     assert "name is 'a b'" in refused(capsys, "--name", "a b")
     assert "observes 'feeder'" in refused(capsys, "--controller", "mpc", *SHORT)
-    assert "unknown controller" in refused(capsys, "--controller", "nobody", *SHORT)
+    assert "no controller" in refused(capsys, "--controller", "nobody", *SHORT)
     real = importlib.import_module
 
     def without(name, *rest):

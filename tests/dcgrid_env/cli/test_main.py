@@ -1,6 +1,7 @@
 """The table of commands: where each stands, what an older spelling gets, and what help says."""
 
 import dataclasses
+import itertools
 import os
 import re
 import subprocess
@@ -9,17 +10,15 @@ import sys
 import pytest
 
 import dcgrid_env
-from dcgrid_env.cli.command import Command, Group
-from dcgrid_env.cli.main import COMMANDS, DEV, main
+from dcgrid_command.command_table import COMMANDS
+from dcgrid_command.group import Entry, Group
+from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.main import main, parse
 
-
-def commands(group=COMMANDS, prog="dcgrid"):
-    """Every command with its words."""
-    for name, member in group.members.items():
-        if isinstance(member, Group):
-            yield from commands(member, f"{prog} {name}")
-        else:
-            yield f"{prog} {name}", member
+PLACES = dict(COMMANDS.below("dcgrid"))
+CLASSES = {line: member.load() for line, member in PLACES.items() if isinstance(member, Entry)}
+GROUPS = {"dcgrid": COMMANDS} | {line: member for line, member in PLACES.items() if isinstance(member, Group)}
+WIDE = "2000"
 
 
 def stopped(capsys, *arguments):
@@ -28,49 +27,135 @@ def stopped(capsys, *arguments):
     return raised.value.code, capsys.readouterr()
 
 
-@pytest.mark.parametrize("name", DEV.members)
-def test_an_older_spelling_is_one_line_with_the_newer(capsys, name):
-    code, said = stopped(capsys, name, "--workers", "1")
-    assert (code, said.err) == (2, f"dcgrid: there is no `dcgrid {name}`; it is `dcgrid dev {name}`\n")
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["show"], "there is no `dcgrid show`; it is `dcgrid traces show`"),
-        (["nothing"], "`dcgrid` has no command 'nothing'; there are run, check, benchmark, train, "),
-        (["dev", "nothing"], "`dcgrid dev` has no command 'nothing'; there are hindsight, "),
-        (["dev", "tune", "--laws", "droop"], "there is no `dcgrid dev tune`; it is `dcgrid tune`"),
+        (["show"], "no command 'show'; did you mean dcgrid traces show? `dcgrid --help` lists all"),
+        (["trian", "ppo"], "no command 'trian'; did you mean dcgrid train or "),
+        (["nothing"], "no command 'nothing'; `dcgrid --help` lists all"),
+        (["hindsight", "--workers", "1"], "no command 'hindsight'; did you mean dcgrid dev hindsight? "),
+        (["dev", "nothing"], "no command 'nothing'; `dcgrid dev --help` lists all"),
+        (["dev", "tune", "--laws", "droop"], "no command 'tune'; did you mean dcgrid tune? "),
+        (["train", "--seed", "1"], "no command '--seed'; `dcgrid train --help` lists all"),
     ],
 )
-def test_a_command_that_there_is_not_is_one_line(capsys, arguments, message):
+def test_an_unknown_command_is_one_line(capsys, arguments, message):
     code, said = stopped(capsys, *arguments)
     assert code == 2
     assert said.err.startswith(f"dcgrid: {message}")
     assert len(said.err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("words", [prog.split()[1:] for prog, _ in commands()] + [[], ["dev"], ["train"], ["traces"]])
-def test_every_help_is_shown_and_stands_alone(capsys, monkeypatch, words):
-    monkeypatch.setenv("COLUMNS", "500")
-    code, said = stopped(capsys, *words, "--help")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("run --set foo=1", "set: no scenario field 'foo'; `dcgrid list fields` lists all"),
+        ("run --set horizn=1", "set: no scenario field 'horizn'; did you mean horizon? `dcgrid list fields` lists all"),
+        (
+            "run --scenario ieee123x",
+            "no scenario 'ieee123x'; did you mean ieee123, .*`dcgrid list scenarios`",
+        ),
+        ("run --feeder iee33", "no feeder 'iee33'; did you mean ieee33, .*`dcgrid list feeders` lists all"),
+        (
+            "run --controllers drop",
+            "no controller 'drop'; did you mean droop or droop-q. `dcgrid list controllers`",
+        ),
+        ("run --trace infrence", "no trace 'infrence'; did you mean inference. `dcgrid list traces` lists all"),
+        ("evaluate toy6-anlytic", "no controller 'toy6-anlytic'; did you mean toy6-analytic, "),
+        ("dev tune-agent pp", "no algorithm 'pp'; did you mean ppo. "),
+    ],
+)
+def test_an_unknown_name_gets_suggestions_and_where_all_are_listed(capsys, arguments, said):
+    code, shown = stopped(capsys, *arguments.split())
+    assert code == 2
+    assert re.match(f"dcgrid: {said.replace('?', '.')}", shown.err), shown.err
+
+
+def test_fields_are_listed_with_what_each_is(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", WIDE)
+    main(["list", "fields"])
+    listed = {line.split()[0]: line.split(maxsplit=1)[1:] for line in capsys.readouterr().out.splitlines() if line}
+    fields = {*dcgrid_env.Scenario.__dataclass_fields__, "voltage_noise_pu", "n_datacenters"}
+    assert fields <= set(listed)
+    assert all(listed.values())
+
+
+def test_the_commands_are_in_their_groups():
+    assert {title: list(commands) for title, commands in COMMANDS.sections.items()} == {
+        "Try": ["run", "list", "replay"],
+        "Your grid": ["import", "check", "capacity", "export"],
+        "Train": ["train", "evaluate", "tune", "benchmark", "dataset"],
+        "Publish": ["submit", "verify", "export-sb3", "reproduce"],
+        "More": ["traces", "dev"],
+    }
+
+
+@pytest.mark.parametrize("line", GROUPS)
+def test_a_page_lists_every_command_on_one_line(line, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, said = stopped(capsys, *line.split()[1:], "--help")
+    lines = said.out.splitlines()
     assert code == 0
-    lines = [line.strip("│ ").strip() for line in said.out.splitlines()]
-    assert lines[0].startswith(" ".join(["usage: dcgrid", *words, "[-h]"]))
-    texts = [lines[2], *(re.sub(r"^(-\S+ |[A-Z]+ |\{.*?\} |\[.*?\] |• \S+|\S+ *$)*", "", line) for line in lines[3:])]
-    for text in (re.split(r" {2,}", text)[-1] for text in texts):
-        assert not re.match(r"(Of|The same|As) ", text), text
-    assert lines[2].endswith((".", ":")), lines[2]
+    assert said.out.isascii()
+    assert max(map(len, lines)) <= 80
+    shown = [re.split(r" {2,}", row.strip()) for row in lines if row.startswith("  ")]
+    assert shown[: -1 - len(GROUPS[line].options)] == [[name, at.text] for name, at in GROUPS[line].members.items()]
 
 
-@pytest.mark.parametrize("prog", [prog for prog, member in commands() if isinstance(member, type)])
-def test_a_command_is_a_dataclass_that_runs(prog):
-    member = dict(commands())[prog]
-    assert isinstance(member, type)
-    assert issubclass(member, Command)
-    assert dataclasses.is_dataclass(member)
-    assert member.__doc__ is not None
-    assert not getattr(member, "__abstractmethods__", None)  # it has a run() of its own
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["dev", "--help"], ["train", "--help"]])
+def test_a_page_is_shown_before_the_package_loads(words):
+    code = (
+        f"import sys; sys.argv = ['dcgrid', *{words}]\nfrom dcgrid_command import main; main()\n"
+        "print([m for m in ('dcgrid_env', 'numpy', 'tyro', 'rich', 'gymnasium') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("usage: dcgrid")
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("words", [[], ["dev"]])
+def test_a_group_without_a_command_shows_its_page_and_fails(words, capsys):
+    code, said = stopped(capsys, *words)
+    assert code == 2
+    assert said.err.startswith(" ".join(["usage: dcgrid", *words, "COMMAND"]))
+
+
+@pytest.mark.parametrize("line", CLASSES)
+@pytest.mark.parametrize("columns", ["60", "80", "120"])
+def test_a_help_fits_the_terminal(line, columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    code, said = stopped(capsys, *line.split()[1:], "--help")
+    assert code == 0
+    lines = said.out.splitlines()
+    assert lines[0].startswith(f"usage: {line} [-h]")
+    assert max(map(len, lines)) <= int(columns)
+
+
+@pytest.mark.parametrize("line", CLASSES)
+def test_a_help_has_no_line_break_of_the_source_and_no_none(line, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", WIDE)
+    _, said = stopped(capsys, *line.split()[1:], "--help")
+    assert not re.search(r"\{None[,}]|\(default: (None)?\)|``|:class:", said.out)
+    lines = said.out.splitlines()
+    about = list(itertools.takewhile(lambda text: not re.match("╭|[ +]-", text), lines[2:-1]))
+    assert all(about[::2])
+    assert not any(about[1::2])  # a paragraph is a line
+    rows = [row.strip("│")[1:].rstrip() for row in lines if re.match(r"(│ | {2,}\S)", row)]
+    assert rows
+    for before, row in itertools.pairwise(rows):
+        starts = re.match(r" ?[-A-Z[]", row)
+        assert starts or not re.search(r" {2,}\S", before.lstrip()), row  # a text is on one line
+
+
+@pytest.mark.parametrize("line", CLASSES)
+def test_a_command_is_a_dataclass_that_runs(line):
+    kind, entry = CLASSES[line], PLACES[line]
+    if line.startswith("dcgrid train "):
+        return
+    assert issubclass(kind, Command)
+    assert dataclasses.is_dataclass(kind)
+    assert kind.about().partition("\n\n")[0] == entry.text  # the table and the help agree
+    assert not getattr(kind, "__abstractmethods__", None)  # it has a run() of its own
 
 
 def test_what_goes_on_after_an_interruption():
@@ -80,7 +165,7 @@ def test_what_goes_on_after_an_interruption():
         "traces fetch x": "the same command", "traces show x": "", "train analytic": "the same command with --resume",
     }  # fmt: skip
     for line, start in words.items():
-        resumes = COMMANDS.parse(line.split(), "dcgrid").resumes
+        resumes = parse(line.split()).resumes
         assert resumes.startswith(start), line
         assert bool(resumes) == bool(start), line
 
@@ -88,7 +173,7 @@ def test_what_goes_on_after_an_interruption():
 def test_the_version_is_shown_and_loads_nothing_heavy(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"dcgrid {dcgrid_env.__version__}\n"
-    assert "--version shows the version" in COMMANDS.about()
+    assert "--version" in COMMANDS.options
 
 
 @pytest.mark.parametrize(
@@ -115,10 +200,10 @@ def test_a_reader_that_stops_ends_a_command_in_silence():
     assert (ended.returncode, ended.stderr) == (141, b"")
 
 
-TAKING_TUNED = [(prog, member) for prog, member in commands() if "tuned" in getattr(member, "__dataclass_fields__", ())]
+TAKING_TUNED = [line for line, kind in CLASSES.items() if "tuned" in getattr(kind, "__dataclass_fields__", ())]
 
 
-@pytest.mark.parametrize("prog", [prog for prog, _ in TAKING_TUNED])
+@pytest.mark.parametrize("prog", TAKING_TUNED)
 def test_a_file_of_gains_that_is_not_there_is_refused_whatever_is_to_run(prog, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     policy = ["toy6-analytic"] if prog == "dcgrid evaluate" else []
@@ -130,6 +215,6 @@ def test_a_file_of_gains_that_is_not_there_is_refused_whatever_is_to_run(prog, c
 
 
 def test_commands_that_take_a_file_of_gains():
-    assert [prog.split()[1] for prog, _ in TAKING_TUNED] == [
-        "run", "benchmark", "evaluate", "replay", "dataset", "capacity"
+    assert [prog.split()[1] for prog in TAKING_TUNED] == [
+        "run", "replay", "capacity", "evaluate", "benchmark", "dataset"
     ]  # fmt: skip

@@ -121,7 +121,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
             ["--feeder", "das69", "--scenario", "ieee33", "--inverters", "none"],
             "inverters is given beside --scenario ieee33, which has its own; leave one of them out",
         ),
-        (["--feeder", "no-folder"], "unknown feeder 'no-folder'; there are toy6, ieee33"),
+        (["--feeder", "no-folder"], "no feeder 'no-folder'; "),
         (["--feeder", "no-folder"], "or give a folder of your own"),
         (["--feeder", "."], "feeder .: feeder.toml is missing"),
         (["--feeder", ""], "feeder is empty; give a feeder's name or the folder of one's own"),
@@ -137,7 +137,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
             "leave out --scenario, and devices are chosen for the feeder, or give --set 'datacenter_buses=[..]'",
         ),
         (["--feeder", "ieee33", "--scenario", "ieee123"], "lacks buses 40, 54, 87, 92, 103, where scenario 'ieee123'"),
-        (["--feeder", "ieee33", "--scenario", "ieee124"], "unknown scenario 'ieee124'"),
+        (["--feeder", "ieee33", "--scenario", "ieee124"], "no scenario 'ieee124'"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, folders, capsys):

@@ -113,7 +113,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
     assert "not written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})
     assert "cannot read its command" in stored({"command": "dcgrid run --colour red", "scenario_hash": ""})
     for words, message in (
-        (["--compare", "pid"], "unknown controller 'pid'"),
+        (["--compare", "pid"], "no controller 'pid'"),
         (["--compare", ","], "name at least one controller"),
         (["--compare", "none,none,droop,inverters,droop-q,volt-var"], "replay 4 at most"),
         (["--set", "horizon=9000000", "--compare", "none"], "are too much for one page"),

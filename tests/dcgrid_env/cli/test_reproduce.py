@@ -134,7 +134,7 @@ def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
         (["--scenario", "ieee34-3ph"], "scenario is 'ieee34-3ph'; the paper's study is about the IEEE 123 node feeder"),
         (["--scenario", "ieee123-3p"], "give ieee123, its balanced equivalent, or ieee123-3ph"),
         (["--scenario", "ieee123-3ph", "--episodes", "1"], "episodes is 1; give at least 2"),
-        (["--trace", "no-such-trace"], "trace 'no-such-trace' is neither a file nor known"),
+        (["--trace", "no-such-trace"], "no trace 'no-such-trace'; "),
         (["--trace", "recorded"], "get it with `dcgrid traces fetch chen-zhang-2025-inference`"),
         (["--trace", "{short}"], "but 122 s are needed"),
     ],

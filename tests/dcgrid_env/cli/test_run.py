@@ -46,8 +46,8 @@ def test_the_same_command_gives_the_same_records(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scenario", "ieee124"], "unknown scenario 'ieee124'; there are toy6, ieee123, ieee33-weak"),
-        (["--controllers", "none,pid"], "unknown controller 'pid'; there are"),
+        (["--scenario", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
+        (["--controllers", "none,pid"], "no controller 'pid'; "),
         (["--controllers", " , "], "name at least one"),
         (["--episodes", "0"], "episodes is 0"),
         (["--split", "exam"], "split is 'exam'; choose one of train, validation, test"),

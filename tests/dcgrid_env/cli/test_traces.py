@@ -6,7 +6,6 @@ import re
 import pytest
 
 from dcgrid_env.cli.main import main
-from dcgrid_env.traces import RECORDINGS
 
 
 @pytest.fixture(autouse=True)
@@ -54,12 +53,12 @@ def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
 
 
 def test_show_names_what_there_is(capsys):
-    assert "there are inference" in fails(capsys, "show", "nothing")
+    assert "`dcgrid list traces` lists all; or give a file" in fails(capsys, "show", "nothing")
     assert "dcgrid traces fetch azure-2023-code" in fails(capsys, "show", "azure-2023-code")
 
 
 def test_fetch_names_what_there_is_and_shows_the_licence(capsys, monkeypatch, tmp_path):
-    assert f"choose one of {', '.join(RECORDINGS)}" in fails(capsys, "fetch", "nothing")
+    assert "no recording 'nothing'; `dcgrid list traces` lists all" in fails(capsys, "fetch", "nothing")
     content = b"0,100\n1,200\n"
     monkeypatch.setattr("dcgrid_env.traces.recordings.fetch", lambda name, cache, progress: tmp_path / "there.csv")
     (tmp_path / "there.csv").write_bytes(content)

@@ -74,8 +74,7 @@ def test_bad_training_is_one_line(module, capsys):
 
     code, said = stopped(capsys, "train", "dqn", "--seed", "3")
     assert (code, len(said.splitlines())) == (2, 1)
-    assert said.startswith("dcgrid: `dcgrid train` has no command 'dqn'; there are ppo, ")
-    assert all(name in said for name in ALGORITHMS)
+    assert said == "dcgrid: no command 'dqn'; `dcgrid train --help` lists all\n"
 
     def diverges(cfg):
         raise TrainingError("training diverged at step 7")
@@ -124,7 +123,7 @@ def test_help_lists_the_algorithms_without_torch():
         "print([m for m in sys.modules if m.startswith(('torch', 'dcgrid_env.agents'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert all(algorithm.text.split()[0] in done.stdout for algorithm in ALGORITHMS.values())
+    assert all(f"  {name} " in done.stdout for name in ALGORITHMS)
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -184,7 +183,7 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
     for arguments, message in (
         ([path], "is of no preset of its own; say on which --scenario"),
         (["mpc"], "say on which --scenario"),
-        ([path, "--scenario", "ieee124"], "unknown scenario 'ieee124'"),
+        ([path, "--scenario", "ieee124"], "no scenario 'ieee124'"),
         ([path, "--scenario", "toy6", "--episodes", "0"], "episodes is 0; give at least 1"),
         ([path, "--scenario", "toy6", "--split", "exam"], "split is 'exam'"),
         (
@@ -192,9 +191,9 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
             "takes 23 figures and gives 4, on ieee123 (5 of kind datacenter, 7 of kind inverter",
         ),
         ([str(tmp_path / "cut.safetensors")], "not a policy file"),
-        (["pid", "--scenario", "toy6"], "unknown controller 'pid'"),
+        (["pid", "--scenario", "toy6"], "no controller 'pid'"),
         (["guarded:", "--scenario", "toy6"], "controller 'guarded:': nothing follows; write a policy's name or file"),
-        (["", "--scenario", "toy6"], "unknown controller ''"),
+        (["", "--scenario", "toy6"], "no controller ''"),
     ):
         code, said = stopped(capsys, "evaluate", *arguments)
         assert code == 2

@@ -311,9 +311,9 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tune", "--laws", "pid"], "laws is 'pid'; choose among droop, droop-q"),
+        (["tune", "--laws", "pid"], "laws: no tunable law 'pid'; choose among droop, droop-q"),
         (["tune", "--laws", ","], "laws is ','; choose among"),
-        (["tune", "--scenarios", "ieee124"], "unknown scenario 'ieee124'; there are toy6"),
+        (["tune", "--scenarios", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
         (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
         (["tune", "--scenarios", "toy6", "--workers", "0"], "workers is 0; give at least 1"),
         (["dev", "hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers is -1; give at least 1"),

@@ -185,8 +185,8 @@ def test_sags_are_drawn_within_their_ranges_and_as_a_sequence():
         ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous', but none is listed before it"),
         ({"datacenter_ride_through": None, "inverter_ride_through": None}, "no device has a curve that they are held"),
         ({"datacenter_ride_through": {"curve": ["itic"]}}, "curve has 1 curves; give one, or one for each of 3"),
-        ({"datacenter_ride_through": {"kurve": "itic"}}, "kurve is 'itic'; is no field; there are curve"),
-        ({"inverter_ride_through": {"curve": "itic", "battery_s": 3.0}}, "battery_s is 3.0; is no field"),
+        ({"datacenter_ride_through": {"kurve": "itic"}}, "no datacenter_ride_through field 'kurve'; did you"),
+        ({"inverter_ride_through": {"curve": "itic", "battery_s": 3.0}}, "no inverter_ride_through field 'battery_s'"),
         ({"sags": (1,)}, r"sags is \(1,\); give a tuple of Sag"),
     ],
 )  # fmt: skip
@@ -211,5 +211,5 @@ def test_a_ramp_of_whole_steps_takes_no_step_more(walk_in_s):
 
 
 def test_a_rule_with_a_key_that_is_no_text_is_refused():
-    with pytest.raises(ScenarioError, match=r"inverter\.1 is 2; is no field; there are curve"):
+    with pytest.raises(ScenarioError, match=r"no inverter_ride_through field '1'; its fields are curve"):
         make_scenario("ieee33", inverter_ride_through={1: 2})

@@ -63,7 +63,7 @@ def test_agents_come_and_go_with_the_decision():
         ),
         ({"capacitor_banks": {"c83": "off"}}, "capacitor_banks is .*give one of fixed, controlled, agent"),
         ({"capacitor_banks": "agent", "capacitors": False}, "the background has its capacitors disconnected"),
-        ({"capacitor_settings": {"delay": 1.0}}, "capacitor_settings.delay is no field; there are measures"),
+        ({"capacitor_settings": {"delay": 1.0}}, "no capacitor_settings field 'delay'; did you mean delay_s"),
         ({"capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
         ({"capacitor_settings": 3}, r"capacitor_settings is 3; give CapacitorControl\(...\)"),
         (

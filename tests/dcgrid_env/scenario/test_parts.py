@@ -106,7 +106,7 @@ def test_a_scenario_of_parts_alone():
     [
         (lambda: Sensing(noise_pu=-1.0), r"^Sensing: noise_pu is -1.0; give a finite number in \[0, 1\]$"),
         (lambda: Background(start_hour=24.0), r"^Background: start_hour is 24.0; give an hour from 0 to less than 24"),
-        (lambda: Workload(trace="x"), r"^Workload: trace is 'x'; choose one of inference"),
+        (lambda: Workload(trace="x"), r"^Workload: trace is 'x'; `dcgrid list traces` lists all"),
         (lambda: Cost(reward="mine"), r"^Cost: reward is 'mine'; choose one of shared, local$"),  # type: ignore
         (lambda: Inverters(buses=("3",)), r"^Inverters: s_rated_kva is 0.0; give one positive number"),
         (lambda: DataCenters(count=-1, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0), "count is -1; give"),
@@ -120,7 +120,7 @@ def test_a_part_checks_itself(make, message):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"sensing": {"noise": 0.1}}, r"^scenario 'ieee33': sensing.noise is no field; there are noise_pu"),
+        ({"sensing": {"noise": 0.1}}, r"^scenario 'ieee33': no sensing field 'noise'; did you mean noise_pu"),
         ({"sensing": {"noise_pu": "0.1"}}, r"sensing.noise_pu is '0.1'; input should be a valid number"),
         ({"sensing": {"noise_pu": 2.0}}, r"sensing.noise_pu is 2.0; give a finite number in \[0, 1\]"),
         ({"voltage_noise_pu": 2.0}, r"voltage_noise_pu is 2.0; give a finite number in \[0, 1\]"),
@@ -129,7 +129,7 @@ def test_a_part_checks_itself(make, message):
         ({"sensing": {"noise_pu": 0.1}, "voltage_noise_pu": 0.1}, "noise_pu and voltage_noise_pu are one field"),
         ({"v0_pu": 1.0, "source_voltage_pu": 1.0}, "source_voltage_pu and v0_pu are one field; give one of them"),
         ({"devices": ["datacenter"]}, r"devices\[0\] is 'datacenter'; give a device \(DataCenters, Inverters"),
-        ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"devices\[0\].x is no field"),
+        ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"no devices\[0\] field 'x'"),
         ({"sensing": None}, "sensing is None; leave it out"),
         ({"devices": None}, "devices is None; leave it out"),
         ({"devices": [Inverters]}, r"devices\[0\] is <class .*; give a device"),

@@ -187,7 +187,7 @@ def test_what_has_no_plain_form_is_refused_by_name_where_a_spec_is_written():
 def test_weights_that_a_mapping_leaves_out_keep_their_value():
     assert make_scenario("training", weights={"backlog": 1}).weights == CostWeights(backlog=1, leftover=90.0)
     assert make_scenario("ieee33").replace(weights={"loss": 2.0}).weights == CostWeights(loss=2.0)
-    with pytest.raises(ScenarioError, match=r"there is no weight 'volts'; there are voltage, .* loss"):
+    with pytest.raises(ScenarioError, match=r"no weights field 'volts'; did you mean voltage.* loss"):
         make_scenario("ieee33", weights={"volts": 1})
     with pytest.raises(ScenarioError, match=r"weights.backlog is 'dear'; give a finite number"):
         make_scenario("ieee33", weights={"backlog": "dear"})
@@ -236,7 +236,7 @@ def test_recordings_and_feeders_by_path(tmp_path):
     assert isinstance(sun, PowerTrace)
     with pytest.raises(ScenarioError, match=r"trace is '.*none.csv'"):
         make_scenario("ieee33-weak", trace=[str(tmp_path / "none.csv")])
-    with pytest.raises(ScenarioError, match=r"trace is 'none\.csv'; choose one of inference"):
+    with pytest.raises(ScenarioError, match=r"trace is 'none\.csv'; `dcgrid list traces`"):
         make_scenario("ieee33-weak", trace="none.csv")
     cases = Path(__file__).parents[2] / "cases" / "ieee33"
     if (cases / "feeder.toml").exists():
@@ -291,8 +291,8 @@ def test_an_hour_that_there_is_not():
         ({"inverter_buses": [7.0, 14]}, r"inverter_buses has 7\.0, no number or text"),
         ({"dvfs": {"law": ["x"]}}, "dvfs is .*; give 'linear'"),
         ({"dvfs": PrefillDecodeDvfs}, "dvfs is .*; give 'linear'"),
-        ({"trace": "x" * 5000}, "trace is .*; choose one of inference"),
-        ({"feeder": "x" * 5000}, "unknown feeder"),
+        ({"trace": "x" * 5000}, "trace is .*; `dcgrid list traces` lists all"),
+        ({"feeder": "x" * 5000}, "no feeder"),
     ],
     ids=lambda value: str(value)[:30],
 )

@@ -115,14 +115,11 @@ def test_replace_makes_another_and_checks_it():
         s.replace(horizon=0)
 
 
-def test_an_unknown_field_lists_those_there_are():
-    with pytest.raises(TypeError, match="got an unexpected keyword argument 'horizont'") as caught:
-        scenario_of_ones_own().replace(horizont=7)
-    message = str(caught.value)
-    assert "'mine'" in message
-    assert "'horizont'" in message
-    for field in dataclasses.fields(Scenario):
-        assert field.name in message
+@pytest.mark.parametrize("make", [scenario_of_ones_own, lambda **given: scenario_of_ones_own().replace(**given)])
+def test_an_unknown_field_gets_a_suggestion(make):
+    with pytest.raises(TypeError) as caught:
+        make(horizont=7)
+    assert str(caught.value) == "no scenario field 'horizont'; did you mean horizon? `dcgrid list fields` lists all"
 
 
 def test_a_copy_is_the_scenario_itself():
@@ -322,7 +319,7 @@ def test_clock_laws_are_told_apart():
 def test_a_feeder_must_be_one():
     with pytest.raises(ScenarioError, match=r"'mine': feeder is 6; give a feeder, load_feeder\(name\)"):
         scenario_of_ones_own(feeder=6)
-    with pytest.raises(FeederError, match=r"unknown feeder 'no/such'; there are toy6, .*; or give a folder"):
+    with pytest.raises(FeederError, match=r"no feeder 'no/such'; `dcgrid list feeders` lists all; or give a folder"):
         scenario_of_ones_own(feeder="no/such")
 
 

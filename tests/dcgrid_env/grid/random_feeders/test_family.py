@@ -74,5 +74,5 @@ def test_what_one_feeder_has_is_refused_with_its_remedy():
         FAMILY.index(20)
     with pytest.raises(FeederError, match="no style for the split 'ood'"):
         RandomFeeders(ood=None).style_of("ood")
-    with pytest.raises(FeederError, match="'size' is no field of them"):
+    with pytest.raises(FeederError, match="no random feeders field 'size'"):
         RandomFeeders.of_plain({"size": 3})

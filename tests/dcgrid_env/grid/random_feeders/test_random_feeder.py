@@ -89,7 +89,7 @@ def test_ten_thousand_buses_take_about_ten_times_what_a_thousand_take():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"style": "lunar"}, "style is 'lunar'; choose one of urban, rural, european-lv, us-mv"),
+        ({"style": "lunar"}, "no style 'lunar'; `dcgrid list feeders` lists all"),
         ({"n_bus": 9}, "n_bus is 9; give a whole number from 10 to 100,000"),
         ({"n_bus": 60.0}, "n_bus is 60.0"),
         ({"load_kw": -1.0}, "load_kw is -1.0; give more than 0"),

@@ -1,0 +1,138 @@
+"""The docstrings of the environment classes: their sections, and tables that agree with the code."""
+
+import dataclasses
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dcgrid_env import (
+    CostWeights,
+    DcgridEnv,
+    DcgridParallelEnv,
+    DcgridVectorEnv,
+    Storages,
+    action_layout,
+    field_names,
+    make_scenario,
+    parallel_env,
+)
+from dcgrid_env.envs.class_docs import CHANNELS, FEATURES, FIELDS, INFO
+
+CLASSES = (DcgridEnv, DcgridParallelEnv, DcgridVectorEnv)
+SECTIONS = [
+    "Problem", "Action space", "Observation space", "Reward", "Starting state", "Episode end", "Information",
+    "Parameters", "Examples",
+]  # fmt: skip
+SETTINGS: dict[str, Any] = {
+    "sensing.loading": {"sensing": {"loading": True}},
+    "clock_law of two classes": {"dvfs": "prefill-decode"},
+    "ride_through (data centre)": {"datacenter_ride_through": {"curve": "itic", "release": "agent"}},
+    "ride_through (inverter)": {"inverter_ride_through": {"curve": "ieee1547-cat2"}},
+    "smoothing": {"datacenter_smoothing": {"control": "agent"}},
+    "cooling": {"datacenter_cooling": {}},
+    "routing": {"datacenter_routing": {}},
+    "batching": {"datacenter_batching": {}},
+    "service": {"datacenter_service": {}},
+    "storage (data centre)": {"datacenter_storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}},
+}
+"""A setting for each feature that a setting adds."""
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_a_docstring_has_all_sections_and_their_parts(kind):
+    lines = kind.__doc__.splitlines()
+    titles = [title for title, rule in itertools.pairwise(lines) if rule and set(rule) == {"-"}]
+    assert titles == SECTIONS
+    assert lines[0].startswith("Voltage control of ")
+    assert "{problem}" not in kind.__doc__
+    assert all(name in kind.__doc__ for name, *_ in (*CHANNELS, *FIELDS, *FEATURES, *INFO))
+    for name, weight in CostWeights._field_defaults.items():
+        assert f"{name.ljust(19)}  {weight:g} " in kind.__doc__
+    assert max(map(len, lines)) <= 120
+    assert not any(line != line.rstrip() for line in lines)
+
+
+def names(rows, agents):
+    return [name for name, whose, *_ in rows if whose == "all" or agents in whose]
+
+
+def test_channels_and_fields_are_those_of_the_code():
+    scenario = make_scenario("ieee33", boost_share=1.3, band_pu=0.04)
+    env = parallel_env(scenario)
+    for agent, of in (("dc_0", "data centre"), ("inv_0", "inverter")):
+        assert [channel for at, channel in action_layout(scenario).names if at == agent] == names(CHANNELS, of)
+        assert list(field_names(scenario)[agent]) == names(FIELDS, of)
+        space: Any = env.observation_space(agent)
+        known = {"band": 0.04, "boost_share": 1.3, "horizon": scenario.horizon, "dt_s": scenario.dt_s}
+        for name, low, high in zip(names(FIELDS, of), space.low, space.high, strict=True):
+            lowest, highest = next(row[2] for row in FIELDS if row[0] == name).split(" .. ")
+            assert low == pytest.approx(eval(lowest, known.copy()))
+            if highest == "largest":
+                assert 0.0 < high < np.inf
+            elif name != "backlog":
+                assert high == pytest.approx(eval(highest, known.copy()))
+            else:
+                assert high >= scenario.horizon * scenario.dt_s
+
+
+def terms(scenario):
+    return {name.removeprefix("cost_") for name in DcgridEnv(scenario).reset(seed=0)[1] if name.startswith("cost_")}
+
+
+def added(scenario, before):
+    """What a scenario has beyond another: channels, fields and cost terms."""
+    channels = {channel for _, channel in action_layout(scenario).names}
+    fields = {name for of in field_names(scenario).values() for name in of}
+    was = {name for of in field_names(before).values() for name in of}
+    return (
+        channels - {channel for _, channel in action_layout(before).names},
+        fields - was,
+        terms(scenario) - terms(before),
+    )
+
+
+def row(feature):
+    texts = next(texts for name, *texts in FEATURES if name == feature)
+    return tuple({name.strip() for name in text.split(",") if name.strip()} for text in texts)
+
+
+@pytest.mark.parametrize("feature", SETTINGS)
+def test_what_a_feature_adds_is_what_the_table_lists(feature):
+    before = make_scenario("ieee33-weak")
+    rated = dataclasses.replace(before.feeder, rating_a=np.full(before.feeder.n_branch, 400.0))
+    before = before.replace(feeder=rated)
+    assert added(before.replace(**SETTINGS[feature]), before) == row(feature)
+
+
+def test_what_further_devices_add_is_what_the_table_lists():
+    before = make_scenario("ieee33-weak")
+    storages = Storages(buses=("18",), p_rated_kw=100.0, energy_kwh=50.0, s_rated_kva=120.0)
+    channels, fields, costs = added(before.replace(devices=(*before.devices, storages)), before)
+    assert (channels | {"q"}, fields, costs) == row("device storage")
+    day = make_scenario("ieee123-3ph-day")
+    assert added(day, before)[:2] == tuple(
+        row("three-phase feeder")[i] | row("device tap_changer")[i] | row("device capacitor_bank")[i] for i in (0, 1)
+    )
+    assert terms(make_scenario("ieee13-3ph")) - terms(before) == row("three-phase feeder")[2]
+
+
+def test_every_feature_has_a_test():
+    tested = {"three-phase feeder", "device storage", "device tap_changer", "device capacitor_bank", *SETTINGS}
+    assert {feature for feature, *_ in FEATURES} == tested
+
+
+@pytest.mark.parametrize("name", ["ieee33", "ieee13-3ph"])
+def test_keys_of_info(name):
+    listed = {key for keys, _ in INFO for key in keys.split(", ")}
+    found = set()
+    for key in DcgridEnv(name).reset(seed=0)[1]:
+        if not key.startswith("bus_"):
+            start = key.partition("_")[0]
+            found.add(
+                key if key in listed else {"cost": "cost_TERM", "tap": "tap_NAME", "capacitor": "capacitor_NAME"}[start]
+            )
+    assert found == {
+        key for keys, text in INFO if "3ph" in name or "three-phase" not in text for key in keys.split(", ")
+    }
