@@ -36,7 +36,7 @@ class NeedsPlacement(Protocol):
     """
 
     def place(self, buses: np.ndarray) -> None:
-        """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), given after ``reset`` and before ``act``."""
+        """Positions in ``bus_ids`` of the agents' buses, (row, n_agent), given after ``reset`` and before ``act``."""
         ...
 
 

@@ -185,7 +185,7 @@ class Learner:
 
     @staticmethod
     def _further_end_costs(env: TensorEnv, step: TensorStep) -> dict[str, torch.Tensor]:
-        """What an episode's end charges beside the backlog, as energy that is missing in storages, (lane,) each."""
+        """What an episode's end charges beside the backlog, as energy that is missing in storages, (row,) each."""
         return {name: due for name, due in end_costs(env.scenario, step.state).items() if name != "leftover"}
 
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:

@@ -78,7 +78,7 @@ class Networks(torch.nn.Module):
         self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """(lane, n_hidden)"""
+        """(row, n_hidden)"""
         return self.policy_net(features)
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
@@ -115,7 +115,7 @@ class LanePolicy(ActorCriticPolicy):
         self.mlp_extractor: Any = Networks(self.features_dim, self.group, self.net_arch).to(self.device)  # pyright: ignore
 
     def used_by(self, observations: torch.Tensor) -> torch.Tensor:
-        """Which entries of the lanes' actions reach the grid, (lane or 1, n_action)."""
+        """Which entries of the lanes' actions reach the grid, (row or 1, n_action)."""
         if len(self.used) == 1:
             return self.used
         kinds = observations[:, 1 - len(self.used) :]
@@ -129,13 +129,13 @@ class LanePolicy(ActorCriticPolicy):
         return self.value_net(self.mlp_extractor.forward_critic(features)).repeat_interleave(self.group, 0)
 
     def sample(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Actions drawn, (lane, n_action), and their log likelihood up to a constant, (lane,)."""
+        """Actions drawn, (row, n_action), and their log likelihood up to a constant, (row,)."""
         mean = self.action_net(self.mlp_extractor.forward_actor(self.extract_features(observations)))
         actions = mean + torch.exp(self.log_std) * torch.randn_like(mean)
         return actions, self._likelihood(observations, actions, mean)
 
     def predict_values(self, obs: Any) -> torch.Tensor:
-        """Value of each lane, (lane, 1)."""
+        """Value of each lane, (row, 1)."""
         return self._values(self.extract_features(obs))
 
     def evaluate_actions(

@@ -37,7 +37,7 @@ class LaneNoise(VectorizedActionNoise):
         self.std, self.shape = std, (vec_env, n_action)
 
     def __call__(self) -> np.ndarray:
-        """Noise, (lane, n_action)."""
+        """Noise, (row, n_action)."""
         return self.std * np.random.standard_normal(self.shape).astype(np.float32)  # noqa: NPY002 (SB3 seeds this one)
 
     def reset(self, indices: Any = None) -> None:

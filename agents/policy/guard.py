@@ -169,7 +169,7 @@ class GuardedPolicy:
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """What the guard did in the last step, ``FIGURES`` in %, (lane,) or a number each; flat and finite."""
+        """What the guard did in the last step, ``FIGURES`` in %, (row,) or a number each; flat and finite."""
         return {name: 100.0 * share for name, share in zip(FIGURES, self._last, strict=True)}
 
     def episode_figures(self) -> list[dict[str, float]]:

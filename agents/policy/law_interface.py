@@ -87,7 +87,7 @@ class LawInterface:
         self._drop, self._sum_own = array(_small(drop)), array(np.maximum(own.sum(-1), 1e-12))
 
     def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
-        """The law's step after a joint observation, and what each network sees, (lane, n_agent of its kind, n)."""
+        """The law's step after a joint observation, and what each network sees, (row, n_agent of its kind, n)."""
         fields = self.columns.of(joint)
         step = self.law(self.columns.own(fields), past)
         return step, self._seen(fields, step)
@@ -118,7 +118,7 @@ class LawInterface:
         return seen
 
     def action(self, step: Step, outputs: Mapping[str, Any]) -> Any:
-        """The joint action, (lane, n_action) in [-1, 1], under the networks' corrections of the law's decisions."""
+        """The joint action, (row, n_action) in [-1, 1], under the networks' corrections of the law's decisions."""
         xp, parts = _namespace(step.share), []
         shift, pull = (xp.concat([xp.tanh(outputs[kind][..., at]) for kind in self.groups], axis=-1) for at in (-1, -2))
         if self._n_dc:

@@ -27,7 +27,7 @@ _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 
 
 class Own(NamedTuple):
-    """What agents see at their own buses, in physical units, (lane, n_agent) and of sites (lane, n_dc)."""
+    """What agents see at their own buses, in physical units, (row, n_agent) and of sites (row, n_dc)."""
 
     v_pu: Any
     p_kw: Any
@@ -49,14 +49,14 @@ class Past:
 
 
 class Step(NamedTuple):
-    """The law's decisions and the figures that they are made from, (lane, n_agent), of sites (lane, n_dc)."""
+    """The law's decisions and the figures that they are made from, (row, n_agent), of sites (row, n_dc)."""
 
     v_pu: Any
-    """Estimate of every voltage if no setpoint moves, at the draws decided on, (lane, n_agent, node)."""
+    """Estimate of every voltage if no setpoint moves, at the draws decided on, (row, n_agent, node)."""
     inverse_spread: Any
-    """1 over its standard deviation, (lane or 1, n_agent, node)."""
+    """1 over its standard deviation, (row or 1, n_agent, node)."""
     by_all: Any
-    """Rise of each voltage when all inject their whole limit more, (lane or 1, n_agent, node)."""
+    """Rise of each voltage when all inject their whole limit more, (row or 1, n_agent, node)."""
     surprise_pu: Any
     """Own voltage without the own part, less what is expected of it."""
     share: Any
@@ -142,7 +142,7 @@ class LawStep:
         )  # fmt: skip
 
     def clock(self, step: Step, served_kw: Any) -> Any:
-        """Clock that serves so much, in [-1, 1] where there is one, (lane, n_dc)."""
+        """Clock that serves so much, in [-1, 1] where there is one, (row, n_dc)."""
         slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
         return 2.0 * (served_kw / step.ceiling_kw - slowest) / ((1.0 - slowest) or 1.0) - 1.0
 
@@ -154,7 +154,7 @@ class LawStep:
         return self._like(np.asarray(self.site.scheduled, dtype=float))
 
     def _work(self, now: Own) -> tuple[Any, Any, Any]:
-        """Idle floor, dynamic power that serves all work that is there, and that of the top clock, kW, (lane, n_dc)."""
+        """Idle floor, dynamic power that serves all work that is there, and that of the top clock, kW, (row, n_dc)."""
         s, xp, idle = self.scenario, _namespace(now.v_pu), self._dc["p_idle_kw"]
         p_ref_kw = now.p_ref_next_kw
         if not s.preview:

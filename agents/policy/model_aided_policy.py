@@ -68,7 +68,7 @@ class ModelAidedPolicy(Policy, features="law"):
             raise PolicyError(f"law is {law!r}: {error}") from None
         self.law: dict[str, Any] = dataclasses.asdict(made)
         self.corrects: np.ndarray | None = None
-        """Lanes in which the networks correct the law, bool, (lane,); None for all."""
+        """Lanes in which the networks correct the law, bool, (row,); None for all."""
 
     def _begin(self, env_info: Scenario) -> None:
         self._law, self._past = ModelAided(**self.law), Past()
@@ -88,7 +88,7 @@ class ModelAidedPolicy(Policy, features="law"):
         raise PolicyError(f"{self.source}: corrects the model-aided law, and sees its figures alone")
 
     def place(self, buses: np.ndarray) -> None:
-        """Positions in ``bus_ids`` of the agents' buses, (lane, n_agent), given after ``reset`` and before ``act``."""
+        """Positions in ``bus_ids`` of the agents' buses, (row, n_agent), given after ``reset`` and before ``act``."""
         self._law.place(np.asarray(buses)[:, self._equipment.is_other])
         self._interface_now()
 

@@ -58,7 +58,7 @@ class TriedPolicy:
             self._try(np.array([[self.scenario.feeder.index(bus) for buses in fixed for bus in buses or ()]]))
 
     def place(self, buses: np.ndarray) -> None:
-        """Try the policy at these places, positions in ``bus_ids`` of the agents' buses, (lane, n_agent).
+        """Try the policy at these places, positions in ``bus_ids`` of the agents' buses, (row, n_agent).
 
         PolicyError for places of another shape.
         """
@@ -83,7 +83,7 @@ class TriedPolicy:
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """``LAW_PCT`` of each lane, (lane,); empty until the policy has been tried."""
+        """``LAW_PCT`` of each lane, (row,); empty until the policy has been tried."""
         return {} if self._pays is None else {LAW_PCT: 100.0 * ~self._pays}
 
 

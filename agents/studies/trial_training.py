@@ -17,13 +17,13 @@ from typing import Any
 from dcgrid_env.core.files import write_json
 
 TRIAL = "trial.json"
-"""File in the folder of a trial's training: what :class:`Told` holds."""
+"""File in the folder of a trial's training: what :class:`TrialStatus` holds."""
 STARTUP_TRIALS, WARMUP_VALIDATIONS = 4, 1
 """Trials, and validations of each, before which none is stopped."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Told:
+class TrialStatus:
     """How a trial's training went so far."""
 
     costs: dict[int, float] = dataclasses.field(default_factory=dict)
@@ -34,15 +34,15 @@ class Told:
     """Time that it took."""
 
 
-def read_trial(folder: Path) -> Told:
+def read_trial(folder: Path) -> TrialStatus:
     """How the training in a folder went; nothing yet where there is no file, ValueError for one that is damaged."""
     path = folder / TRIAL
     if not path.exists():
-        return Told()
+        return TrialStatus()
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         costs = {int(step): float(cost) for step, cost in about["costs"].items()}
-        return Told(costs, bool(about["stopped"]), float(about["seconds"]))
+        return TrialStatus(costs, bool(about["stopped"]), float(about["seconds"]))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ValueError(f"{path}: does not say how the trial went; delete the folder {folder}") from None
 
@@ -64,7 +64,7 @@ def train_trial(config: Any, earlier: Sequence[Any]) -> None:
 
     def keep(stopped: bool) -> None:
         spent_s = before.seconds + time.perf_counter() - began_s
-        write_json(config.out / TRIAL, dataclasses.asdict(Told(costs, stopped, spent_s)))
+        write_json(config.out / TRIAL, dataclasses.asdict(TrialStatus(costs, stopped, spent_s)))
 
     def report(figures: Mapping[str, float]) -> None:
         nonlocal costs

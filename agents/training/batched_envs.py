@@ -149,12 +149,12 @@ class JointVecEnv(VecEnv):
         return self._interface.action(joint, self._means(predict(self._rows(joint))))
 
     def arrived(self) -> np.ndarray:
-        """What the last step led to, before any new episode began: (lane, n_observation)."""
+        """What the last step led to, before any new episode began: (row, n_observation)."""
         return self._rows(self.batch.transition.observation)
 
     @property
     def truncated(self) -> np.ndarray:
-        """Whether the last step was the horizon's, bool, (lane,)."""
+        """Whether the last step was the horizon's, bool, (row,)."""
         return np.repeat(self.batch.transition.truncated, self.lanes_per_env)
 
     def reset(self) -> np.ndarray:

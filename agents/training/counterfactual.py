@@ -72,7 +72,7 @@ class Counterfactual:
         self._buses = np.zeros((0, 0), np.int64)
 
     def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> np.ndarray:
-        """Advantage of each entry of a step's joint actions, (lane, n_action): what the team paid less for it.
+        """Advantage of each entry of a step's joint actions, (row, n_action): what the team paid less for it.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class Counterfactual:
             The state at its end, before any new episode began; its voltages are the last solved ones where the power
             flow had no solution.
         action, mean
-            Joint actions, that which was taken and the policy's mean, (lane, n_action).
+            Joint actions, that which was taken and the policy's mean, (row, n_action).
         """
         self._place(before.episode.buses)
         advantages = np.empty(action.shape)
@@ -92,7 +92,7 @@ class Counterfactual:
         return advantages
 
     def _place(self, buses: np.ndarray) -> None:
-        """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (lane, n_agent, n_node)."""
+        """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (row, n_agent, n_node)."""
         if not np.array_equal(buses, self._buses):
             by_p, by_q = sensitivity_to_agents(self.scenario, buses)
             judged, n_dc = self.scenario.feeder.load_slice, self.scenario.n_datacenters
@@ -116,7 +116,7 @@ class Counterfactual:
         return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
 
     def _saved(self, after: Any, by: np.ndarray, injected: np.ndarray) -> np.ndarray:
-        """What all voltages cost more with this injection of each agent than without it, (lane, agent)."""
+        """What all voltages cost more with this injection of each agent than without it, (row, agent)."""
         v = after.v_pu[:, None, self.scenario.feeder.load_slice]
         moved = by * injected[..., None]
         if isinstance(self.scenario.feeder, Feeder):

@@ -39,7 +39,7 @@ def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
 def random_episode(vec_env: JointVecEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """What an episode in each environment shows and pays, under clocks near the top and random reactive setpoints.
 
-    Observations, (step and lane, n_observation), and rewards, (step, lane).
+    Observations, (step and lane, n_observation), and rewards, (step, row).
     """
     rng = np.random.default_rng(seed)
     shape = (vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]

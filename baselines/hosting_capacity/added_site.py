@@ -39,7 +39,7 @@ class AddedSite:
         return float(f"{size * self.study.step_mw:.10g}")
 
     def lanes(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
-        """Seeds, and options of the reset, of a batch with the site at positions ``buses`` in ``samples``, (lane,)."""
+        """Seeds, and options of the reset, of a batch with the site at positions ``buses`` in ``samples``, (row,)."""
         placed = self._buses[samples].copy()
         placed[:, self.agent] = buses
         options: dict[str, Any] = {"buses": placed}

@@ -29,17 +29,17 @@ class Trial(NamedTuple):
     """What a batch came to, by lane."""
 
     margins: np.ndarray
-    """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (lane, limit): of a voltage
+    """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (row, limit): of a voltage
     as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
     without a power-flow solution."""
     at: np.ndarray
-    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (lane, limit)."""
+    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (row, limit)."""
     outside: np.ndarray
-    """Steps that count in which some limit was broken, int, (lane,)."""
+    """Steps that count in which some limit was broken, int, (row,)."""
     arrived_kw: np.ndarray
-    """Dynamic power that the added site's arriving work asked for in each step, kW, (lane, step)."""
+    """Dynamic power that the added site's arriving work asked for in each step, kW, (row, step)."""
     served_kw: np.ndarray
-    """What the work that was served drew of it, kW, (lane, step)."""
+    """What the work that was served drew of it, kW, (row, step)."""
 
     @property
     def margin(self) -> float:
@@ -59,7 +59,7 @@ class Trial(NamedTuple):
 def run_trial(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
-    """Run sites of a size; ``buses`` are positions in ``bus_ids`` and ``samples`` numbers, (lane,) each.
+    """Run sites of a size; ``buses`` are positions in ``bus_ids`` and ``samples`` numbers, (row,) each.
 
     A lane comes to the same whatever stands beside it. ControllerError where the controller fails or refuses.
     """
@@ -127,7 +127,7 @@ def _run(
 
 
 def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Each lane's distance to each limit now, and where, (lane, limit) each."""
+    """Each lane's distance to each limit now, and where, (row, limit) each."""
     study, nodes = site.study, site.study.scenario.feeder.load_slice
     v = now.state.v_pu[:, nodes]
     lane, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)

@@ -160,7 +160,7 @@ class Commissioned(NamedTuple):
 
 
 def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
-    """u* as an agent has it at its draw, kvar, (lane, n)."""
+    """u* as an agent has it at its draw, kvar, (row, n)."""
     return by_sun(site, known.rest_kvar, known.rest_at, p_kw)
 
 
@@ -174,7 +174,7 @@ def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> 
     values, at
         Figures by level, such as ``Commissioned.rest_kvar``, (m, L, n), and ``rest_at``, (m, L); m is 1, or the lanes.
     p_kw
-        Draws, (lane, n).
+        Draws, (row, n).
     """
     lanes = np.broadcast_to(values, (len(p_kw), *values.shape[1:]))
     at = np.broadcast_to(at, (len(p_kw), at.shape[1]))

@@ -35,7 +35,7 @@ from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, 
 
 
 class _Work(NamedTuple):
-    """Work of the coming second by site, kW, (lane, n_dc)."""
+    """Work of the coming second by site, kW, (row, n_dc)."""
 
     idle_kw: np.ndarray
     ceiling_kw: np.ndarray

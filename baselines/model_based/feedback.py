@@ -102,7 +102,7 @@ class FeedbackOptimisation(ModelController):
         return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
 
     def _dual(self, e: np.ndarray) -> np.ndarray:
-        """Move the multipliers on; what a rise of each bus's voltage costs by them, (lane, n_load_node)."""
+        """Move the multipliers on; what a rise of each bus's voltage costs by them, (row, n_load_node)."""
         voltage, violation = self._weights
         keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.band_pu
         apart, above, below = self._multipliers or (np.zeros_like(e),) * 3
@@ -113,7 +113,7 @@ class FeedbackOptimisation(ModelController):
         return apart + above - below
 
     def _step(self, slopes: np.ndarray) -> np.ndarray:
-        """g D, in kW and kvar for each unit of cost per kW and kvar, (lane, n)."""
+        """g D, in kW and kvar for each unit of cost per kW and kvar, (row, n)."""
         reach = np.abs(slopes) * self._size[:, None]  # in shares of a device's range, so that they compare
         curvature = self._slope * np.matmul(reach, reach.sum(axis=1)[..., None])[..., 0]
         return self.gain * self._size**2 / np.maximum(curvature, 1e-12)

@@ -48,13 +48,13 @@ class Slopes(NamedTuple):
     """
 
     by_p: np.ndarray
-    """P.u. per kW drawn (negative), (lane, n_agent, n_load_node)."""
+    """P.u. per kW drawn (negative), (row, n_agent, n_load_node)."""
     by_q: np.ndarray
-    """P.u. per kvar injected (positive), (lane, n_agent, n_load_node)."""
+    """P.u. per kvar injected (positive), (row, n_agent, n_load_node)."""
 
 
 def slopes(scenario: Scenario, buses: np.ndarray) -> Slopes:
-    """Slopes of the believed feeder for agents at positions ``buses`` of ``bus_ids``, (lane, n_agent)."""
+    """Slopes of the believed feeder for agents at positions ``buses`` of ``bus_ids``, (row, n_agent)."""
     if (buses == buses[:1]).all():
         buses = buses[:1]
     r, x = (by[..., scenario.feeder.load_slice] for by in sensitivity_to_agents(scenario, buses))
@@ -65,16 +65,16 @@ class Estimate(NamedTuple):
     """What a controller with a model takes the grid's state to be, for each lane of the batch."""
 
     local: Local
-    """Local observations of the agents, each field (lane, ..)."""
+    """Local observations of the agents, each field (row, ..)."""
     v_pu: np.ndarray
-    """Voltage of every bus but the substation, p.u., (lane, n_load_node)."""
+    """Voltage of every bus but the substation, p.u., (row, n_load_node)."""
     q_limit_kvar: np.ndarray
-    """Reactive limit as observed, kvar, (lane, n_agent)."""
+    """Reactive limit as observed, kvar, (row, n_agent)."""
     by_p: np.ndarray
     """Slopes at these voltages, as in :class:`Slopes`, for each lane."""
     by_q: np.ndarray
     p_ref_kw: np.ndarray
-    """p_ref of the last interval, which is the draw and what the queue grew by, kW, (lane, n_dc)."""
+    """p_ref of the last interval, which is the draw and what the queue grew by, kW, (row, n_dc)."""
 
 
 class ModelController(LocalController):
@@ -131,7 +131,7 @@ class ModelController(LocalController):
         self._slopes = slopes(self.scenario, np.asarray(buses)[:, self._equipment.is_other])
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
-        """Clock of the data centres, MHz, (lane, n_dc), and reactive setpoints, kvar, (lane, n_agent)."""
+        """Clock of the data centres, MHz, (row, n_dc), and reactive setpoints, kvar, (row, n_agent)."""
         raise NotImplementedError
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
@@ -184,7 +184,7 @@ class ModelController(LocalController):
 
 
 def _moved(by_p: np.ndarray, by_q: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """What a change of p and of q, stacked (2, lane, n_agent), does to the voltages, p.u., (lane, n_load_node)."""
+    """What a change of p and of q, stacked (2, row, n_agent), does to the voltages, p.u., (row, n_load_node)."""
     return np.matmul(change[0][:, None], by_p)[:, 0] + np.matmul(change[1][:, None], by_q)[:, 0]
 
 

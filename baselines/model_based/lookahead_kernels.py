@@ -15,8 +15,8 @@ def rounds(
 ):  # fmt: skip
     """Do ``count`` rounds of the lanes from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
-    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (lane, step, n_dc) and
-    ``effort`` (lane, n_agent) are divided by the penalties, as are ``by`` and ``by_more``, the weights of a deviation
+    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (row, step, n_dc) and
+    ``effort`` (row, n_agent) are divided by the penalties, as are ``by`` and ``by_more``, the weights of a deviation
     and of its excess.
     """
     for lane in range(first, last):

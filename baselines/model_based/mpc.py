@@ -93,7 +93,7 @@ class Mpc(ModelController):
         return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), first[:, n_dc:] * self._size
 
     def _forecast(self, now: Estimate) -> np.ndarray:
-        """p_ref of the steps ahead, kW, (lane, step, n_dc)."""
+        """p_ref of the steps ahead, kW, (row, step, n_dc)."""
         s, next_kw = self.scenario, now.p_ref_kw
         self._drawn_kw, self._drawn_steps = self._drawn_kw + now.p_ref_kw, self._drawn_steps + 1
         total_kw, count = self._drawn_kw, self._drawn_steps
@@ -135,7 +135,7 @@ class Mpc(ModelController):
         )
 
     def _limit_kvar(self, now: Estimate) -> np.ndarray:
-        """Reactive limit beside the sites' circle, kvar, (lane, n_agent): an inverter's as observed, a site's own.
+        """Reactive limit beside the sites' circle, kvar, (row, n_agent): an inverter's as observed, a site's own.
 
         A site without one though its draw leaves room is out of order.
         """

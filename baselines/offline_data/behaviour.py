@@ -39,7 +39,7 @@ class RandomActions:
         self._n_action = action_layout(env_info).n
 
     def act(self, observations: Any) -> np.ndarray:
-        """Joint actions, (lane, n_action), float32."""
+        """Joint actions, (row, n_action), float32."""
         return np.stack([rng.uniform(-1.0, 1.0, self._n_action) for rng in self._generators]).astype(np.float32)
 
 
@@ -49,7 +49,7 @@ class Planned:
     Parameters
     ----------
     plans
-        (lane, T, n_action) in [-1, 1].
+        (row, T, n_action) in [-1, 1].
     """
 
     def __init__(self, plans: np.ndarray):
@@ -60,7 +60,7 @@ class Planned:
         self._step = 0
 
     def act(self, observations: Any) -> np.ndarray:
-        """Joint actions of the step at hand, (lane, n_action)."""
+        """Joint actions of the step at hand, (row, n_action)."""
         self._step += 1
         return self._plans[:, self._step - 1]
 
@@ -84,7 +84,7 @@ class Behaviour:
         self._controller, self._noise = controller, noise
         self._generators = [drawn(seed, behaviour_seed) for seed in seeds]
         self.actions: list[np.ndarray] = []
-        """Actions of each step since ``reset``, (lane, n_action), float32."""
+        """Actions of each step since ``reset``, (row, n_action), float32."""
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes."""
@@ -92,13 +92,13 @@ class Behaviour:
         self._controller.reset(env_info)
 
     def place(self, buses: np.ndarray) -> None:
-        """Take positions in ``bus_ids`` of the agents' buses, (lane, n_agent), and hand them on if they are needed."""
+        """Take positions in ``bus_ids`` of the agents' buses, (row, n_agent), and hand them on if they are needed."""
         self.buses = buses
         if isinstance(self._controller, NeedsPlacement):
             self._controller.place(buses)
 
     def act(self, observations: Any) -> np.ndarray:
-        """Joint actions, (lane, n_action), float32, within [-1, 1]."""
+        """Joint actions, (row, n_action), float32, within [-1, 1]."""
         action = np.asarray(action_of(self._controller, observations), dtype=np.float64)
         if self._noise:
             action = action + self._noise * np.stack(

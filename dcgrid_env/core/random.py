@@ -52,7 +52,7 @@ def keys(salt, seeds, episodes):
 
 @compiled
 def bits(key, stream, n):
-    """Hashes of one stream, shape (lane, n), uint64."""
+    """Hashes of one stream, shape (row, n), uint64."""
     out = np.empty((key.shape[0], n), np.uint64)
     for i in range(key.shape[0]):
         for j in range(n):
@@ -61,13 +61,13 @@ def bits(key, stream, n):
 
 
 def uniform(key, stream, n):
-    """Uniform draws in [0, 1), (lane, n): the upper 53 bits of a hash, so that none rounds to 1."""
+    """Uniform draws in [0, 1), (row, n): the upper 53 bits of a hash, so that none rounds to 1."""
     return (bits(key, stream, n) >> np.uint64(11)) * 2.0**-53
 
 
 @compiled
 def standard(key, stream, step, n):
-    """Standard draws (mean 0, variance 1) of each lane's own ``step``, shape (lane, n)."""
+    """Standard draws (mean 0, variance 1) of each lane's own ``step``, shape (row, n)."""
     out = np.empty((key.shape[0], n))
     for i in range(key.shape[0]):
         for j in range(n):
@@ -79,9 +79,9 @@ def standard(key, stream, step, n):
 def load_step(key, step, z, share, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out):
     """One step of the buses' AR(1) load noise: z' = rho z + sqrt(1 - rho^2) e, and the loads.
 
-    They are base share (1 + sigma z'), share (lane,) that of the peak at the lane's time of day.
+    They are base share (1 + sigma z'), share (row,) that of the peak at the lane's time of day.
 
-    At step 0 z' is a fresh draw, so that the process starts in its stationary state. Shapes (lane, bus); ``q_fixed``
+    At step 0 z' is a fresh draw, so that the process starts in its stationary state. Shapes (row, bus); ``q_fixed``
     is added to q without noise (capacitors). Returns 0 (lanes that failed).
     """
     fresh = np.sqrt(1.0 - rho * rho)

@@ -9,7 +9,7 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def dispatch_lanes(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
-    """Reactive injection and its limit, kvar, (lane, n_device), from ratings (n_device,) and powers (lane, n_device).
+    """Reactive injection and its limit, kvar, (row, n_device), from ratings (n_device,) and powers (row, n_device).
 
     The bits are those of the array form; what is not finite stays so.
     """

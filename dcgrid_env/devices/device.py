@@ -1,6 +1,6 @@
 """What a group of devices is: frozen parameters, a state, and a pure step; and what it says of itself.
 
-Parameters are arrays over the group's slots, a state is a NamedTuple of arrays (lane, slot), and functions run on NumPy
+Parameters are arrays over the group's slots, a state is a NamedTuple of arrays (row, slot), and functions run on NumPy
 arrays and tensors alike, writing nothing in place. Every device meets the grid through a converter of its own: it says
 what active power it draws, and the engine cuts the reactive setpoint at what the converter has left (``converter``).
 The engine loops over a scenario's devices; nothing above this folder knows a kind, but a controller made for it.
@@ -73,20 +73,20 @@ class GridChange(NamedTuple):
     """What a device changes of the grid itself over an interval; None for what it leaves alone."""
 
     shunt_kvar: Array | None = None
-    """Reactive injection of a switched shunt at the device's nodes, kvar, (lane, slot)."""
+    """Reactive injection of a switched shunt at the device's nodes, kvar, (row, slot)."""
     tap_ratio: Array | None = None
-    """Ratio of the regulator that each slot moves, 1 in the neutral position, (lane, slot)."""
+    """Ratio of the regulator that each slot moves, 1 in the neutral position, (row, slot)."""
 
 
 class Work(NamedTuple):
     """What a device is asked to do over one interval, where ``Device.input`` is "workload"."""
 
     p_ref_kw: Array
-    """Draw at the top clock with nothing queued, kW, (lane, slot)."""
+    """Draw at the top clock with nothing queued, kW, (row, slot)."""
     compute_share: Array | None
-    """Compute-bound share of the work that arrives, (lane, slot); None under a clock law of one work class."""
+    """Compute-bound share of the work that arrives, (row, slot); None under a clock law of one work class."""
     available: Array | None = None
-    """1 where a site is connected to the grid and 0 where a fault has taken it, (lane, slot); None where all are."""
+    """1 where a site is connected to the grid and 0 where a fault has taken it, (row, slot); None where all are."""
 
 
 @runtime_checkable
@@ -98,8 +98,8 @@ class Device(Protocol):
     prefix: ClassVar[str]
     """What its agents' ids begin with."""
     input: ClassVar[str | None]
-    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (lane, slot)), "connection" (1 where
-    it is connected to the grid and 0 where not, (lane, slot), or None where all are), or None."""
+    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (row, slot)), "connection" (1 where
+    it is connected to the grid and 0 where not, (row, slot), or None where all are), or None."""
     levels: ClassVar[tuple[str, ...]]
     """Fields of the state that are amounts at an instant, and so have a value at t = 0; the others are of a step."""
 
@@ -159,7 +159,7 @@ class Device(Protocol):
         ...
 
     def initial(self, parameters: Any, zero: Array) -> Any:
-        """State before t = 0; ``zero`` is 0, (lane, slot)."""
+        """State before t = 0; ``zero`` is 0, (row, slot)."""
         ...
 
     def step(
@@ -172,7 +172,7 @@ class Device(Protocol):
         parameters, state
             Those of before, arrays of one kind.
         setpoints
-            What each channel but the reactive one is set to, (lane, slot) each, in the order and units of ``channels``.
+            What each channel but the reactive one is set to, (row, slot) each, in the order and units of ``channels``.
         given
             What comes from outside, see ``input``.
         dt_s
@@ -181,7 +181,7 @@ class Device(Protocol):
         Returns
         -------
         state, p_kw
-            State at the end, and the draw from the grid, kW, (lane, slot), an injection negative.
+            State at the end, and the draw from the grid, kW, (row, slot), an injection negative.
         """
         ...
 
@@ -190,15 +190,15 @@ class Device(Protocol):
         ...
 
     def observe(self, parameters: Any, state: Any, given_next: Any) -> tuple[Array, ...]:
-        """Raw figures of the fields, (lane, slot) each; ``given_next`` is what comes over the coming interval."""
+        """Raw figures of the fields, (row, slot) each; ``given_next`` is what comes over the coming interval."""
         ...
 
     def amount(self, name: str, parameters: Any, state: Any) -> Array:
-        """What a cost term charges, (lane, slot)."""
+        """What a cost term charges, (row, slot)."""
         ...
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Figures of all slots together that stand in ``info``, (lane,) each."""
+        """Figures of all slots together that stand in ``info``, (row,) each."""
         ...
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
@@ -221,7 +221,7 @@ def may_leave(device: Any) -> bool:
     """Whether devices of a group may leave the grid by themselves: those that have a rule, ``ride_through``.
 
     Such a group's ``step`` is given a ``ride_through.connection.Supply`` around what it is given in any case, and has a
-    method ``connected``: from its state to the share of its power that is on the grid, (lane, slot), which its reactive
+    method ``connected``: from its state to the share of its power that is on the grid, (row, slot), which its reactive
     power is cut by.
     """
     return getattr(device, "ride_through", None) is not None

@@ -98,7 +98,7 @@ class Simulation:
         return self._now.transition
 
     def step(self, action: np.ndarray) -> Transition:
-        """Advance every lane by one step of joint actions (lane, n_action) in [-1, 1]."""
+        """Advance every lane by one step of joint actions (row, n_action) in [-1, 1]."""
         now = self.now
         step = now.step + 1
         s, in_one_pass = self.scenario, fits(self.scenario)
@@ -128,7 +128,7 @@ class Simulation:
         return self._drawn(seed, number, given)
 
     def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
-        """Episodes at their beginning, of seeds and numbers of episodes since these, (lane,) uint64 each."""
+        """Episodes at their beginning, of seeds and numbers of episodes since these, (row,) uint64 each."""
         drawn = episode.draw(self.scenario, seed, number, given)
         step = np.zeros(len(seed), np.int64)
         quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))

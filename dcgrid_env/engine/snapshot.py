@@ -19,32 +19,32 @@ class Transition(NamedTuple):
     """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
 
     observation: np.ndarray
-    """Joint observation, float32, (lane, n_observation)."""
+    """Joint observation, float32, (row, n_observation)."""
     reward: np.ndarray
-    """(lane,), or (lane, n_agent) where the scenario's reward is local."""
+    """(row,), or (row, n_agent) where the scenario's reward is local."""
     terminated: np.ndarray
-    """The power flow has no solution, bool, (lane,)."""
+    """The power flow has no solution, bool, (row,)."""
     truncated: np.ndarray
-    """The horizon is reached, bool, (lane,)."""
+    """The horizon is reached, bool, (row,)."""
     costs: reward.Costs
-    """Weighted terms of the team's cost, (lane,) each."""
+    """Weighted terms of the team's cost, (row,) each."""
     voltages: VoltageFigures
     """What cost and info ask of the voltages."""
     cost_j: np.ndarray
-    """The step's share of J times T, (lane,): minus the team's reward."""
+    """The step's share of J times T, (row,): minus the team's reward."""
     j_so_far: np.ndarray
-    """Sum of ``cost_j`` since the reset over T, (lane,): J of the episode once it is over."""
+    """Sum of ``cost_j`` since the reset over T, (row,): J of the episode once it is over."""
     state: State
     loss_kw: np.ndarray
-    """(lane,)"""
+    """(row,)"""
     converged: np.ndarray
-    """Whether the power flow has a solution, bool, (lane,)."""
+    """Whether the power flow has a solution, bool, (row,)."""
     trace_start: np.ndarray
-    """Where each data centre's trace window begins, ``Episode.start``, (lane, n_dc)."""
+    """Where each data centre's trace window begins, ``Episode.start``, (row, n_dc)."""
     buses: np.ndarray
-    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    """Position in ``bus_ids`` of each agent's bus, (row, n_agent)."""
     fault: np.ndarray
-    """What each fault strikes and when, ``Episode.fault``, (lane, n_fault, 3)."""
+    """What each fault strikes and when, ``Episode.fault``, (row, n_fault, 3)."""
 
 
 class Snapshot(NamedTuple):
@@ -63,7 +63,7 @@ class Snapshot(NamedTuple):
 
     @property
     def over(self) -> np.ndarray:
-        """Whether a lane's episode has ended, bool, (lane,)."""
+        """Whether a lane's episode has ended, bool, (row,)."""
         return self.transition.terminated | self.transition.truncated
 
 

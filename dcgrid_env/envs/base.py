@@ -107,7 +107,7 @@ class BaseEnvironment:
         self._arrived()
 
     def buses(self) -> np.ndarray:
-        """Name of each agent's bus, (lane, n_agent); RuntimeError before the first reset."""
+        """Name of each agent's bus, (row, n_agent); RuntimeError before the first reset."""
         return self._bus_ids[self._simulation.now.episode.buses]
 
     def render(self) -> Any:

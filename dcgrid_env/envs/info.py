@@ -26,7 +26,7 @@ def _keys(kind: Any) -> tuple[str, ...]:
 
 
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
-    """Figures of a step, each (lane,), float64; ``power_flow_converged`` is 1 or 0.
+    """Figures of a step, each (row,), float64; ``power_flow_converged`` is 1 or 0.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, what
     exceeds a limit, and trips where these have a weight, for constrained learning. ``J`` is the cost so far as a share

@@ -33,11 +33,11 @@ class TensorStep(NamedTuple):
     """What a step led to; arrays over lanes."""
 
     observation: Array
-    """Joint observation, (lane, n_observation), not cut to its bounds."""
+    """Joint observation, (row, n_observation), not cut to its bounds."""
     cost_j: Array
-    """The step's share of J times T, (lane,); 0 once the power flow has had no solution and all has been charged."""
+    """The step's share of J times T, (row,); 0 once the power flow has had no solution and all has been charged."""
     costs: reward.Costs
-    """Its weighted terms, (lane,) each."""
+    """Its weighted terms, (row,) each."""
     state: State
 
 
@@ -99,7 +99,7 @@ class TensorEnv:
         return self.step_number >= self.scenario.horizon
 
     def reset(self, seeds: Sequence[int] | np.ndarray, copies: int = 1) -> Array:
-        """Begin the first episode of each seed and return the joint observation, (lane, n_observation).
+        """Begin the first episode of each seed and return the joint observation, (row, n_observation).
 
         With ``copies`` each episode is driven by that many lanes: lane i has the episode of seeds[i % len(seeds)].
         On random feeders all must be on one of them. ValueError for no episode, for seeds or copies that are no whole
@@ -129,7 +129,7 @@ class TensorEnv:
             return self._observe()
 
     def step(self, action: Array) -> TensorStep:
-        """Advance every lane by joint actions (lane, n_action) in [-1, 1], arrays of the kind of ``like``.
+        """Advance every lane by joint actions (row, n_action) in [-1, 1], arrays of the kind of ``like``.
 
         RuntimeError once the episodes are over; ValueError for actions of another kind, precision, device or shape, or
         that are not finite.

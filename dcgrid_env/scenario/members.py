@@ -61,7 +61,7 @@ def grouped(scenario: Any, seeds: np.ndarray, numbers: np.ndarray) -> list[tuple
     scenario
         On random feeders.
     seeds, numbers
-        The seed of each episode, and the number of episodes since that, (lane,) uint64 each.
+        The seed of each episode, and the number of episodes since that, (row,) uint64 each.
     """
     keys, of_lane = np.unique(scenario.feeder.keys(scenario.split, seeds, numbers), return_inverse=True)
     return [(member_of(scenario, int(key)), np.flatnonzero(of_lane == i)) for i, key in enumerate(keys)]

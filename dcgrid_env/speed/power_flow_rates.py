@@ -31,7 +31,7 @@ MISSING = f"not installed ({from_clone('bench')})"
 
 @dataclass(frozen=True)
 class Case:
-    """Loads of a batch of one feeder, (lane, bus), and their exact voltages."""
+    """Loads of a batch of one feeder, (row, bus), and their exact voltages."""
 
     feeder: Feeder
     v0_pu: float

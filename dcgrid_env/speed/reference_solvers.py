@@ -44,7 +44,7 @@ class ReferenceSolver:
         From loads p_kw, q_kvar, shape (n_bus,), consumption positive, to voltage magnitudes in p.u., shape (n_bus,), in
         the order of ``feeder.bus_ids``. RuntimeError, or the library's own error, where it finds no solution.
     solve_batch
-        From loads of shape (lane, n_bus), a lane for each feeder, to voltages of that shape in one call of the library;
+        From loads of shape (row, n_bus), a lane for each feeder, to voltages of that shape in one call of the library;
         None where it has no such call.
     """
 

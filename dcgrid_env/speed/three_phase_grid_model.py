@@ -66,7 +66,7 @@ def plain_feeder(feeder: ThreePhaseFeeder) -> ThreePhaseFeeder:
 
 
 def power_grid_model_batch(feeder: ThreePhaseFeeder) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Set a plain feeder up; the batch takes powers (lane, n_leg) to voltages (lane, n_node), on all threads."""
+    """Set a plain feeder up; the batch takes powers (row, n_leg) to voltages (row, n_node), on all threads."""
     import power_grid_model as pgm  # pyright: ignore[reportMissingImports]  (in the bench extra only)
 
     n, kv_ln = feeder.n_bus, float(feeder.base_kv_ln[0])

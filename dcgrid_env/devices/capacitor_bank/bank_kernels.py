@@ -9,7 +9,7 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def measured_banks(settings, v, re, im, i_re, i_im):
-    """Mean voltage and reactive power of each bank, (2, lane, n_capacitor), from figures of all nodes, (lane, node)."""
+    """Mean voltage and reactive power of each bank, (2, row, n_capacitor), from figures of all nodes, (row, node)."""
     lanes, n = v.shape[0], len(settings.kvar_per_pu_a)
     out = np.empty((2, lanes, n))
     k = len(settings.nodes) // max(n, 1)
@@ -28,7 +28,7 @@ def measured_banks(settings, v, re, im, i_re, i_im):
 def control_banks(by_voltage, on_at, off_at, delay_s, state, dt_s, controlled, same_time_s):
     """What ``capacitor_control.control_banks`` does: on, time beyond a threshold, time since, switched, switchings.
 
-    (5, lane, n_capacitor); a bank goes on below ``on_at`` and off above ``off_at`` by voltage, the other way by kvar.
+    (5, row, n_capacitor); a bank goes on below ``on_at`` and off above ``off_at`` by voltage, the other way by kvar.
     """
     lanes, n = state.on.shape
     out = np.empty((5, lanes, n))

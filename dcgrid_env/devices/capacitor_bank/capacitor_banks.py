@@ -22,7 +22,7 @@ class CapacitorBankParams(NamedTuple):
 
 
 class CapacitorBankState(NamedTuple):
-    """Banks that are agents, (lane, slot) each."""
+    """Banks that are agents, (row, slot) each."""
 
     on: Array
     since_s: Array

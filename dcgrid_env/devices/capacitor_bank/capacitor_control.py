@@ -68,7 +68,7 @@ class BankSettings(NamedTuple):
 
 
 class BankState(NamedTuple):
-    """Capacitor banks of a feeder in the order of their table, (lane, n_capacitor) each."""
+    """Capacitor banks of a feeder in the order of their table, (row, n_capacitor) each."""
 
     on: Array
     """1 for a bank that is on and 0 for one that is off."""
@@ -119,7 +119,7 @@ def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> B
 
 
 def initial_banks(on: Array) -> BankState:
-    """The state at t = 0 of banks that are on or off, (lane, n_capacitor), before anything is measured."""
+    """The state at t = 0 of banks that are on or off, (row, n_capacitor), before anything is measured."""
     none = 0.0 * on
     return BankState(on, none + 1.0, none, none, none, none, none)
 

@@ -61,7 +61,7 @@ class Batching:
 
 
 class BatchState(NamedTuple):
-    """State of the batches, (lane, slot) each."""
+    """State of the batches, (row, slot) each."""
 
     batch: Array
     """Requests in a batch."""

@@ -52,7 +52,7 @@ class Cooling:
 
 
 class CoolingState(NamedTuple):
-    """State of the cooling of each site, (lane, slot) each."""
+    """State of the cooling of each site, (row, slot) each."""
 
     computing_kw: Array
     """Draw of the computers over the step, kW."""
@@ -119,7 +119,7 @@ class CooledSite:
         return after, site, p_kw + cooling_kw + auxiliary_kw
 
     def with_supply(self, own: CoolingState, share: Array) -> CoolingState:
-        """The state where this share of the draw is supplied, (lane, slot)."""
+        """The state where this share of the draw is supplied, (row, slot)."""
         drawn = (own.computing_kw * share, own.cooling_kw * share, own.cooling_end_kw, own.auxiliary_kw * share)
         return CoolingState(*drawn)
 

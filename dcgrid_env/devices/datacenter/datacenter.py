@@ -25,7 +25,7 @@ from dcgrid_env.devices.ratings import DataCenterParams
 
 
 class DataCenterState(NamedTuple):
-    """State of the data centres after a step, each (lane, slot), or (lane, slot, 2) by work class."""
+    """State of the data centres after a step, each (row, slot), or (row, slot, 2) by work class."""
 
     backlog_kws: Array
     """Queued work, kW s."""

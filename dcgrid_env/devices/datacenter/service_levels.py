@@ -72,12 +72,12 @@ class ServiceState(NamedTuple):
     """State of the queues."""
 
     slack_kws: Array
-    """Work by the steps that it has left, what is overdue first, kW s, (lane, slot, bin); by age, the oldest first,
+    """Work by the steps that it has left, what is overdue first, kW s, (row, slot, bin); by age, the oldest first,
     where it is served first come first served."""
     overdue_kws: Array
-    """Work that is overdue, kW s, (lane, slot)."""
+    """Work that is overdue, kW s, (row, slot)."""
     due_next_kws: Array
-    """Work that is to be served in the next step, beside what is overdue, kW s, (lane, slot)."""
+    """Work that is to be served in the next step, beside what is overdue, kW s, (row, slot)."""
 
 
 METRICS = (

@@ -48,7 +48,7 @@ class SiteState(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Work of an interval as features have made of it what sites are to do, (lane, slot) each."""
+    """Work of an interval as features have made of it what sites are to do, (row, slot) each."""
 
     base_kw: Array
     """Draw beside the work, kW."""
@@ -94,12 +94,12 @@ class PassesBy:
 
 
 class SiteFeature(Protocol):
-    """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (lane, slot, ..).
+    """A feature of a group of data centres, with its settings; its state is a NamedTuple of arrays (row, slot, ..).
 
     One that acts on the work before it is served is an ``AdmittingFeature``. One with a class attribute
     ``looks_ahead = True`` has the work of the coming interval as a third argument of ``observe``; one with
     ``accounts_last = True`` steps behind the others. One that draws power itself has ``with_supply``: from its state
-    and the share of the site's draw that grid and battery supply, (lane, slot), to its state.
+    and the share of the site's draw that grid and battery supply, (row, slot), to its state.
     """
 
     amounts: ClassVar[tuple[str, ...]]
@@ -118,7 +118,7 @@ class SiteFeature(Protocol):
         ...
 
     def initial(self, params: DataCenterParams, zero: Array) -> Any:
-        """State before t = 0; ``zero`` is 0, (lane, slot)."""
+        """State before t = 0; ``zero`` is 0, (row, slot)."""
         ...
 
     def step(
@@ -140,10 +140,10 @@ class SiteFeature(Protocol):
         own
             Its state of before.
         site, p_kw
-            State of the sites at the end, and their draw over the interval, kW, (lane, slot), as the features before it
+            State of the sites at the end, and their draw over the interval, kW, (row, slot), as the features before it
             have left them.
         setpoints
-            What each of its channels is set to, (lane, slot) each.
+            What each of its channels is set to, (row, slot) each.
         given
             What comes from outside.
         dt_s
@@ -157,15 +157,15 @@ class SiteFeature(Protocol):
         ...
 
     def observe(self, params: DataCenterParams, own: Any) -> tuple[Array, ...]:
-        """Raw figures of the fields, (lane, slot) each."""
+        """Raw figures of the fields, (row, slot) each."""
         ...
 
     def amount(self, name: str, params: DataCenterParams, own: Any) -> Array:
-        """What a cost term charges, one of ``amounts``, (lane, slot)."""
+        """What a cost term charges, one of ``amounts``, (row, slot)."""
         ...
 
     def totals(self, own: Any) -> dict[str, Array]:
-        """Figures of all slots together that stand in ``info``, (lane,) each."""
+        """Figures of all slots together that stand in ``info``, (row,) each."""
         ...
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: Any, dt_s: float) -> dict[str, float]:
@@ -195,7 +195,7 @@ class AdmittingFeature(SiteFeature, Protocol):
         load
             The work as the features before it have left it.
         setpoints
-            What each of its channels is set to, (lane, slot) each.
+            What each of its channels is set to, (row, slot) each.
         given
             The work as it came.
         dt_s
@@ -218,7 +218,7 @@ def kernels() -> Any:
 
 
 def with_share_served(site: DataCenterState, share: Array, dt_s: float) -> DataCenterState:
-    """The state with this share of the work served, (lane, slot); the rest is back in the queue."""
+    """The state with this share of the work served, (row, slot); the rest is back in the queue."""
     by_class = share if site.class_served_kw.ndim == share.ndim else share[..., None]
     waiting = site.class_served_kw * (1.0 - by_class) * dt_s
     served, backlog = site.class_served_kw * by_class, site.class_backlog_kws + waiting

@@ -18,7 +18,7 @@ TINY_KW = 1e-30
 def route(arrived_kw, route_share, p_dynamic_kw, movable_share):
     """What arrives at each site after the move, what it sent and received, kW, and its share of all work that arrives.
 
-    Rows of (4, lane, slot), from arrays (lane, slot) and the sites' dynamic power (slot,); see ``RoutedSites.admit``.
+    Rows of (4, row, slot), from arrays (row, slot) and the sites' dynamic power (slot,); see ``RoutedSites.admit``.
     """
     lanes, slots = arrived_kw.shape
     out = np.empty((4, lanes, slots))

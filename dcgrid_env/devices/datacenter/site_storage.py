@@ -106,5 +106,5 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         return figures.metrics(self.params(len(params.p_rated_kw)), own.storage, OF_SITES)
 
     def _like(self, values: Array) -> StorageParams:
-        """Figures as arrays of the kind of ``values``, (lane, slot)."""
+        """Figures as arrays of the kind of ``values``, (row, slot)."""
         return StorageParams(*(as_like(figure, values) for figure in self.params(values.shape[-1])))

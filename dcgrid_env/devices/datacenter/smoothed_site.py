@@ -28,7 +28,7 @@ NONE_YET = -1.0
 
 
 class SmoothingState(NamedTuple):
-    """State of the power smoothing of each site, (lane, slot) each."""
+    """State of the power smoothing of each site, (row, slot) each."""
 
     smoothed_kw: Array
     """Draw over the step, kW."""
@@ -154,7 +154,7 @@ class SmoothedSite:
         return after, with_share_served(site, share, dt_s), smoothed_kw
 
     def with_supply(self, own: SmoothingState, share: Array) -> SmoothingState:
-        """The state where this share of the draw is supplied, (lane, slot): nothing else is burnt."""
+        """The state where this share of the draw is supplied, (row, slot): nothing else is burnt."""
         return own._replace(burnt_kw=own.burnt_kw * share)
 
     def observe(self, params: DataCenterParams, own: SmoothingState) -> tuple[Array, ...]:

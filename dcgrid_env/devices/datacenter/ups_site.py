@@ -134,7 +134,7 @@ class UpsSite:
         return UpsState(ups, battery), with_share_served(site, works, dt_s), grid_kw
 
     def supplied(self, own: UpsState, p_kw: Array) -> Array:
-        """Share of what the sites would draw, ``p_kw``, that grid and battery have supplied, (lane, slot)."""
+        """Share of what the sites would draw, ``p_kw``, that grid and battery have supplied, (row, slot)."""
         xp, one = namespace(p_kw), 0.0 * p_kw + 1.0
         some = p_kw > 0.0
         share = (own.ups.share * p_kw + own.battery.battery_kw) / xp.where(some, p_kw, one)

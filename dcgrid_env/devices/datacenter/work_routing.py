@@ -60,7 +60,7 @@ class Routing:
 
 
 class RoutingState(NamedTuple):
-    """State of the routing, (lane, slot) each."""
+    """State of the routing, (row, slot) each."""
 
     sent_kw: Array
     """Work that arrived here in the step and went elsewhere, kW."""

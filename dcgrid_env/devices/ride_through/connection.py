@@ -33,31 +33,31 @@ class Supply(NamedTuple):
     given: Any
     """What the device is given in any case, see ``Device.input``."""
     v_lowest_pu: Array
-    """Voltage of its lowest phase before the interval, p.u., (lane, slot)."""
+    """Voltage of its lowest phase before the interval, p.u., (row, slot)."""
     v_highest_pu: Array
     """Voltage of its highest."""
     sags: Array | None
-    """Sags by their beginning, (lane, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
+    """Sags by their beginning, (row, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
     the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
     widths: connection_surrogate.TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     available: Array | None = None
-    """1 where a fault has left the device on the grid and 0 where not, (lane, slot); None where all are."""
+    """1 where a fault has left the device on the grid and 0 where not, (row, slot); None where all are."""
 
 
 class ConnectionState(NamedTuple):
-    """State of the connection after a step, (lane, slot) where nothing else stands."""
+    """State of the connection after a step, (row, slot) where nothing else stands."""
 
     share: Array
     """Share of the device's power that is on the grid, 0 away, 1 back."""
     timer_s: Array
-    """How long the voltage has been beyond each threshold, s, (lane, slot, n_element)."""
+    """How long the voltage has been beyond each threshold, s, (row, slot, n_element)."""
     wait_s: Array
     """Time since the last event, or since the voltage has been in order, s, cut at the longest that a rule asks for."""
     event_age_s: Array
-    """Ages of the latest events, the latest first, s, (lane, slot, lockout_events)."""
+    """Ages of the latest events, the latest first, s, (row, slot, lockout_events)."""
     return_age_s: Array
-    """Ages of the latest returns, the same, (lane, slot, returns_per_minute)."""
+    """Ages of the latest returns, the same, (row, slot, returns_per_minute)."""
     locked: Array
     """1 where it is locked out, 0 elsewhere."""
     tripped: Array
@@ -67,7 +67,7 @@ class ConnectionState(NamedTuple):
 
 
 def initial(rule: RideThrough, zero: Array) -> ConnectionState:
-    """Connected, with nothing remembered; ``zero`` is 0, (lane, slot)."""
+    """Connected, with nothing remembered; ``zero`` is 0, (row, slot)."""
     slots = zero.shape[-1]
     old = zero + rule.remembered_s
     return ConnectionState(
@@ -94,7 +94,7 @@ def advance(
     supply
         Voltage and sags.
     pace
-        Share of the power that a device may take back in this interval, (lane, slot) or one number; 0 to stay as it is.
+        Share of the power that a device may take back in this interval, (row, slot) or one number; 0 to stay as it is.
     dt_s
         Length of the interval, s.
 
@@ -177,7 +177,7 @@ def by_rule(rule: RideThrough, dt_s: float) -> float:
 
 
 def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
-    """How near the slow trip is, 0 .. 1, (lane, slot): the largest share of its time that an element has counted."""
+    """How near the slow trip is, 0 .. 1, (row, slot): the largest share of its time that an element has counted."""
     xp, like = namespace(state.share), state.share
     if is_rows(like):
         return _kernel().largest_timer_share(state.timer_s, rule.elements(like.shape[-1]).time_s)
@@ -188,7 +188,7 @@ def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
 
 
 def younger(ages_s: Array, than_s: float) -> Array:
-    """How many of the ages of events or returns are below a time, (lane, slot), of ages (lane, slot, n)."""
+    """How many of the ages of events or returns are below a time, (row, slot), of ages (row, slot, n)."""
     if isinstance(ages_s, np.ndarray) and ages_s.dtype == np.float64 and ages_s.ndim == 3:
         return _kernel().younger(ages_s, than_s)
     return sum_last(namespace(ages_s).astype(ages_s < than_s, ages_s.dtype))
@@ -219,7 +219,7 @@ def _kernel() -> Any:
 
 
 def _measured(xp: Any, supply: Supply, elements: Any) -> Array:
-    """What each element compares with its threshold, p.u., (lane, slot, n_element)."""
+    """What each element compares with its threshold, p.u., (row, slot, n_element)."""
     n_over = elements.count - elements.n_under
     low = _repeated(supply.v_lowest_pu, elements.n_under)
     return low if not n_over else xp.concat((low, -_repeated(supply.v_highest_pu, n_over)), axis=-1)
@@ -231,7 +231,7 @@ def _repeated(values: Array, times: int) -> Array:
 
 
 def _sags(sags: Any) -> Any:
-    """Duration, share left and rest of each sag that begins in the interval in any lane, (lane, 1) each, in turn."""
+    """Duration, share left and rest of each sag that begins in the interval in any lane, (row, 1) each, in turn."""
     if sags is None:
         return
     for i in range(sags.shape[1]):

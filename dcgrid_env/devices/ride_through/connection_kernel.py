@@ -25,8 +25,8 @@ def advance_lanes(
 ):
     """The fields of ``ConnectionState`` after an interval, ``lost_kw`` 0.
 
-    ``before`` are the first six fields, ``volts`` the lowest and highest voltage, (lane, slot) each; ``sags`` are
-    (lane, n_sag, 3), ``pace`` (lane, slot), thresholds and times of elements (slot, n_element), delays (slot,).
+    ``before`` are the first six fields, ``volts`` the lowest and highest voltage, (row, slot) each; ``sags`` are
+    (row, n_sag, 3), ``pace`` (row, slot), thresholds and times of elements (slot, n_element), delays (slot,).
     """
     share_in, timer_in, wait_in, events_in, returns_in, locked_in = before
     low, high = volts
@@ -82,7 +82,7 @@ def advance_lanes(
 
 @compiled
 def largest_timer_share(timer_s, time_s):
-    """How near the slow trip is, 0 .. 1, (lane, slot), see ``connection.timer_share``."""
+    """How near the slow trip is, 0 .. 1, (row, slot), see ``connection.timer_share``."""
     lanes, slots, n_element = timer_s.shape
     largest = np.zeros((lanes, slots))
     for i in range(lanes):
@@ -96,7 +96,7 @@ def largest_timer_share(timer_s, time_s):
 
 @compiled
 def younger(ages_s, than_s):
-    """How many ages of each slot are below a time, (lane, slot)."""
+    """How many ages of each slot are below a time, (row, slot)."""
     lanes, slots, n = ages_s.shape
     count = np.zeros((lanes, slots))
     for i in range(lanes):

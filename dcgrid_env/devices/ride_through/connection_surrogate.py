@@ -77,13 +77,13 @@ def with_derivatives(
     before, after
         States (``connection.ConnectionState``) at the beginning and the end.
     v, threshold, time_s
-        What each element compares with its threshold, p.u., and how long it holds, (lane, slot, n_element).
+        What each element compares with its threshold, p.u., and how long it holds, (row, slot, n_element).
     fell
-        Whether a sag of the interval was not ridden through, bool, (lane, slot).
+        Whether a sag of the interval was not ridden through, bool, (row, slot).
     may_return
-        Whether a device that is away would return in the interval if it were told to, bool, (lane, slot).
+        Whether a device that is away would return in the interval if it were told to, bool, (row, slot).
     pace
-        Share of the power that a device may take back, (lane, slot) or one number.
+        Share of the power that a device may take back, (row, slot) or one number.
     dt_s
         Length of the interval, s.
     widths

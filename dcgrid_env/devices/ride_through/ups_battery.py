@@ -18,7 +18,7 @@ from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
 
 class BatteryState(NamedTuple):
-    """State of the batteries after a step, (lane, slot) each."""
+    """State of the batteries after a step, (row, slot) each."""
 
     stored_kws: Array
     """Energy stored, kW s."""
@@ -47,9 +47,9 @@ def step(
     rule, stored_kws
         The rule, and the energy stored at the beginning, kW s.
     share
-        Share of the site's power that is on the grid, (lane, slot).
+        Share of the site's power that is on the grid, (row, slot).
     p_kw, p_idle_kw, served_kw
-        What the site would draw, of that its idle draw, and the work that it would serve, kW, (lane, slot).
+        What the site would draw, of that its idle draw, and the work that it would serve, kW, (row, slot).
     p_rated_kw
         Ratings, (slot,).
     dt_s

@@ -11,7 +11,7 @@ from dcgrid_env.core.compiled import compiled
 def step_lanes(
     stored_kws, share, p_kw, p_idle_kw, served_kw, p_rated_kw, battery_s, recharge_share, efficiency, serves, dt_s
 ):
-    """The fields of ``BatteryState``, the draw from the grid and the share of the work that is done, (lane, slot) each.
+    """The fields of ``BatteryState``, the draw from the grid and the share of the work that is done, (row, slot) each.
 
     ``p_rated_kw`` are (slot,); ``serves`` says whether work goes on on battery.
     """

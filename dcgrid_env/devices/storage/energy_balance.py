@@ -38,7 +38,7 @@ class StorageParams(NamedTuple):
 
 
 class StorageState(NamedTuple):
-    """State of the storages after a step, (lane, slot) each; what is lost and put through is counted from t = 0."""
+    """State of the storages after a step, (row, slot) each; what is lost and put through is counted from t = 0."""
 
     stored_kwh: Array
     storage_kw: Array
@@ -56,7 +56,7 @@ class StorageState(NamedTuple):
 
 
 def initial(params: StorageParams, zero: Array) -> StorageState:
-    """State before t = 0; ``zero`` is 0, (lane, slot)."""
+    """State before t = 0; ``zero`` is 0, (row, slot)."""
     stored = zero + params.initial_kwh
     missing = positive_part(params.returned_kwh - stored)
     return StorageState(stored, zero, zero, zero, zero, zero, missing)
@@ -72,9 +72,9 @@ def step(
     params, state
         Figures, and the state at the beginning.
     asked_kw
-        Setpoint of the draw, kW, negative to discharge, (lane, slot).
+        Setpoint of the draw, kW, negative to discharge, (row, slot).
     connected
-        1 for a storage that is connected to the grid and 0 for one that is not, (lane, slot); None where all are.
+        1 for a storage that is connected to the grid and 0 for one that is not, (row, slot); None where all are.
     dt_s
         Length of the interval, s.
     """

@@ -9,10 +9,10 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def step_lanes(params, share, state, asked_kw, connected, hours):
-    """State after an interval as the rows of (7, lane, slot), in the order of ``StorageState``.
+    """State after an interval as the rows of (7, row, slot), in the order of ``StorageState``.
 
     From figures, (slot,) each, the share of the energy that is kept, (slot,), arrays of the state and setpoints,
-    (lane, slot) each, and ``connected``, (lane, slot), or (0, 0) where all are. The bits are those of the array form;
+    (row, slot) each, and ``connected``, (row, slot), or (0, 0) where all are. The bits are those of the array form;
     what is not finite stays so.
     """
     p_rated, energy, charge_efficiency, discharge_efficiency, returned = params

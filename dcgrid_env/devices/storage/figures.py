@@ -82,14 +82,14 @@ def cost_terms(params: StorageParams, of: str = "") -> tuple[CostTerm, ...]:
 
 
 def amount(name: str, params: StorageParams, state: StorageState) -> Array:
-    """Throughput, kW, or energy that is missing, kWh, each times its price, (lane, slot)."""
+    """Throughput, kW, or energy that is missing, kWh, each times its price, (row, slot)."""
     if name.endswith("missing"):
         return state.missing_kwh * params.missing_price
     return namespace(state.storage_kw).abs(state.storage_kw) * params.ageing_price
 
 
 def totals(state: StorageState, of: str = "") -> dict[str, Array]:
-    """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh, (lane,) each.
+    """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh, (row,) each.
 
     ``of`` is what their names begin with.
     """

@@ -25,9 +25,9 @@ class SettledTaps(NamedTuple):
     """Taps at rest, and whether they are; arrays of the loads' leading shape."""
 
     tap: Array
-    """(lane, n_regulator)."""
+    """(row, n_regulator)."""
     settled: Array
-    """Whether nothing moves any more, bool, (lane,); False too where the power flow has no solution."""
+    """Whether nothing moves any more, bool, (row,); False too where the power flow has no solution."""
     rounds: int
     """Power flows done, of the lane that took the most."""
 
@@ -53,9 +53,9 @@ def settled_taps(
     Parameters
     ----------
     feeder, p_kw, q_kvar, source_voltage_pu, control
-        What ``powerflow.solve_unbalanced`` takes, loads of shape (lane, n_leg); ``control.tap_ratio`` is set aside.
+        What ``powerflow.solve_unbalanced`` takes, loads of shape (row, n_leg); ``control.tap_ratio`` is set aside.
     tap
-        Where they begin, (lane, n_regulator); at the base taps where it is None.
+        Where they begin, (row, n_regulator); at the base taps where it is None.
     controlled
         1 for a regulator that moves and 0 for one that stays where it begins, (n_regulator,); None where all move.
     move

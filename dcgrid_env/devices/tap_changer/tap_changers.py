@@ -28,7 +28,7 @@ class TapChangerParams(NamedTuple):
 
 
 class TapChangerState(NamedTuple):
-    """Regulators that are agents, (lane, slot) each."""
+    """Regulators that are agents, (row, slot) each."""
 
     tap: Array
     since_s: Array

@@ -22,7 +22,7 @@ _SAME_TIME_S = 1e-6
 
 
 class RegulatorState(NamedTuple):
-    """Regulators of a feeder in the order of their table, (lane, n_regulator) each."""
+    """Regulators of a feeder in the order of their table, (row, n_regulator) each."""
 
     tap: Array
     relay_v: Array
@@ -40,7 +40,7 @@ class RegulatorState(NamedTuple):
 
 
 def initial_regulators(tap: Array, relay_v: Array) -> RegulatorState:
-    """The state at t = 0, at given taps and relay volts, (lane, n_regulator) each."""
+    """The state at t = 0, at given taps and relay volts, (row, n_regulator) each."""
     none = 0.0 * tap
     return RegulatorState(tap, relay_v, none, none, none, none, none)
 

@@ -11,7 +11,7 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def relay_volts(settings, v_re, v_im, i_re, i_im):
-    """Relay volts, (lane, n_regulator), from voltages and currents of all nodes, (lane, n_node)."""
+    """Relay volts, (row, n_regulator), from voltages and currents of all nodes, (row, n_node)."""
     lanes, n = v_re.shape[0], len(settings.node)
     out = np.empty((lanes, n))
     for lane in range(lanes):
@@ -42,7 +42,7 @@ def _direct(settings, controlled, volts, tap, wanted):
 
 @compiled
 def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
-    """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, lane, n_regulator)."""
+    """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, row, n_regulator)."""
     lanes, n = state.tap.shape
     out = np.empty((7, lanes, n))
     wanted, due_in = np.empty(n), np.empty(n)

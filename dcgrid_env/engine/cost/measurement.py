@@ -12,7 +12,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 def measurement_noise(scenario: Scenario, key: np.ndarray, step: np.ndarray) -> np.ndarray | None:
-    """Draw the noise of the measurements at ``step`` (lane,), p.u., (lane, n_measured); None without noise."""
+    """Draw the noise of the measurements at ``step`` (row,), p.u., (row, n_measured); None without noise."""
     if scenario.voltage_noise_pu == 0.0:
         return None
     from dcgrid_env.core import random  # brings the compiler with it, so not on import
@@ -22,7 +22,7 @@ def measurement_noise(scenario: Scenario, key: np.ndarray, step: np.ndarray) -> 
 
 
 def measure(scenario: Scenario, state: State, noise: Array | None) -> Array:
-    """Measure voltages, p.u., (lane, n_measured): of every node where agents observe the feeder, else of the agents.
+    """Measure voltages, p.u., (row, n_measured): of every node where agents observe the feeder, else of the agents.
 
     On a three-phase feeder the agents' means are followed by their lowest and their highest phases, which one meter
     measures with one error.
@@ -36,9 +36,9 @@ def measure(scenario: Scenario, state: State, noise: Array | None) -> Array:
 
 
 def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Array, Array | None]:
-    """The agents' voltages among what is measured, (lane, n_agent), and of a three-phase feeder lowest, then highest.
+    """The agents' voltages among what is measured, (row, n_agent), and of a three-phase feeder lowest, then highest.
 
-    ``nodes`` are those of the agents, see ``Exogenous``; (lane, 2 n_agent), None on a balanced feeder.
+    ``nodes`` are those of the agents, see ``Exogenous``; (row, 2 n_agent), None on a balanced feeder.
     """
     whole, n = scenario.observe == "feeder", scenario.n_agents
     if not isinstance(scenario.feeder, ThreePhaseFeeder):

@@ -250,7 +250,7 @@ def observe(
     v_measured_pu: Array,
     v_before_pu: Array,
 ) -> Array:
-    """The joint observation, (lane, n_observation), in the precision of the state and not yet cut to its bounds.
+    """The joint observation, (row, n_observation), in the precision of the state and not yet cut to its bounds.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def _raw(
     v_measured_pu: Array,
     v_before_pu: Array,
 ) -> tuple[Array, _Layout]:
-    """The raw figures, (lane, n_raw), and how they become the joint observation."""
+    """The raw figures, (row, n_raw), and how they become the joint observation."""
     xp = namespace(state.v_pu)
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, phases = of_agents(scenario, v_measured_pu, placed.nodes)

@@ -12,7 +12,7 @@ FOR_GOOD = 2**40
 
 
 def drawn_faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """What is lost, from which step on and to which, int64, (lane, n_fault, 3)."""
+    """What is lost, from which step on and to which, int64, (row, n_fault, 3)."""
     drawn = random.bits(key, random.FAULT, 3 * len(scenario.faults)).reshape(len(key), -1, 3)
     struck = np.empty(drawn.shape, np.int64)
 
@@ -28,7 +28,7 @@ def drawn_faults(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 
 def drawn_sags(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """Beginning, s from the episode's, duration, s, and share left of each sag, in time, (lane, n_sag, 3)."""
+    """Beginning, s from the episode's, duration, s, and share left of each sag, in time, (row, n_sag, 3)."""
     sags = scenario.sags
     part = random.uniform(key, random.SAG, 3 * len(sags)).reshape(len(key), -1, 3)
     ranges = np.array([(sag.begin_s, sag.duration_s, sag.retained_pu) for sag in sags]).reshape(-1, 3, 2)
@@ -41,9 +41,9 @@ def drawn_sags(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 
 def sags_in_interval(scenario: Scenario, sag: np.ndarray, step: np.ndarray) -> np.ndarray | None:
-    """The sags as devices are given them (``connection.Supply``) in the interval that ends at ``step`` (lane,).
+    """The sags as devices are given them (``connection.Supply``) in the interval that ends at ``step`` (row,).
 
-    (lane, n_sag, 3), the duration 0 where one does not begin in it; None in a scenario without sags.
+    (row, n_sag, 3), the duration 0 where one does not begin in it; None in a scenario without sags.
     """
     if not scenario.sags:
         return None

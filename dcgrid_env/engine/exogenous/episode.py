@@ -28,32 +28,32 @@ class EpisodeOptions(NamedTuple):
     """Properties of an episode that a caller sets; those that are None are drawn."""
 
     buses: np.ndarray | None = None
-    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    """Position in ``bus_ids`` of each agent's bus, (row, n_agent)."""
     begin_h: np.ndarray | None = None
-    """Time of day at t = 0, h in [0, 24), (lane,), of a scenario that follows the day."""
+    """Time of day at t = 0, h in [0, 24), (row,), of a scenario that follows the day."""
 
 
 class Episode(NamedTuple):
     """What a reset draws, for a batch of lanes."""
 
     key: np.ndarray
-    """(lane,) uint64."""
+    """(row,) uint64."""
     buses: np.ndarray
-    """Position in ``bus_ids`` of each agent's bus, (lane, n_agent)."""
+    """Position in ``bus_ids`` of each agent's bus, (row, n_agent)."""
     placed: connections.Placement
     start: np.ndarray
-    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (lane, n_site)."""
+    """Where each data centre's trace window begins, flat position row * n_step + step of the pool, (row, n_site)."""
     sun: np.ndarray
-    """Where the window of generated PV begins, flat position row * n_step + step of its pool, (lane,); 0 without PV."""
+    """Where the window of generated PV begins, flat position row * n_step + step of its pool, (row,); 0 without PV."""
     begin_h: np.ndarray
-    """Time of day at t = 0, h in [0, 24), (lane,); 0 where nothing follows the day."""
+    """Time of day at t = 0, h in [0, 24), (row,); 0 where nothing follows the day."""
     still: np.ndarray
-    """Ones, (lane,): the share of the nominal load where nothing follows the day."""
+    """Ones, (row,): the share of the nominal load where nothing follows the day."""
     fault: np.ndarray
     """What each fault strikes (see ``Scenario.fault_targets``), the first step without it and the first with it again,
-    int64, (lane, n_fault, 3)."""
+    int64, (row, n_fault, 3)."""
     sag: np.ndarray
-    """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (lane, n_sag, 3)."""
+    """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (row, n_sag, 3)."""
 
 
 def prepare(scenario: Scenario, episode: Episode) -> None:
@@ -67,7 +67,7 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
 
 
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
-    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (lane,) uint64.
+    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (row,) uint64.
 
     The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
     nothing else that is drawn, but for windows of requests that follow the hour.
@@ -93,7 +93,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Epis
 
 
 def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """Position of each agent's bus, (lane, n_agent): as fixed, or drawn evenly among the free load buses."""
+    """Position of each agent's bus, (row, n_agent): as fixed, or drawn evenly among the free load buses."""
     order = None
     parts, taken = [], 0
     for device in scenario.devices:
@@ -110,7 +110,7 @@ def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 
 def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """Time of day at t = 0, h, (lane,)."""
+    """Time of day at t = 0, h, (row,)."""
     if isinstance(scenario.start_hour, str) or (scenario.start_hour is None and scenario.follows_day):
         return 24.0 * random.uniform(key, random.HOUR, 1)[:, 0]
     return np.full(len(key), float(scenario.start_hour or 0.0))
@@ -156,9 +156,9 @@ def assemble(
 
 
 def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """What ``Episode.fault`` takes in the interval that ends at ``step`` (lane,), bool: agents, then capacitors.
+    """What ``Episode.fault`` takes in the interval that ends at ``step`` (row,), bool: agents, then capacitors.
 
-    (lane, n_agent + n_bus), or n_capacitor instead of n_bus on a three-phase feeder.
+    (row, n_agent + n_bus), or n_capacitor instead of n_bus on a three-phase feeder.
     """
     target, begin, end = np.moveaxis(fault, -1, 0)
     struck = (begin <= step[:, None]) & (step[:, None] < end)
@@ -169,7 +169,7 @@ def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray:
-    """What the data centres would draw over the interval that ends at ``step`` (lane,), kW, (lane, n_site)."""
+    """What the data centres would draw over the interval that ends at ``step`` (row,), kW, (row, n_site)."""
     return asked_kw(scenario, episode.start, step)
 
 
@@ -185,7 +185,7 @@ def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndar
 
 
 def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarray | None:
-    """Compute-bound share of that power above idle, (lane, n_site); None under a clock law of one work class."""
+    """Compute-bound share of that power above idle, (row, n_site); None under a clock law of one work class."""
     if scenario.work_classes == 1:
         return None
     shares = trace_pool(scenario).compute_share
@@ -195,7 +195,7 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
 
 
 def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
-    """What devices may know at ``step`` (lane,) of the coming interval: work, and nothing of injections; by device."""
+    """What devices may know at ``step`` (row,) of the coming interval: work, and nothing of injections; by device."""
     shares = None if scenario.work_classes == 1 else compute_share(scenario, episode, step + 1)
     work = Work(p_ref_next, shares)
     return tuple([work if works else None for works in _driven_by_workload(scenario)])
@@ -222,11 +222,11 @@ def exogenous(
     scenario, episode
         The scenario, and what a reset drew of it for each lane.
     step
-        (lane,) int64; at 0 the noise starts afresh.
+        (row,) int64; at 0 the noise starts afresh.
     noise
-        The AR(1) process one step earlier, (lane, n_bus); anything of that shape at step 0.
+        The AR(1) process one step earlier, (row, n_bus); anything of that shape at step 0.
     p_ref
-        The data centres' p_ref at ``step``, kW, (lane, n_site): see :func:`p_ref_kw`.
+        The data centres' p_ref at ``step``, kW, (row, n_site): see :func:`p_ref_kw`.
     draw_loads
         False for a step that ``grid_pass`` takes, which draws the loads itself: they are ``Exogenous.to_draw`` then,
         and the noise is the one given.
@@ -268,7 +268,7 @@ def exogenous(
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:
-    """The steps 0 .. T of an episode in turn, (lane,), each with what comes from outside in its interval."""
+    """The steps 0 .. T of an episode in turn, (row,), each with what comes from outside in its interval."""
     noise = np.zeros((len(episode.key), scenario.feeder.n_bus))
     for k in range(scenario.horizon + 1):
         step = np.full(len(episode.key), k)

@@ -55,7 +55,7 @@ def _load_of(feeder: Any, scenario: Scenario) -> LoadNoise:
 def drawn_loads(
     scenario: Scenario, key: np.ndarray, step: np.ndarray, noise: np.ndarray, share: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw the load noise at ``step`` and the loads, kW and kvar, (lane, n_bus) each, see ``core.random.load_step``.
+    """Draw the load noise at ``step`` and the loads, kW and kvar, (row, n_bus) each, see ``core.random.load_step``.
 
     On a three-phase feeder the second is the factor of each bus and the third 0.
     """

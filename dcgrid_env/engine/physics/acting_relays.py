@@ -63,7 +63,7 @@ class BankControl:
         return self._settings.target_v
 
     def taps(self, tap: np.ndarray, relay_v: np.ndarray) -> np.ndarray:
-        """Taps at the end of the coming step, (lane, n), from those of now and what the relays measure, (lane, n)."""
+        """Taps at the end of the coming step, (row, n), from those of now and what the relays measure, (row, n)."""
         tap, relay_v = (np.ascontiguousarray(values, np.float64) for values in (tap, relay_v))
         before = self._state
         if before is None or before.tap.shape != tap.shape:

@@ -84,7 +84,7 @@ def action_layout(scenario: Scenario) -> ActionLayout:
 
 
 def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -> np.ndarray:
-    """The joint action as float64, (lane, n_action); one lane if ``num_envs`` is None, given without that dimension."""
+    """The joint action as float64, (row, n_action); one lane if ``num_envs`` is None, given without that dimension."""
     layout = action_layout(scenario)
     n = layout.n
     want = (n,) if num_envs is None else (num_envs, n)

@@ -26,11 +26,11 @@ class Placement(NamedTuple):
     """R_ii of each agent, in bands per MW, (row, n_agent), and X_ii in bands per Mvar."""
     x: Array
     nodes: Array
-    """Where the agents are connected, as in ``Exogenous.nodes``, (lane, n_agent, k)."""
+    """Where the agents are connected, as in ``Exogenous.nodes``, (row, n_agent, k)."""
     legs: Array
-    """Where they draw, as in ``Exogenous.legs``, (lane, n_agent, k)."""
+    """Where they draw, as in ``Exogenous.legs``, (row, n_agent, k)."""
     nearest: Array
-    """Flat positions lane * n_agent + agent of the nearest agents, int, (lane, n_agent, k); k = 0 unless observed."""
+    """Flat positions row * n_agent + agent of the nearest agents, int, (row, n_agent, k); k = 0 unless observed."""
 
 
 @cached_on_owner
@@ -137,12 +137,12 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
     scenario
         Gives the feeder as it is believed, and what the agents are connected to.
     buses
-        Position of each agent's bus in ``bus_ids``, (lane, n_agent).
+        Position of each agent's bus in ``bus_ids``, (row, n_agent).
 
     Returns
     -------
     Sensitivity
-        P.u. per MW and per Mvar, (lane, n_agent, n_node).
+        P.u. per MW and per Mvar, (row, n_agent, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
         return _by_buses(scenario.model, buses)
@@ -154,7 +154,7 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
 def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
     """Derivative of each agent's voltage by the power that each agent injects, in the feeder as it is.
 
-    ``buses`` is as in :func:`sensitivity_to_agents`; p.u. per MW and per Mvar, (lane, n_agent, n_agent), the agent that
+    ``buses`` is as in :func:`sensitivity_to_agents`; p.u. per MW and per Mvar, (row, n_agent, n_agent), the agent that
     sees first.
     """
     if _is_large(scenario.feeder):
@@ -167,7 +167,7 @@ def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensiti
 
 
 def agent_nodes(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
-    """Nodes of agents at positions ``buses`` (lane, n_agent) of ``bus_ids``, int, (lane, n_agent, k)."""
+    """Nodes of agents at positions ``buses`` (row, n_agent) of ``bus_ids``, int, (row, n_agent, k)."""
     return nodes_by_bus(scenario)[np.arange(scenario.n_agents), buses]
 
 
@@ -185,7 +185,7 @@ def _is_large(feeder: AnyFeeder) -> bool:
 
 
 def _by_buses(feeder: Feeder, buses: np.ndarray) -> Sensitivity:
-    """Derivative of every voltage by the power at the agents' buses (lane, n_agent), (lane, n_agent, n_bus)."""
+    """Derivative of every voltage by the power at the agents' buses (row, n_agent), (row, n_agent, n_bus)."""
     if not _is_large(feeder):
         r, x = sensitivity(feeder)
         if feeder.voltage_ratio is not None:  # without it the matrices are symmetric
@@ -196,15 +196,15 @@ def _by_buses(feeder: Feeder, buses: np.ndarray) -> Sensitivity:
 
 
 def _at_agents(rows: np.ndarray, buses: np.ndarray) -> np.ndarray:
-    """Entries (lane, n_agent, n_agent) at the agents' buses of rows (lane, n_agent, n_bus)."""
+    """Entries (row, n_agent, n_agent) at the agents' buses of rows (row, n_agent, n_bus)."""
     columns = np.broadcast_to(buses[:, None, :], (*buses.shape, buses.shape[1]))
     return np.take_along_axis(rows, columns, axis=-1)
 
 
 def between_agents(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
-    """Impedance magnitude of the path between any two agents at positions ``buses`` (lane, n_agent) of ``bus_ids``.
+    """Impedance magnitude of the path between any two agents at positions ``buses`` (row, n_agent) of ``bus_ids``.
 
-    P.u. per MVA, (lane, n_agent, n_agent), as :func:`between_buses` has it.
+    P.u. per MVA, (row, n_agent, n_agent), as :func:`between_buses` has it.
     """
     if not _is_large(scenario.feeder):
         return between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
@@ -238,7 +238,7 @@ def distance_in_bands(scenario: Scenario) -> np.ndarray:
 
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
-    """What the agents' buses (positions, (lane, n_agent)) mean for the observation."""
+    """What the agents' buses (positions, (row, n_agent)) mean for the observation."""
     feeder, own = scenario.feeder, distance_in_bands(scenario)
     lanes, n_agent = buses.shape
     lane = np.arange(lanes)[:, None, None]

@@ -36,7 +36,7 @@ def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice
 
 
 def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:
-    """Share of each agent's power that is on the grid, (lane, n_agent), 1 for those that cannot leave."""
+    """Share of each agent's power that is on the grid, (row, n_agent), 1 for those that cannot leave."""
     one = 0.0 * like + 1.0
     own = leaving(scenario)
     parts = [

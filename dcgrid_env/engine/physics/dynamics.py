@@ -71,7 +71,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     state
         State at the beginning of the interval.
     action
-        (lane, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A setpoint
+        (row, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A setpoint
         runs from a channel's lowest to its highest; a reactive one is a share of the limit at zero active power, and
         what the converter cannot give at its active power is cut.
     exogenous
@@ -162,7 +162,7 @@ def _solved(
     p_kw: Array,
     q_kvar: Array,
 ) -> tuple[Any, Equipment | None]:
-    """The power flow under the agents' powers (lane, n_agent), and the equipment of a three-phase feeder behind it."""
+    """The power flow under the agents' powers (row, n_agent), and the equipment of a three-phase feeder behind it."""
     if exogenous.to_draw is not None:
         return grid_pass().grid_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
     solve, changing = _grid(scenario)
@@ -239,7 +239,7 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
 
 
 def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
-    """Net load of each leg, kW and kvar, (lane, n_leg), under the agents' draws and reactive injections."""
+    """Net load of each leg, kW and kvar, (row, n_leg), under the agents' draws and reactive injections."""
     p_load, q_load, legs = exogenous.p_load_kw, exogenous.q_load_kvar, _legs(exogenous)
     if is_rows(p_load) and is_rows(p_kw):
         return step_kernels().net_loads(p_load, q_load, legs, p_kw, q_kvar)
@@ -248,7 +248,7 @@ def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array,
 
 
 def _legs(exogenous: Exogenous) -> Array:
-    """Where the agents draw, (lane, n_agent, k)."""
+    """Where the agents draw, (row, n_agent, k)."""
     return exogenous.nodes if exogenous.legs is None else exogenous.legs
 
 
@@ -269,20 +269,20 @@ def step_kernels() -> Any:
 
 
 def _to_nodes(values: Array, nodes: Array) -> Array:
-    """Each agent's power in equal parts at its nodes, (lane, n_agent, n_node)."""
+    """Each agent's power in equal parts at its nodes, (row, n_agent, n_node)."""
     if nodes.shape[-1] == 1:
         return values[..., None]
     return namespace(values).broadcast_to((values / nodes.shape[-1])[..., None], nodes.shape)
 
 
 def from_nodes(v_pu: Array, nodes: Array) -> Array:
-    """Each agent's voltage, the mean of its nodes', (lane, n_agent)."""
+    """Each agent's voltage, the mean of its nodes', (row, n_agent)."""
     at = take_at(v_pu, nodes)
     return at[..., 0] if nodes.shape[-1] == 1 else at.sum(-1) / nodes.shape[-1]
 
 
 def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
-    """Lowest and highest voltage of each agent's nodes, (lane, n_agent) each."""
+    """Lowest and highest voltage of each agent's nodes, (row, n_agent) each."""
     at = take_at(v_pu, nodes)
     return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
 

@@ -55,7 +55,7 @@ def begun(
 ) -> Equipment:
     """The equipment at t = 0 under the legs' net loads: taps settled, each lane by itself.
 
-    Shapes are (lane, n_leg) of the loads, (lane, n_node) of switched shunts, None without any, and (lane, n_capacitor)
+    Shapes are (row, n_leg) of the loads, (row, n_node) of switched shunts, None without any, and (row, n_capacitor)
     of what is ``connected``, None where all banks are.
     """
     feeder, plan = _feeder(scenario), _plan(scenario, p_kw)

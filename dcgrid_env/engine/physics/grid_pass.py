@@ -41,7 +41,7 @@ class GridPass(NamedTuple):
     converged: np.ndarray
     figures: VoltageFigures
     noise: np.ndarray
-    """The load noise at the end of the interval, (lane, n_bus)."""
+    """The load noise at the end of the interval, (row, n_bus)."""
 
 
 @cached_on_owner
@@ -55,7 +55,7 @@ def fits(scenario: Scenario) -> bool:
 def grid_pass(
     scenario: Scenario, drawing: LoadsToDraw, nodes: Any, p_kw: Any, q_kvar: Any, restart: np.ndarray
 ) -> GridPass:
-    """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (lane, n_agent).
+    """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (row, n_agent).
 
     ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
     not finite.

@@ -15,13 +15,13 @@ class LoadsToDraw(NamedTuple):
     """Other loads of a balanced feeder before they are drawn: what ``core.random.load_step`` draws them from."""
 
     key: Any
-    """(lane,) uint64."""
+    """(row,) uint64."""
     step: Any
-    """(lane,) int64."""
+    """(row,) int64."""
     noise: Any
-    """The AR(1) process one step earlier, (lane, n_bus)."""
+    """The AR(1) process one step earlier, (row, n_bus)."""
     share: Any
-    """Share of the peak at the lane's time of day, (lane,)."""
+    """Share of the peak at the lane's time of day, (row,)."""
     rho: float
     sigma: float
     p_base_kw: Any
@@ -34,27 +34,27 @@ class Exogenous(NamedTuple):
     """What comes from outside over one interval; nothing here depends on an action."""
 
     p_load_kw: Array
-    """Other loads, kW, (lane, n_leg); a balanced feeder has a leg a bus."""
+    """Other loads, kW, (row, n_leg); a balanced feeder has a leg a bus."""
     q_load_kvar: Array
-    """Other loads, kvar, (lane, n_leg); on a balanced feeder less capacitors."""
+    """Other loads, kvar, (row, n_leg); on a balanced feeder less capacitors."""
     p_ref_kw: Array
-    """What sites of work would draw at the top clock with nothing queued, kW, (lane, n_site)."""
+    """What sites of work would draw at the top clock with nothing queued, kW, (row, n_site)."""
     p_inverter_kw: Array
-    """Scheduled active injection, kW, (lane, slot) of the device that has a schedule."""
+    """Scheduled active injection, kW, (row, slot) of the device that has a schedule."""
     nodes: Array
-    """Where each agent is connected, flat positions lane * n_node + node, int, (lane, n_agent, k). An agent sees the
+    """Where each agent is connected, flat positions row * n_node + node, int, (row, n_agent, k). An agent sees the
     mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
     compute_share: Array | None = None
-    """Compute-bound share of the work that arrives, (lane, n_site); None under a clock law of one work class."""
+    """Compute-bound share of the work that arrives, (row, n_site); None under a clock law of one work class."""
     available: Array | None = None
-    """1 for an agent that is connected to the grid and 0 for one that is not, (lane, n_agent); None where all are."""
+    """1 for an agent that is connected to the grid and 0 for one that is not, (row, n_agent); None where all are."""
     legs: Array | None = None
-    """Where each agent draws, flat positions lane * n_leg + leg, int, (lane, n_agent, k); None: the nodes."""
+    """Where each agent draws, flat positions row * n_leg + leg, int, (row, n_agent, k); None: the nodes."""
     capacitor_on: Array | None = None
     """1 for a capacitor bank of a three-phase feeder that can be on and 0 for one that is lost or disconnected,
-    (lane, n_capacitor); None where all can."""
+    (row, n_capacitor); None where all can."""
     sags: Array | None = None
-    """Sags that begin in the interval, (lane, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
+    """Sags that begin in the interval, (row, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
     trip_widths: TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     to_draw: LoadsToDraw | None = None
@@ -72,15 +72,15 @@ class ThreePhaseState(NamedTuple):
     """What a state has beside on a three-phase feeder."""
 
     v_re_pu: Array
-    """Real part of the voltage, p.u., (lane, n_node)."""
+    """Real part of the voltage, p.u., (row, n_node)."""
     v_im_pu: Array
-    """Imaginary part of the voltage, p.u., (lane, n_node)."""
+    """Imaginary part of the voltage, p.u., (row, n_node)."""
     v_agent_lowest_pu: Array
-    """Voltage of each agent's lowest phase, p.u., (lane, n_agent)."""
+    """Voltage of each agent's lowest phase, p.u., (row, n_agent)."""
     v_agent_highest_pu: Array
     """Voltage of its highest."""
     unbalance: Array
-    """Voltage unbalance factor |V2| / |V1| of each three-phase bus, (lane, n_three_phase_bus)."""
+    """Voltage unbalance factor |V2| / |V1| of each three-phase bus, (row, n_three_phase_bus)."""
     equipment: Any
     """Regulators and capacitor banks, ``Equipment``; None before t = 0."""
 
@@ -92,28 +92,28 @@ class State(NamedTuple):
     """
 
     v_pu: Array
-    """Voltage, p.u., (lane, n_node); the last solved one where the power flow has none."""
+    """Voltage, p.u., (row, n_node); the last solved one where the power flow has none."""
     v_last_pu: Array
     """Voltage one step earlier."""
     v_agent_pu: Array
-    """Voltage at the agents, p.u., (lane, n_agent)."""
+    """Voltage at the agents, p.u., (row, n_agent)."""
     v_agent_last_pu: Array
     restart: Array
     """Where the power flow starts next, ``Solution.restart`` of the last solved one; None before the first."""
     p_kw: Array
-    """Draw from the grid, kW (an inverter's injection is negative), (lane, n_agent); 0 where disconnected."""
+    """Draw from the grid, kW (an inverter's injection is negative), (row, n_agent); 0 where disconnected."""
     q_kvar: Array
-    """Reactive injection as dispatched, kvar, (lane, n_agent)."""
+    """Reactive injection as dispatched, kvar, (row, n_agent)."""
     q_limit_kvar: Array
-    """Largest reactive magnitude at this active power, kvar, (lane, n_agent)."""
+    """Largest reactive magnitude at this active power, kvar, (row, n_agent)."""
     devices: tuple[Any, ...]
-    """State of each of the scenario's devices, a NamedTuple of arrays (lane, slot, ..)."""
+    """State of each of the scenario's devices, a NamedTuple of arrays (row, slot, ..)."""
     three_phase: ThreePhaseState | None = None
     """None on a balanced feeder."""
     p_window_kw: tuple[Array, ...] | None = None
     """``p_kw`` of the steps before, the beginning of the ramp limit's window first; None where no ramp is charged."""
     loading: Array | None = None
-    """Current of the branch that feeds each node as a share of its rating, (lane, n_node), 0 where that is not known;
+    """Current of the branch that feeds each node as a share of its rating, (row, n_node), 0 where that is not known;
     None where the feeder knows no rating."""
 
     def __getattr__(self, name: str) -> Any:

@@ -10,7 +10,7 @@ from dcgrid_env.powerflow.unbalance import TINY_PU
 
 @compiled
 def leg_loads(factor, leg_bus, p_kw, q_kvar):
-    """Loads of the legs, kW and kvar, (lane, n_leg): base loads (n_leg,) times a factor of their bus (lane, n_bus)."""
+    """Loads of the legs, kW and kvar, (row, n_leg): base loads (n_leg,) times a factor of their bus (row, n_bus)."""
     p, q = np.empty((factor.shape[0], len(leg_bus))), np.empty((factor.shape[0], len(leg_bus)))
     for lane in range(factor.shape[0]):
         for leg in range(len(leg_bus)):
@@ -22,7 +22,7 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
 
 @compiled
 def setpoints(action, middle, half_range):
-    """Setpoints (lane, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
+    """Setpoints (row, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
     out = np.empty(action.shape)
     for lane in range(action.shape[0]):
         for i in range(action.shape[1]):
@@ -34,10 +34,10 @@ def setpoints(action, middle, half_range):
 
 @compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
-    """Net load of each leg, kW and kvar, (lane, n_leg): loads, and what agents draw less what they inject.
+    """Net load of each leg, kW and kvar, (row, n_leg): loads, and what agents draw less what they inject.
 
-    ``legs`` (lane, n_agent, k) are flat positions lane * n_leg + leg, among which an agent's ``p_kw, q_kvar``
-    (lane, n_agent) are shared in equal parts; an agent may have a leg several times.
+    ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg, among which an agent's ``p_kw, q_kvar``
+    (row, n_agent) are shared in equal parts; an agent may have a leg several times.
     """
     p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
     p_at, q_at = p_net.reshape(-1), q_net.reshape(-1)
@@ -53,10 +53,10 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
 
 @compiled
 def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
-    """Each agent's lowest and highest phase, p.u., (lane, n_agent), and each three-phase bus's unbalance factor.
+    """Each agent's lowest and highest phase, p.u., (row, n_agent), and each three-phase bus's unbalance factor.
 
-    ``agent_nodes`` (lane, n_agent, k) are flat positions lane * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
-    are voltages, (lane, n_node). See ``powerflow.unbalance``.
+    ``agent_nodes`` (row, n_agent, k) are flat positions row * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
+    are voltages, (row, n_node). See ``powerflow.unbalance``.
     """
     lanes, agents, parts = agent_nodes.shape
     lowest, highest = np.empty((lanes, agents)), np.empty((lanes, agents))
@@ -83,9 +83,9 @@ def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
 
 @compiled
 def joint_observation(raw, scale, column, low, high):
-    """The joint observation as float32, (lane, n): of each entry the scaled raw figure in its column, cut to bounds.
+    """The joint observation as float32, (row, n): of each entry the scaled raw figure in its column, cut to bounds.
 
-    ``raw`` is (lane, n_raw), ``scale`` (n_raw,), the rest (n,).
+    ``raw`` is (row, n_raw), ``scale`` (n_raw,), the rest (n,).
     """
     out = np.empty((raw.shape[0], len(column)), np.float32)
     for lane in range(raw.shape[0]):

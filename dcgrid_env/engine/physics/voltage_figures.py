@@ -10,7 +10,7 @@ from dcgrid_env.core.compiled import compiled
 
 
 class VoltageFigures(NamedTuple):
-    """Figures over the nodes other than the substation's, (lane,) each, p.u."""
+    """Figures over the nodes other than the substation's, (row,) each, p.u."""
 
     deviation_pu: np.ndarray
     """Sum of |V - 1|."""
@@ -53,7 +53,7 @@ def _sums(v_pu, lane, first, n, band_pu):
 
 @compiled(nogil=True)
 def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, highest):
-    """Fill the figures, (lane,) each, of the lanes from ``begin`` up to ``end``, nodes from ``first`` on."""
+    """Fill the figures, (row,) each, of the lanes from ``begin`` up to ``end``, nodes from ``first`` on."""
     for lane in range(begin, end):
         deviation[lane], excess[lane] = _sums(v_pu, lane, first, v_pu.shape[1] - first, band_pu)
         low = high = v_pu[lane, first]
@@ -65,7 +65,7 @@ def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, hi
 
 
 def voltage_figures(v_pu: Any, first: int, band_pu: float) -> VoltageFigures:
-    """The figures of voltages ``v_pu`` (lane, n_node), float64 and contiguous, from the node ``first`` on."""
+    """The figures of voltages ``v_pu`` (row, n_node), float64 and contiguous, from the node ``first`` on."""
     figures = VoltageFigures(*np.empty((4, len(v_pu))))
     fill_figures(v_pu, 0, len(v_pu), first, band_pu, *figures)
     return figures

@@ -153,7 +153,7 @@ class Recorder:
         return Series(on, taken, lane)
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (lane,); ValueError before all have ended."""
+        """J of each lane's episode, (row,); ValueError before all have ended."""
         if not self.over:
             raise ValueError("costs of an episode that has not ended; step until every lane is over")
         charged = np.array([t.cost_j for t in self._transitions[1:]])
@@ -198,7 +198,7 @@ class JoinedRecorder(Recorder):
         return self._parts[part][1].lane(own)
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (lane,)."""
+        """J of each lane's episode, (row,)."""
         whole = np.empty(len(self._place))
         for lanes, part in self._parts:
             whole[lanes] = part.costs()

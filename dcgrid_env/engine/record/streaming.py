@@ -95,7 +95,7 @@ class StreamingRecorder:
         return bool(self._over.all())
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (lane,); ValueError before all have ended."""
+        """J of each lane's episode, (row,); ValueError before all have ended."""
         if not self.over:
             raise ValueError("costs of an episode that has not ended; step until every lane is over")
         return self._costs / self.scenario.horizon

@@ -115,7 +115,7 @@ class RandomFeeders(OneNodeABus):
     def keys(self, split: str, seeds: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """The feeder of each episode, as the seed that ``random_feeder`` takes, uint64.
 
-        ``seeds`` and ``numbers``, the episodes since each seed, are (lane,) uint64.
+        ``seeds`` and ``numbers``, the episodes since each seed, are (row,) uint64.
         """
         from dcgrid_env.core import random  # brings the compiler with it, so not on import
 

@@ -31,10 +31,10 @@ TOLERANCE = {8: 1e-10, 4: 1e-5}
 
 @compiled(nogil=True)
 def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
-    """Fill ``out``: derivatives by p_kw and q_kvar (lane, bus) and by v0_pu (lane,) of sum(weights * solved).
+    """Fill ``out``: derivatives by p_kw and q_kvar (row, bus) and by v0_pu (row,) of sum(weights * solved).
 
-    ``solved`` and ``weights`` hold v_pu (lane, bus), p_branch_kw, q_branch_kvar, current_sq_pu (lane, branch) and the
-    weights loss_kw (lane,) besides; what comes before them is as in ``distflow_lanes``. A lane without a solution has
+    ``solved`` and ``weights`` hold v_pu (row, bus), p_branch_kw, q_branch_kvar, current_sq_pu (row, branch) and the
+    weights loss_kw (row,) besides; what comes before them is as in ``distflow_lanes``. A lane without a solution has
     no derivative and gets 0.
     """
     v_pu, p_branch, q_branch, current = solved

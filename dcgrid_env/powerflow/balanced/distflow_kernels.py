@@ -135,9 +135,9 @@ def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_s
 
 @compiled(nogil=True)
 def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
-    """Solve each row of ``p_kw, q_kvar`` (lane, bus) into the arrays of ``out``, which follow ``Solution``.
+    """Solve each row of ``p_kw, q_kvar`` (row, bus) into the arrays of ``out``, which follow ``Solution``.
 
-    ``warm`` (lane, branch) holds squared currents to start from, or has no rows. A row that does not settle from there
+    ``warm`` (row, branch) holds squared currents to start from, or has no rows. A row that does not settle from there
     is solved again from no current, with ``max_sweeps``. Flows of branches whose arrays have no rows are left out.
     A row with positive iterations has settled already and is skipped. A row with NOT_IN_BLOCKS skips its start.
     Returns the number of rows without a solution.

@@ -70,5 +70,5 @@ class _DistFlow(torch.autograd.Function):
 
 
 def _rows(values: np.ndarray, n_lanes: int, width: int | None) -> np.ndarray:
-    """(lane, width) or (lane,), contiguous: the one memory layout that the kernel is compiled for."""
+    """(row, width) or (row,), contiguous: the one memory layout that the kernel is compiled for."""
     return np.ascontiguousarray(values.reshape((n_lanes,) if width is None else (n_lanes, width)))

@@ -93,7 +93,7 @@ def _by_newton(feeder: ThreePhaseFeeder, lane: Any, rows: Any, solved: Any, weig
 
 
 def _rows(values: Any, n_lanes: int, width: int | None) -> Any:
-    """(lane, width) or (lane,), float64, contiguous and writable: the one memory layout of the kernel."""
+    """(row, width) or (row,), float64, contiguous and writable: the one memory layout of the kernel."""
     rows = values.reshape((n_lanes,) if width is None else (n_lanes, width))
     good = rows.dtype == np.float64 and rows.flags.c_contiguous and rows.flags.writeable
     return rows if good else np.array(rows, np.float64, order="C")

@@ -78,11 +78,11 @@ def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good
 def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), in blocks of rows of width ``wide``.
 
-    ``given`` is the argument of ``sweep_lanes``; ``solved`` holds volts in p.u. and currents in A (lane, 2 node).
-    ``weights`` holds those of v_pu (lane, node), of volts and currents (lane, 2 node) and of loss, source p and q
-    (3, lane); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (lane, leg), source_pu (lane,),
-    ratio (lane, regulator) and state (lane, bank). A row without a solution has no derivative and gets 0.
-    ``settled`` (lane,) marks the rows whose derivative was found. Each block takes ``least`` sweeps or more. Returns
+    ``given`` is the argument of ``sweep_lanes``; ``solved`` holds volts in p.u. and currents in A (row, 2 node).
+    ``weights`` holds those of v_pu (row, node), of volts and currents (row, 2 node) and of loss, source p and q
+    (3, row); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (row, leg), source_pu (row,),
+    ratio (row, regulator) and state (row, bank). A row without a solution has no derivative and gets 0.
+    ``settled`` (row,) marks the rows whose derivative was found. Each block takes ``least`` sweeps or more. Returns
     the most sweeps of a block.
     """
     width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]

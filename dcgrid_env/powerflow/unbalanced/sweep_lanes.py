@@ -136,10 +136,10 @@ def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_devi
 def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     """Solve each row of ``given`` into the arrays of ``out``; return the number of rows without a solution.
 
-    ``given`` holds p_kw, q_kvar (lane, leg), source_pu (lane,), the regulators' ratios (lane, regulator) and the
-    capacitors' states (lane, bank); ``start`` voltages (lane, 2 node), real parts first, or no rows. ``out`` holds
-    v_pu (lane, node), voltages in p.u. and currents in A (lane, 2 node), loss, source power and residual (4, lane),
-    whether it converged, and sweeps (lane,). A row that does not settle from its start is solved again from no load,
+    ``given`` holds p_kw, q_kvar (row, leg), source_pu (row,), the regulators' ratios (row, regulator) and the
+    capacitors' states (row, bank); ``start`` voltages (row, 2 node), real parts first, or no rows. ``out`` holds
+    v_pu (row, node), voltages in p.u. and currents in A (row, 2 node), loss, source power and residual (4, row),
+    whether it converged, and sweeps (row,). A row that does not settle from its start is solved again from no load,
     with ``max_sweeps``. A row with positive sweeps has settled already and is skipped. A row with NOT_IN_BLOCKS skips
     its start.
     """
