@@ -203,7 +203,7 @@ def read(arguments):
     """Whether dcgrid's command line can read a command; nothing is done."""
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            main.COMMANDS.parse(arguments, "dcgrid")
+            main.parse(arguments)
     except SystemExit as stopped:
         return stopped.code in (0, None)
     except ValueError:  # there is no such command

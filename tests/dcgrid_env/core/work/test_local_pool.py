@@ -9,7 +9,7 @@ from multiprocessing import active_children
 
 import pytest
 
-from dcgrid_env.core.work import here
+from dcgrid_env.core.work import local_pool
 from dcgrid_env.core.work.local_pool import LocalPool
 from dcgrid_env.core.work.unit import Lost, LostUnits, Needs, Unit, require_all
 from dcgrid_env.core.work.worker import THREADS, Terminated, attempt, shared
@@ -125,7 +125,7 @@ def test_leaving_early_ends_the_processes():
 @pytest.mark.parametrize("at", [2, 3, 5])
 def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
     """The process that had just done its unit is no longer busy and has no other: it is to end nevertheless."""
-    begin, calls = here._Workers.begin, []
+    begin, calls = local_pool._Workers.begin, []
 
     def interrupted(self, unit):
         calls.append(unit)
@@ -133,7 +133,7 @@ def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
             raise KeyboardInterrupt
         return begin(self, unit)
 
-    monkeypatch.setattr(here._Workers, "begin", interrupted)
+    monkeypatch.setattr(local_pool._Workers, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         list(LocalPool(2).run(units(math.sqrt, [float(i) for i in range(10)])))
     assert not active_children()
@@ -142,7 +142,7 @@ def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
 def test_an_interrupt_while_a_process_starts_comes_afterwards():
     def interrupted_while_starting():
-        with here._held_back_interrupt():
+        with local_pool._held_back_interrupt():
             signal.raise_signal(signal.SIGINT)
             pending.extend(signal.sigpending())
 
@@ -153,7 +153,7 @@ def test_an_interrupt_while_a_process_starts_comes_afterwards():
 
 
 def test_a_process_that_lets_no_exception_through_is_killed(monkeypatch):
-    monkeypatch.setattr(here, "SECONDS_TO_END", 0.2)
+    monkeypatch.setattr(local_pool, "SECONDS_TO_END", 0.2)
     results = LocalPool(2).run(units(_deaf, ["quick", "deaf", "deaf"]))
     next(results)
     results.close()  # pyright: ignore[reportAttributeAccessIssue]

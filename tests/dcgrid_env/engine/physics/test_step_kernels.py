@@ -1,6 +1,7 @@
 """Compiled kernels of a step give the bits of the array forms that tensors go through."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,8 @@ def test_sums_over_voltages(kind):
     figures = voltage_figures(V_PU, judged.start, scenario.band_pu)
 
     def sums_of(v_pu, figures=None):
-        step = reward._step(scenario, SimpleNamespace(v_pu=v_pu), None, figures)
+        state: Any = SimpleNamespace(v_pu=v_pu)
+        step = reward._step(scenario, state, None, figures)
         return step.voltage_sum, step.excess_sum
 
     sums = sums_of(V_PU, figures)
