@@ -43,7 +43,7 @@ def test_rows_that_follow_the_day_say_at_which_hour_they_begin():
 
 
 def test_what_cannot_be_is_refused_as_the_library_does():
-    with pytest.raises(TraceError, match="trace source 'nuclear' is unknown"):
+    with pytest.raises(TraceError, match="no trace source 'nuclear'; `dcgrid list traces` lists all"):
         RowsOnDemand("nuclear", "test", 1.0, 60.0, 3, 1.0, 0)
     with pytest.raises(TraceError, match="'step' has no split 'ood'"):
         RowsOnDemand("step", "ood", 1.0, 60.0, 3, 1.0, 0)
