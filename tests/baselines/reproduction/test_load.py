@@ -44,5 +44,5 @@ def test_the_whole_recording_is_drawn_from():
 
 def test_a_generator_by_name_and_something_unknown():
     assert choose_load("code").fields["trace"] == "code"
-    with pytest.raises(TraceError, match="no trace .*; `dcgrid list traces` lists all; or give a file"):
+    with pytest.raises(TraceError, match=r"no trace .*; `dcgrid list traces` lists all; or give a file"):
         choose_load("no-such-trace")

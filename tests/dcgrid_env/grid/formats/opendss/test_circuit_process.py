@@ -30,7 +30,8 @@ def test_tables_findings_and_voltages_are_those_of_this_process(master):
 
 
 def test_a_crash_is_one_line_that_names_the_file(master):
-    with pytest.raises(FeederError, match=r"Master.dss: the process that reads it (crashed with SIG|ended with exit code)") as crashed:
+    how = r"Master\.dss: the process that reads it (crashed with SIG|ended with exit code)"
+    with pytest.raises(FeederError, match=how) as crashed:
         read_opendss(master("New Transformer.t windings=100000"), trust=True)
     assert "\n" not in str(crashed.value)
 
