@@ -43,7 +43,7 @@ PARTS = (
         "episodes",
         "Episodes, metrics, forecasts",
         "dcgrid_env",
-        ("dcgrid_env.engine",),
+        ("dcgrid_env.engine", "dcgrid_env.core.metric"),
         "What happens in an episode, what is measured of it, what is known ahead.",
     ),
     Part("feeders", "Feeders", "dcgrid_env", ("dcgrid_env.grid",), "Networks, those that ship, those that are drawn."),

@@ -83,7 +83,7 @@ class GridTerm(NamedTuple):
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
-    """Cost of a voltage ``deviation`` = |V - 1|, p.u., elementwise, unweighted.
+    """Cost of a voltage ``deviation`` = abs(V - 1), p.u., elementwise, unweighted.
 
     The five of MAPDN (J. Wang et al., "Multi-agent reinforcement learning for active voltage control on power
     distribution networks", NeurIPS 2021, arXiv 2110.14300): ``l1`` and ``l2``; ``bowl``, a normal density's hollow
@@ -144,7 +144,7 @@ TERMS = (
     GridTerm(
         "voltage",
         "voltage cost",
-        "mean voltage cost of the nodes, |V - 1| unless the scenario has another form",
+        "mean voltage cost of the nodes, abs(V - 1) unless the scenario has another form",
         100.0,
         amount=attrgetter("voltage_sum"),
         divisor=_nodes,
@@ -156,7 +156,7 @@ TERMS = (
     GridTerm(
         "violation",
         "violation cost",
-        "mean excess of |V - 1| over the band",
+        "mean excess of abs(V - 1) over the band",
         1000.0,
         amount=attrgetter("excess_sum"),
         divisor=_nodes,
@@ -170,7 +170,7 @@ TERMS = (
     GridTerm(
         "effort",
         "effort cost",
-        "mean |q| over the apparent-power rating of the converters",
+        "mean abs(q) over the apparent-power rating of the converters",
         0.02,
         amount=lambda step: sum_last(_effort(step)),
         divisor=lambda step: step.n_converters,
@@ -181,7 +181,7 @@ TERMS = (
     GridTerm(
         "step",
         "voltage step cost",
-        "mean |V_t - V_{t-1}|",
+        "mean abs(V_t - V_{t-1})",
         amount=lambda step: sum_last(_change(*step.voltages_pu)),
         divisor=_nodes,
         of_agents=lambda step: _change(step.state.v_agent_pu, step.state.v_agent_last_pu),
