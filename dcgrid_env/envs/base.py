@@ -13,7 +13,7 @@ from dcgrid_env.engine.physics import actions
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.errors import ScenarioError, UnknownFieldError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -77,7 +77,12 @@ class BaseEnvironment:
             raise ValueError(f"render_mode is {render_mode!r}; choose one of {', '.join(RENDER_MODES)}, or None")
         if info not in INFO_LEVELS:
             raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
-        self.scenario = make_scenario(scenario, **overrides)
+        try:
+            self.scenario = make_scenario(scenario, **overrides)
+        except UnknownFieldError as error:
+            # TorchRL looks for Python's words before it makes the environment again without the argument.
+            message = f"{error}; {type(self).__name__}() got an unexpected keyword argument {error.field!r}"
+            raise TypeError(message) from None
         self._drawn_on: Scenario | None = None  # what the viewer shows
         if render_mode is not None and lanes > 1 and isinstance(self.scenario.feeder, RandomFeeders):
             raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")

@@ -32,3 +32,14 @@ def located(scenario: Any, part: str, flat: Mapping[str, str]) -> Iterator[None]
         field, dot, rest = str(error.name).partition(".")
         path = flat.get(field) or (f"{part}.{field}" if part else field)
         raise ScenarioError(f"scenario {scenario!r}: {error.said(f'{path}{dot}{rest}')}") from None
+
+
+class UnknownFieldError(TypeError):
+    """A name that is no field of a scenario."""
+
+    def __init__(self, message: str, field: str):
+        super().__init__(message)
+        self.field = field
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (*self.args, self.field)
