@@ -42,7 +42,7 @@ class NeedsPlacement(Protocol):
 
 @runtime_checkable
 class ReportsFigures(Protocol):
-    """A controller with figures of its own to tell of the episodes that it drove, which results hold beside metrics."""
+    """A controller that reports figures of its episodes, which results contain next to the metrics."""
 
     def episode_figures(self) -> list[dict[str, float]]:
         """Figures since ``reset``, one mapping a lane, of the same names for all."""
@@ -50,7 +50,7 @@ class ReportsFigures(Protocol):
 
 
 def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Metrics of episodes, one mapping a lane, with what the controller that drove them has to tell."""
+    """Metrics of episodes, one mapping each, with the figures that the controller reports."""
     if not isinstance(controller, ReportsFigures):
         return metrics
     return [of_lane | own for of_lane, own in zip(metrics, controller.episode_figures(), strict=True)]

@@ -115,7 +115,7 @@ class LanePolicy(ActorCriticPolicy):
         self.mlp_extractor: Any = Networks(self.features_dim, self.group, self.net_arch).to(self.device)  # pyright: ignore
 
     def used_by(self, observations: torch.Tensor) -> torch.Tensor:
-        """Which entries of the lanes' actions reach the grid, (row or 1, n_action)."""
+        """Entries of the actions that reach the grid, (row or 1, n_action)."""
         if len(self.used) == 1:
             return self.used
         kinds = observations[:, 1 - len(self.used) :]
@@ -135,7 +135,7 @@ class LanePolicy(ActorCriticPolicy):
         return actions, self._likelihood(observations, actions, mean)
 
     def predict_values(self, obs: Any) -> torch.Tensor:
-        """Value of each lane, (row, 1)."""
+        """Value of each row, (row, 1)."""
         return self._values(self.extract_features(obs))
 
     def evaluate_actions(

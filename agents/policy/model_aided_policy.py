@@ -68,7 +68,7 @@ class ModelAidedPolicy(Policy, features="law"):
             raise PolicyError(f"law is {law!r}: {error}") from None
         self.law: dict[str, Any] = dataclasses.asdict(made)
         self.corrects: np.ndarray | None = None
-        """Lanes in which the networks correct the law, bool, (row,); None for all."""
+        """Rows in which the networks correct the law, bool, (row,); None for all."""
 
     def _begin(self, env_info: Scenario) -> None:
         self._law, self._past = ModelAided(**self.law), Past()

@@ -83,7 +83,7 @@ class TriedPolicy:
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """``LAW_PCT`` of each lane, (row,); empty until the policy has been tried."""
+        """``LAW_PCT`` of each row, (row,); empty until the policy has been tried."""
         return {} if self._pays is None else {LAW_PCT: 100.0 * ~self._pays}
 
 

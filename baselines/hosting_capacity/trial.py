@@ -127,7 +127,7 @@ def _run(
 
 
 def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Each lane's distance to each limit now, and where, (row, limit) each."""
+    """Each trial's distance to each limit now, and where, (row, limit) each."""
     study, nodes = site.study, site.study.scenario.feeder.load_slice
     v = now.state.v_pu[:, nodes]
     lane, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)

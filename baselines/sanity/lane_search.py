@@ -21,7 +21,7 @@ from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
 
 
 def lane_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
-    """J of an episode for each seed, (n_seed,); a record of long episodes of many lanes would not fit in memory."""
+    """J of an episode for each seed, (n_seed,); a record of many long episodes would not fit in memory."""
     env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
     observations, _ = env.reset(seed=list(seeds))
     controller.reset(scenario)

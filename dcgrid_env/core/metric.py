@@ -41,7 +41,7 @@ class Metric:
     tables: tuple[Table, ...] = ()
     """Tables that show it."""
     short: str = ""
-    """Heading of a narrow column, with the unit; the heading of other tables if it is empty."""
+    """Heading in narrow tables, with the unit; the heading of other tables if it is empty."""
     scale: float = 1.0
     """Factor of the value in tables."""
 
@@ -52,11 +52,11 @@ class Metric:
 
     @property
     def column(self) -> str:
-        """Heading of a narrow column."""
+        """Heading in narrow tables."""
         return self.short or self.heading
 
     def is_worse(self, means: Mapping[str, float], others: Mapping[str, float]) -> bool:
-        """Whether it is worse in the first of two records, as far as the digits in tables tell."""
+        """Whether it is worse in the first of two records, by the digits in tables."""
         mean, other = (round(self.scale * record[self.name], self.decimals) for record in (means, others))
         return {"lower": mean > other, "higher": mean < other, "neither": False}[self.better]
 

@@ -67,7 +67,7 @@ def uniform(key, stream, n):
 
 @compiled
 def standard(key, stream, step, n):
-    """Standard draws (mean 0, variance 1) of each lane's own ``step``, shape (row, n)."""
+    """Standard draws (mean 0, variance 1) of each row's ``step``, shape (row, n)."""
     out = np.empty((key.shape[0], n))
     for i in range(key.shape[0]):
         for j in range(n):
@@ -79,10 +79,10 @@ def standard(key, stream, step, n):
 def load_step(key, step, z, share, rho, sigma, p_base, q_base, q_fixed, z_out, p_out, q_out):
     """One step of the buses' AR(1) load noise: z' = rho z + sqrt(1 - rho^2) e, and the loads.
 
-    They are base share (1 + sigma z'), share (row,) that of the peak at the lane's time of day.
+    They are base share (1 + sigma z'), share (row,) that of the peak at the row's time of day.
 
     At step 0 z' is a fresh draw, so that the process starts in its stationary state. Shapes (row, bus); ``q_fixed``
-    is added to q without noise (capacitors). Returns 0 (lanes that failed).
+    is added to q without noise (capacitors). Returns 0 (rows that failed).
     """
     fresh = np.sqrt(1.0 - rho * rho)
     for i in range(key.shape[0]):

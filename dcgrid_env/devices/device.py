@@ -198,7 +198,7 @@ class Device(Protocol):
         ...
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Figures of all slots together that stand in ``info``, (row,) each."""
+        """Figures of all slots together in ``info``, (row,) each."""
         ...
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:

@@ -98,7 +98,7 @@ class Simulation:
         return self._now.transition
 
     def step(self, action: np.ndarray) -> Transition:
-        """Advance every lane by one step of joint actions (row, n_action) in [-1, 1]."""
+        """Advance every environment by one step of joint actions (row, n_action) in [-1, 1]."""
         now = self.now
         step = now.step + 1
         s, in_one_pass = self.scenario, fits(self.scenario)
@@ -116,7 +116,7 @@ class Simulation:
         return transition
 
     def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: EpisodeOptions | None = None) -> Snapshot:
-        """New episodes of these lanes, see ``reset``."""
+        """New episodes of these environments, see ``reset``."""
         seed = np.zeros(len(lanes), np.uint64)
         number = np.zeros(len(lanes), np.uint64)
         for i, lane in enumerate(lanes):

@@ -63,7 +63,7 @@ class Snapshot(NamedTuple):
 
     @property
     def over(self) -> np.ndarray:
-        """Whether a lane's episode has ended, bool, (row,)."""
+        """Whether an environment's episode has ended, bool, (row,)."""
         return self.transition.terminated | self.transition.truncated
 
 

@@ -13,7 +13,7 @@ from dcgrid_env.engine.physics import actions
 from dcgrid_env.envs.info import INFO_LEVELS, InfoLevel
 from dcgrid_env.grid import bus_numbers
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-from dcgrid_env.scenario.errors import ScenarioError, UnknownFieldError
+from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError
 from dcgrid_env.scenario.presets import make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -79,7 +79,7 @@ class BaseEnvironment:
             raise ValueError(f"info is {info!r}; choose one of {', '.join(INFO_LEVELS)}")
         try:
             self.scenario = make_scenario(scenario, **overrides)
-        except UnknownFieldError as error:
+        except UnknownArgumentError as error:
             # TorchRL looks for Python's words before it makes the environment again without the argument.
             message = f"{error}; {type(self).__name__}() got an unexpected keyword argument {error.field!r}"
             raise TypeError(message) from None

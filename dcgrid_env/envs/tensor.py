@@ -129,7 +129,7 @@ class TensorEnv:
             return self._observe()
 
     def step(self, action: Array) -> TensorStep:
-        """Advance every lane by joint actions (row, n_action) in [-1, 1], arrays of the kind of ``like``.
+        """Advance every environment by joint actions (row, n_action) in [-1, 1], arrays of the kind of ``like``.
 
         RuntimeError once the episodes are over; ValueError for actions of another kind, precision, device or shape, or
         that are not finite.

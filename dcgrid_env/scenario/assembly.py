@@ -13,7 +13,7 @@ from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
-from dcgrid_env.scenario.errors import ScenarioError, UnknownFieldError, located
+from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError, located
 from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
@@ -63,7 +63,7 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
     for key in given:
         if key not in own and key not in FLAT:
             how = unknown("scenario field", key, (*own, *FLAT), "`dcgrid list fields` lists all")
-            raise UnknownFieldError(how, key)
+            raise UnknownArgumentError(how, key)
     fields = {} if base is None else {name: getattr(base, name) for name in own}
     fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
     flat: dict[str, dict[str, tuple[str, Any]]] = {}

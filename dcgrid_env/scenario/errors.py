@@ -34,7 +34,7 @@ def located(scenario: Any, part: str, flat: Mapping[str, str]) -> Iterator[None]
         raise ScenarioError(f"scenario {scenario!r}: {error.said(f'{path}{dot}{rest}')}") from None
 
 
-class UnknownFieldError(TypeError):
+class UnknownArgumentError(TypeError):
     """A name that is no field of a scenario."""
 
     def __init__(self, message: str, field: str):

@@ -165,7 +165,7 @@ class SiteFeature(Protocol):
         ...
 
     def totals(self, own: Any) -> dict[str, Array]:
-        """Figures of all slots together that stand in ``info``, (row,) each."""
+        """Figures of all slots together in ``info``, (row,) each."""
         ...
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: Any, dt_s: float) -> dict[str, float]:

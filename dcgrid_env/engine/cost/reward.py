@@ -167,7 +167,7 @@ def constraint(scenario: Scenario, costs: Costs) -> Array:
 def largest_costs(scenario: Scenario) -> Costs:
     """An upper bound of each term, as floats. A step is charged these if the power flow has no solution.
 
-    The bounds of the grid's terms stand in their records; devices state those of theirs.
+    The bounds of the grid's terms are in their records; devices state theirs.
     """
     t = terms(scenario)
     largest = dict.fromkeys(t.kind._fields, 0.0)

@@ -67,7 +67,7 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
 
 
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
-    """Draw an episode for each lane from its seed and the number of episodes since it was seeded, both (row,) uint64.
+    """Draw an episode for each row from its seed and the number of episodes since it was seeded, both (row,) uint64.
 
     The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
     nothing else that is drawn, but for windows of requests that follow the hour.
@@ -150,7 +150,7 @@ def assemble(
     fault: np.ndarray,
     sag: np.ndarray,
 ) -> Episode:
-    """An episode from what was drawn: adds the positions that depend on which lanes stand together in the batch."""
+    """An episode from what was drawn: adds the positions that depend on which rows are together in the batch."""
     still = np.ones(len(key))
     return Episode(key, buses, connections.placement(scenario, buses), start, sun, begin_h, still, fault, sag)
 

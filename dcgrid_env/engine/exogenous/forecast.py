@@ -36,7 +36,7 @@ class Forecast(NamedTuple):
 def forecast(scenario: Scenario, seed: int) -> Forecast:
     """The first episode of a seed, as every environment of the scenario draws it.
 
-    ScenarioError for what is no Scenario, ValueError for a seed that is no whole number of at least 0.
+    ScenarioError for another type than Scenario, ValueError for a seed that is not a whole number of at least 0.
     """
     from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
 

@@ -53,7 +53,7 @@ class _Plan(NamedTuple):
 def begun(
     scenario: Scenario, p_kw: Array, q_kvar: Array, shunt_kvar: Array | None, connected: Array | None
 ) -> Equipment:
-    """The equipment at t = 0 under the legs' net loads: taps settled, each lane by itself.
+    """The equipment at t = 0 under the legs' net loads: taps settled, each row by itself.
 
     Shapes are (row, n_leg) of the loads, (row, n_node) of switched shunts, None without any, and (row, n_capacitor)
     of what is ``connected``, None where all banks are.

@@ -21,7 +21,7 @@ class LoadsToDraw(NamedTuple):
     noise: Any
     """The AR(1) process one step earlier, (row, n_bus)."""
     share: Any
-    """Share of the peak at the lane's time of day, (row,)."""
+    """Share of the peak at the environment's time of day, (row,)."""
     rho: float
     sigma: float
     p_base_kw: Any
@@ -114,7 +114,7 @@ class State(NamedTuple):
     """``p_kw`` of the steps before, the beginning of the ramp limit's window first; None where no ramp is charged."""
     loading: Array | None = None
     """Current of the branch that feeds each node as a share of its rating, (row, n_node), 0 where that is not known;
-    None where the feeder knows no rating."""
+    None for a feeder without ratings."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)

@@ -123,7 +123,7 @@ class Recorder:
     scenario, begun
         What is run, and what the reset led to.
     seeds
-        The seed of each lane's episode, its first, where feeders are random: its course is then said to be on one.
+        The seed of each row's episode, its first, where feeders are random: its course is then said to be on one.
     """
 
     def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
@@ -141,7 +141,7 @@ class Recorder:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended in every lane."""
+        """Whether the episode has ended in every environment."""
         return bool(self._over.all())
 
     def lane(self, lane: int) -> Series:
@@ -153,7 +153,7 @@ class Recorder:
         return Series(on, taken, lane)
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (row,); ValueError before all have ended."""
+        """J of each environment's episode, (row,); ValueError before all have ended."""
         if not self.over:
             raise ValueError("costs of an episode that has not ended; step until every lane is over")
         charged = np.array([t.cost_j for t in self._transitions[1:]])
@@ -161,14 +161,14 @@ class Recorder:
         return (charged * within).sum(axis=0) / self.scenario.horizon
 
     def metrics(self) -> list[dict[str, float]]:
-        """The figures of each lane's episode; ValueError before all have ended."""
+        """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
             raise ValueError("metrics of an episode that has not ended; step until every lane is over")
         return [self.lane(i).metrics() for i in range(len(self._over))]
 
 
 class JoinedRecorder(Recorder):
-    """What ``Recorder`` has, over recordings that are made elsewhere.
+    """A ``Recorder`` over recordings that are made elsewhere.
 
     Parameters
     ----------
@@ -189,21 +189,21 @@ class JoinedRecorder(Recorder):
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended in every lane."""
+        """Whether the episode has ended in every environment."""
         return all(part.over for _, part in self._parts)
 
     def lane(self, lane: int) -> Series:
-        """The course of one lane's episode, on its own feeder."""
+        """The trajectory of one environment's episode, on its feeder."""
         part, own = self._place[lane]
         return self._parts[part][1].lane(own)
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (row,)."""
+        """J of each environment's episode, (row,)."""
         whole = np.empty(len(self._place))
         for lanes, part in self._parts:
             whole[lanes] = part.costs()
         return whole
 
     def metrics(self) -> list[dict[str, float]]:
-        """The figures of each lane's episode."""
+        """The figures of each environment's episode."""
         return [self.lane(i).metrics() for i in range(len(self._place))]

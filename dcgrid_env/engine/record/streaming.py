@@ -95,7 +95,7 @@ class StreamingRecorder:
         return bool(self._over.all())
 
     def costs(self) -> np.ndarray:
-        """J of each lane's episode, (row,); ValueError before all have ended."""
+        """J of each environment's episode, (row,); ValueError before all have ended."""
         if not self.over:
             raise ValueError("costs of an episode that has not ended; step until every lane is over")
         return self._costs / self.scenario.horizon
@@ -145,7 +145,7 @@ _SQUARE = Metric("mean square", "mean square of |V-1|", "p.u.", 4, "lower", over
 
 
 class StreamingMetrics:
-    """Accumulates the figures of one lane's episode."""
+    """Accumulates the figures of one environment's episode."""
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario

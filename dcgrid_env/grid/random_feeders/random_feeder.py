@@ -21,7 +21,7 @@ _SIDE = 4  # a right angle
 def positions_km(tree: Tree, length_km: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates of the buses, km from the substation, (n_bus,) each, to the metre.
 
-    Branches have their lengths; they may cross, as the tree knows no map.
+    Branches have their lengths; they may cross, as the tree has no map.
     """
     n = len(tree.parent) + 1
     x, y, heading = np.zeros(n), np.zeros(n), np.zeros(n, np.intp)

@@ -34,7 +34,7 @@ def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved,
     """Fill ``out``: derivatives by p_kw and q_kvar (row, bus) and by v0_pu (row,) of sum(weights * solved).
 
     ``solved`` and ``weights`` hold v_pu (row, bus), p_branch_kw, q_branch_kvar, current_sq_pu (row, branch) and the
-    weights loss_kw (row,) besides; what comes before them is as in ``distflow_lanes``. A lane without a solution has
+    weights loss_kw (row,) besides; what comes before them is as in ``distflow_lanes``. A row without a solution has
     no derivative and gets 0.
     """
     v_pu, p_branch, q_branch, current = solved

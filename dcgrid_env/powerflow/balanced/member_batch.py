@@ -15,14 +15,14 @@ from dcgrid_env.powerflow.solution import Solution
 def distflow_of_members(
     feeder: FeederBatch, p_kw: Any, q_kvar: Any, source_voltage_pu: Any, control: Any = None, start: Any = None
 ) -> Solution:
-    """Solve DistFlow on NumPy arrays (row, n_node), each lane on its own feeder; see ``solver.Solver``."""
+    """Solve DistFlow on NumPy arrays (row, n_node), each row on its feeder; see ``solver.Solver``."""
     return _of_members(solve_distflow, feeder, p_kw, q_kvar, source_voltage_pu, control, start)
 
 
 def lindistflow_of_members(
     feeder: FeederBatch, p_kw: Any, q_kvar: Any, source_voltage_pu: Any, control: Any = None, start: Any = None
 ) -> Solution:
-    """Solve LinDistFlow on NumPy arrays (row, n_node), each lane on its own feeder; see ``solver.Solver``."""
+    """Solve LinDistFlow on NumPy arrays (row, n_node), each row on its feeder; see ``solver.Solver``."""
     return _of_members(solve_lindistflow, feeder, p_kw, q_kvar, source_voltage_pu, control, start)
 
 
