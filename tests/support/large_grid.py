@@ -1,6 +1,6 @@
 """Write a grid of 10,000 buses in every format, import each as a user does, and print the seconds.
 
-``python tests/support/large_grid.py``; needs the extras pandapower, matpower and power-grid-model.
+``python tests/support/large_grid.py``; needs the extras pandapower and power-grid-model.
 """
 
 import resource

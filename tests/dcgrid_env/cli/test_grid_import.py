@@ -9,7 +9,6 @@ from dcgrid_env.cli.main import main
 from dcgrid_env.grid.formats.matpower import write_matpower
 
 pytest.importorskip("pandapower", reason="pandapower is not installed (extra pandapower)")
-pytest.importorskip("matpowercaseframes", reason="matpowercaseframes is not installed (extra matpower)")
 pytest.importorskip("power_grid_model", reason="power-grid-model is not installed (extra power-grid-model)")
 pytestmark = pytest.mark.filterwarnings("ignore")  # pandapower's own, as its nets are made
 SUFFIX = {"pandapower": "json", "matpower": "m", "power-grid-model": "json"}

@@ -30,7 +30,7 @@ def read_matpower(
     fix_generators: bool = False,
     bus_names: bool = False,
 ) -> ImportedFeeder:
-    """Read a case; needs matpowercaseframes, of the extra ``matpower``.
+    """Read a case; nothing beyond the base installation is needed.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def read_matpower(
     Raises
     ------
     FeederError
-        For code that is not known, figures that cannot be used, naming file, line, table, row and column, and for
+        For code that is not read, figures that cannot be used, naming file, line, table, row and column, and for
         what cannot be represented, naming it.
     """
     path = Path(path)

@@ -124,7 +124,7 @@ class Format:
 
 @pytest.fixture(scope="module")
 def formats(tmp_path_factory):
-    for module in ("pandapower", "matpowercaseframes", "power_grid_model"):
+    for module in ("pandapower", "power_grid_model"):
         pytest.importorskip(module, reason=f"{module} is not installed")
     folder = tmp_path_factory.mktemp("whole")
     return {name: Format(name, folder / name.replace(" ", "-")) for name in FORMATS}

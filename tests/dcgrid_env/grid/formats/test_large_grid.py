@@ -10,8 +10,6 @@ from dcgrid_env import Feeder
 from dcgrid_env.grid.formats.matpower import read_matpower, write_matpower
 from helpers.imports import assert_same_feeder
 
-pytest.importorskip("matpowercaseframes", reason="matpowercaseframes is not installed (extra matpower)")
-
 
 @pytest.mark.slow
 def test_ten_thousand_buses_are_read_in_seconds(tmp_path):
