@@ -13,7 +13,7 @@ from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_spaces
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
-from dcgrid_env.envs.time_limit import max_episode_steps_of_make, refuse_shorter_limit, with_horizon
+from dcgrid_env.envs.time_limit import refuse_shorter_limit
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
     -----------
     {end}
 
-    ``max_episode_steps`` of ``gymnasium.make`` becomes the horizon. ``reset`` raises a ScenarioError if a ``TimeLimit``
-    around the environment is shorter.
+    ``horizon`` sets the number of steps. ``reset`` raises a ScenarioError if a ``TimeLimit`` around the environment,
+    such as that of ``max_episode_steps`` in ``gymnasium.make``, is shorter.
 
     Information
     -----------
@@ -90,7 +90,6 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
         info: InfoLevel = "full",
         **overrides: Any,
     ):
-        overrides = with_horizon(overrides, "max_episode_steps", max_episode_steps_of_make(self))
         self._setup(scenario, 1, render_mode, info, overrides, joint=True)
         self._bus_keys = [f"bus_{agent}" for agent in self.scenario.agents]
         self.observation_space, self.action_space = joint_spaces(self.scenario)

@@ -1,8 +1,7 @@
-"""Steps in an episode as Gymnasium and PettingZoo set them: they become the scenario's horizon.
+"""Steps in an episode as Gymnasium and PettingZoo set them, which must equal the scenario's horizon.
 
-Gymnasium ends an episode at ``max_episode_steps`` in a wrapper, TimeLimit, of which the environment is not told. Work
-left over at that step would never be charged, and deferral would be free; a limit beyond the horizon would never be
-reached. ``gymnasium.make`` does not hand the number on either, and so it is read from the call (docs/decisions/0007).
+``gymnasium.make`` ends an episode at ``max_episode_steps`` in a wrapper, TimeLimit, and does not pass the number to the
+environment. Work left over at that step would never be charged, and deferral would be free (docs/decisions/0007).
 """
 
 from __future__ import annotations
@@ -15,20 +14,6 @@ from typing import Any
 from gymnasium.wrappers import TimeLimit
 
 from dcgrid_env.scenario.errors import ScenarioError
-
-
-def max_episode_steps_of_make(env: Any) -> int | None:
-    """``max_episode_steps`` of the ``gymnasium.make`` that is constructing ``env``; None if there is no such call."""
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None and frame.f_code.co_name == "__init__" and frame.f_locals.get("self") is env:
-        frame = frame.f_back  # its own constructor, and those of subclasses
-    if frame is None or (frame.f_globals.get("__name__"), frame.f_code.co_name) != (
-        "gymnasium.envs.registration",
-        "make",
-    ):
-        return None
-    given, spec = frame.f_locals.get("max_episode_steps"), frame.f_locals.get("env_spec")
-    return getattr(spec, "max_episode_steps", None) if given is None else given
 
 
 def with_horizon(overrides: dict[str, Any], name: str, steps: int | None) -> dict[str, Any]:
@@ -55,10 +40,11 @@ def refuse_shorter_limit(env: Any) -> None:
     while frame is not None:
         if frame.f_code is TimeLimit.reset.__code__:
             limit: Any = frame.f_locals["self"]
-            if limit._max_episode_steps < env.scenario.horizon and limit.unwrapped is env:
+            steps = limit._max_episode_steps
+            if steps < env.scenario.horizon and limit.unwrapped is env:
                 raise ScenarioError(
-                    f"a TimeLimit of {limit._max_episode_steps} steps would end the episode before the scenario's "
-                    f"horizon of {env.scenario.horizon}, and work left over would never be charged; leave the wrapper "
-                    f"out and make the environment with horizon={limit._max_episode_steps}"
+                    f"a TimeLimit of {steps} steps would end the episode before the scenario's horizon of "
+                    f"{env.scenario.horizon}, and work left over would never be charged; leave max_episode_steps or "
+                    f"the wrapper out and make the environment with horizon={steps}"
                 )
         frame = frame.f_back

@@ -1,4 +1,4 @@
-"""Steps in an episode as Gymnasium and PettingZoo set them: they are the horizon, and leftover work is charged."""
+"""Limits of Gymnasium and PettingZoo are the horizon or are refused by name, and leftover work is charged."""
 
 from typing import Any
 
@@ -17,61 +17,40 @@ def scenario_of(env: Any) -> Scenario:
     return env.unwrapped.scenario
 
 
-def throttled(env, seed=1):
-    """An episode with every clock at its lowest: what each step returned, without the observation."""
-    env.reset(seed=seed)
+@pytest.mark.parametrize("checked", [True, False])
+def test_max_episode_steps_below_the_horizon_is_refused_by_name(checked):
+    env = gymnasium.make(ID, max_episode_steps=30, disable_env_checker=not checked)
+    with pytest.raises(ScenarioError, match=r"TimeLimit of 30 steps .* horizon of 120, .* horizon=30"):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize("steps", [30, 50])
+def test_leftover_work_is_charged_at_the_horizon_within_any_limit(steps):
+    env: Any = gymnasium.make(ID, max_episode_steps=steps, horizon=30)
+    env.reset(seed=1)
     action = np.zeros(env.action_space.shape, np.float32)
     action[: 2 * scenario_of(env).n_datacenters : 2] = -1.0
-    steps = []
-    while not steps or not (steps[-1][1] or steps[-1][2]):
-        steps.append(env.step(action)[1:])
-    return steps
-
-
-@pytest.mark.parametrize("steps", [30, 130])
-def test_max_episode_steps_is_the_horizon(steps):
-    limited, own = gymnasium.make(ID, max_episode_steps=steps), gymnasium.make(ID, horizon=steps)
-    assert scenario_of(limited).horizon == steps
-    assert limited.observation_space == own.observation_space
-    found, wanted = throttled(limited), throttled(own)
-    assert len(found) == steps
-    assert found == wanted
-    info = found[-1][-1]
+    ends = [env.step(action)[3:] for _ in range(30)]
+    assert [over for over, _ in ends] == [False] * 29 + [True]
+    info = ends[-1][-1]
     assert info["cost_leftover"] == pytest.approx(9.0 * info["backlog_kws"] / 3000.0)
     assert info["cost_leftover"] > 1.0
 
 
-def test_the_spec_carries_it():
-    env: Any = gymnasium.make(ID, max_episode_steps=30)
-    assert env.spec.max_episode_steps == 30
-    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    assert scenario_of(again) is scenario_of(env)
-    assert again.spec.max_episode_steps == 30
-    batch: Any = gymnasium.make_vec(env.spec, num_envs=2)
+def test_the_spec_of_a_batch_carries_it():
+    batch: Any = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=30)
+    assert scenario_of(batch).horizon == 30
     assert isinstance(batch.unwrapped, DcgridVectorEnv)
-    assert scenario_of(batch) is scenario_of(env)
-    assert scenario_of(gymnasium.make_vec(batch.spec)) is scenario_of(env)
+    assert scenario_of(gymnasium.make_vec(batch.spec)) is scenario_of(batch)
 
 
-def test_subclasses_are_told_too():
-    class Mine(DcgridEnv):
-        def __init__(self, **kwargs):
-            super().__init__("toy6", **kwargs)
-
-    spec = EnvSpec("Mine-v0", entry_point=Mine, max_episode_steps=7, disable_env_checker=True)
-    assert scenario_of(gymnasium.make(spec)).horizon == 7
-    assert scenario_of(gymnasium.make(spec, max_episode_steps=8)).horizon == 8
-
-
-def test_no_limit_and_the_same_limit_twice():
+def test_no_limit_leaves_the_horizon():
     assert scenario_of(gymnasium.make(ID, max_episode_steps=-1)).horizon == 120
-    assert scenario_of(gymnasium.make(ID, max_episode_steps=40, horizon=40)).horizon == 40
     assert DcgridVectorEnv(2, "toy6", max_episode_steps=-1).scenario.horizon == 100
 
 
-@pytest.mark.parametrize("mode", [None, "sync"])
-def test_batches_take_it(mode):
-    batch = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, max_episode_steps=5)
+def test_batches_take_it():
+    batch = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=5)
     wanted = gymnasium.make_vec(ID, num_envs=2, horizon=5)
     assert batch.single_observation_space == wanted.single_observation_space
     batch.reset(seed=0)
@@ -82,11 +61,10 @@ def test_batches_take_it(mode):
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        (lambda **steps: gymnasium.make(ID, **steps), "max_episode_steps"),
         (lambda **steps: gymnasium.make_vec(ID, **steps), "max_episode_steps"),
         (lambda **steps: parallel_env("toy6", **steps), "max_cycles"),
     ],
-    ids=["make", "make_vec", "parallel_env"],
+    ids=["make_vec", "parallel_env"],
 )
 def test_two_lengths_of_an_episode_are_refused(make, name):
     with pytest.raises(ScenarioError, match=f"{name} is 30 and horizon is 40, .* give one"):
@@ -101,7 +79,7 @@ def test_a_shorter_limit_put_around_it_by_hand_is_refused():
     with pytest.raises(ScenarioError, match=r"TimeLimit of 30 steps .* horizon of 120, .* horizon=30"):
         env.reset(seed=0)
     with pytest.raises(ScenarioError, match="TimeLimit of 30 steps"):
-        TimeLimit(gymnasium.make(ID, max_episode_steps=60), 30).reset(seed=0)
+        TimeLimit(gymnasium.make(ID, max_episode_steps=60, horizon=60), 30).reset(seed=0)
     TimeLimit(gymnasium.make(ID), 120).reset(seed=0)
     TimeLimit(gymnasium.make(ID), 500).reset(seed=0)
 

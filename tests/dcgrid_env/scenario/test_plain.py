@@ -152,7 +152,7 @@ def test_objects_go_through_the_spec_of_an_environment_too():
         "dvfs": PrefillDecodeDvfs(),
         "feeder": load_feeder("ieee33"),
     }
-    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", max_episode_steps=30, p_rated_kw=np.float64(900.0), **objects)
+    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", horizon=30, p_rated_kw=np.float64(900.0), **objects)
     again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
     assert again.unwrapped.scenario.faults == (fault,)
