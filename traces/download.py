@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 from collections.abc import Callable, Iterator
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from dcgrid_env.core.files import new_folder
+from dcgrid_env.core.files import new_folder, sha256_of
 from dcgrid_env.core.lock import alone
 from dcgrid_env.traces.checks import TraceError
 
@@ -24,12 +23,6 @@ Progress = Callable[[int, int], None]
 # What a broken connection costs at most; a larger piece is lost with it.
 _CHUNK_BYTES = 1024
 _TIMEOUT_S = 30.0
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def download(url: str, sha256: str, size_bytes: int, path: Path, progress: Progress | None = None) -> Path:

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from dcgrid_env.core.files import sha256_of
 from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.traces.checks import TraceError
-from dcgrid_env.traces.download import Progress, download, sha256_of
+from dcgrid_env.traces.download import Progress, download
 from dcgrid_env.traces.logs.request_log import read_request_log
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.serving.requests import Requests

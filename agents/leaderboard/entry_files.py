@@ -6,7 +6,6 @@ in a signature over all that it says (``signing``), so that only reports of the 
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,6 +16,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.baselines.score import SPLIT
+from dcgrid_env.core.files import sha256_of
 
 SUBMISSION, VERIFIED = "submission.json", "verified.json"
 FORMAT = 2
@@ -150,11 +150,6 @@ def read(path: Path, kind: type[T]) -> T:
     if number != FORMAT:
         raise SubmissionError(f"{path}: format is {number}, this dcgrid reads {FORMAT}; update dcgrid-env")
     return record
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_words(**words: str) -> None:

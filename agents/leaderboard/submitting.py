@@ -23,7 +23,6 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     check_card,
     check_words,
     plain,
-    sha256_of,
 )
 from dcgrid_env.agents.leaderboard.remote import require_system
 from dcgrid_env.agents.leaderboard.running import Runner, controller_of, episodes_hash, run, scenario_of, scored
@@ -35,7 +34,7 @@ from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.shipping import without_horizon
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, require_known, split_prefix
 from dcgrid_env.baselines.user_code import parse
-from dcgrid_env.core.files import whole_folder, write_bytes, write_json
+from dcgrid_env.core.files import sha256_of, whole_folder, write_bytes, write_json
 from dcgrid_env.core.versions import PACKAGES, versions
 
 

@@ -28,14 +28,13 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     check_contents,
     plain,
     read,
-    sha256_of,
 )
 from dcgrid_env.agents.leaderboard.remote import import_path, require_system
 from dcgrid_env.agents.leaderboard.running import Runner, episodes_hash, reference, run, scenario_of, scored
 from dcgrid_env.agents.leaderboard.signing import KEY_VARIABLE, is_signed, private_key, private_key_file, sign
 from dcgrid_env.agents.leaderboard.submitting import installed, machine, runner_of
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
-from dcgrid_env.core.files import write_json
+from dcgrid_env.core.files import sha256_of, write_json
 from dcgrid_env.core.plugins import is_name
 
 TOLERANCE = 1e-4

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import textwrap
 from collections.abc import Iterable, Mapping
 
 from dcgrid_env import METRICS, Metric
 from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
+from dcgrid_env.baselines.reproduction.markdown_tables import wrapped
 from dcgrid_env.baselines.score import Estimate
 from dcgrid_env.core.versions import code_block
 
@@ -58,11 +58,6 @@ def page(title: str, made_by: str, *parts: str) -> str:
         "\n\n".join((f"# {title}", f"Made by\n\n{code_block(made_by)}", *(part.strip("\n") for part in parts if part)))
         + "\n"
     )
-
-
-def wrapped(text: str) -> str:
-    """A paragraph of the width of a page."""
-    return textwrap.fill(text, width=120, break_on_hyphens=False, break_long_words=False)
 
 
 def commands(about: str, each: Iterable[tuple[str, str]]) -> str:

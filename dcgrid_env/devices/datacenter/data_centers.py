@@ -90,8 +90,6 @@ class DataCenters(PickledByFields):
             raise refuse(
                 self, "clock_law", "give 'linear', 'prefill-decode', or a clock law such as PrefillDecodeDvfs()"
             )
-        if hasattr(self.clock_law, "phases") and not hasattr(self.clock_law, "work_classes"):  # its older name
-            raise refuse(self, "clock_law", "the law says 'phases'; name that attribute 'work_classes'")
         if work_classes_of(self.clock_law) not in (1, 2):
             wrong = work_classes_of(self.clock_law)
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")

@@ -12,7 +12,7 @@ import pytest
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.agents.leaderboard.confinement import version
-from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read, sha256_of
+from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read
 from dcgrid_env.agents.leaderboard.page import BEGIN, END, Listed, listed, tables, write_page
 from dcgrid_env.agents.leaderboard.running import scenario_of
 from dcgrid_env.agents.leaderboard.signing import PUBLIC, make_keys
@@ -21,6 +21,7 @@ from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
+from dcgrid_env.core.files import sha256_of
 from helpers.fuzzing import mutated_bytes
 from helpers.places import ROOT
 

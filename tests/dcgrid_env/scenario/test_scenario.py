@@ -276,18 +276,6 @@ class _ThreeClasses(LinearDvfs):
         return "three"
 
 
-class _OldLaw:
-    """A law written when work classes were called phases."""
-
-    phases = 2
-
-    def serve(self, params, f_mhz, work_kw):
-        return work_kw, work_kw.sum(-1)
-
-    def __repr__(self) -> str:
-        return "old"
-
-
 class _NobodysLaw:
     """A law of one's own that says nothing of work classes."""
 
@@ -298,8 +286,6 @@ class _NobodysLaw:
 def test_a_clock_law_has_one_work_class_or_two():
     assert scenario_of_ones_own(dvfs=_NobodysLaw()).work_classes == 1
     assert scenario_of_ones_own(dvfs=PrefillDecodeDvfs()).work_classes == 2
-    with pytest.raises(ScenarioError, match=r"'mine': dvfs is old; the law says 'phases'; name that.*'work_classes'"):
-        scenario_of_ones_own(dvfs=_OldLaw())
     with pytest.raises(ScenarioError, match=r"'mine': dvfs is three; give a clock law of 1 or 2 work classes, not 3"):
         scenario_of_ones_own(dvfs=_ThreeClasses())
     with pytest.raises(
