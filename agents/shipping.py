@@ -65,7 +65,7 @@ def ship(
         evaluations = [evaluate(policy, test, range(episodes)) for policy, _ in runs]
     validation_j = [card.validation_J or 0.0 for card in cards]
     best = validation_j.index(min(validation_j))
-    scored = _scored(
+    scored = scored_as(
         evaluations[best],
         tuple(card.seed or 0 for card in cards),
         tuple(one.means["J"] for one in evaluations),
@@ -79,26 +79,7 @@ def ship(
     return card
 
 
-def rescored(card: Card, policy: Policy, episodes: int | None = None) -> Card:
-    """A bundled policy's card with scores against the reference and hindsight as they are now.
-
-    The costs of the other seeds' policies stay; over another number of episodes they are not known and left out.
-    """
-    scored = card.scored
-    if scored is None or card.seed is None or scored.seed_J is None:
-        raise PolicyError("card: it has no costs of its seeds; ship the policy again")
-    test = make_scenario(scored.scenario, split=scored.split)
-    n = episodes or scored.episodes
-    with on_purpose():
-        own = evaluate(policy, test, range(n))
-    if n == scored.episodes:
-        seeds, j, validation_j = scored.seeds, scored.seed_J, scored.seed_validation_J
-    else:
-        seeds, j, validation_j = (card.seed,), (own.means["J"],), None
-    return dataclasses.replace(card, scored=_scored(own, seeds, j, validation_j), format=FORMAT)
-
-
-def _scored(
+def scored_as(
     own: Evaluation, seeds: tuple[int, ...], seed_j: tuple[float, ...], validation_j: tuple[float, ...] | None
 ) -> Scored:
     """Scores of a policy and of all seeds from its evaluation and their mean costs."""

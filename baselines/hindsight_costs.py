@@ -1,11 +1,11 @@
 """Hindsight's costs of episodes: those of the presets' test episodes, which ship, and those of one's own scenarios.
 
 The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenario and episodes and the command that
-made them, ``dcgrid dev hindsight``; that command writes one's own into a folder, in the same form. A scenario that
+made them, ``dcgrid hindsight``; that command writes one's own into a folder, in the same form. A scenario that
 differs in any field has none of them.
 
 If sites trip or agents smooth their power, no linear program describes the episode. The files of such presets contain
-the best known cost instead (``dcgrid dev best-known``), which their ``kind`` states. Its actions are in
+the best known cost instead, the result of a search over its actions, which their ``kind`` states. The actions are in
 ``recorded_actions``.
 """
 
@@ -25,7 +25,7 @@ from dcgrid_env import Scenario, episode_hash, scenario_hash
 from dcgrid_env.baselines.file_names import file_name
 
 FOLDER = Path("results/hindsight")
-"""Where ``dcgrid dev hindsight`` writes by default, in the working directory."""
+"""Where ``dcgrid hindsight`` writes by default, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
 """What the record of an episode holds."""
 BEST_KNOWN = "best known"
@@ -68,7 +68,7 @@ class Published(NamedTuple):
             if drawn_hash != expected:
                 raise ValueError(
                     f"episode {seed} of {scenario.name!r}, {scenario.split} split, has the hash {drawn_hash} here and "
-                    f"{expected} in the published values; compute them here with `dcgrid dev hindsight`"
+                    f"{expected} in the published values; compute them here with `dcgrid hindsight`"
                 )
 
 
@@ -87,7 +87,7 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     scenario
         With its split, which says which episodes the seeds mean.
     folder
-        Where ``dcgrid dev hindsight`` has written besides; what ships counts first.
+        Where ``dcgrid hindsight`` has written besides; what ships counts first.
 
     Raises
     ------

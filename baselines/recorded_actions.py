@@ -1,4 +1,4 @@
-"""Joint actions of whole episodes: how the best known costs of ``dcgrid dev best-known`` can be driven again.
+"""Joint actions of whole episodes: how bundled best known costs can be driven again.
 
 A file contains the actions of some episodes in thousandths, as changes from step to step, compressed by xz. Which
 episodes these are, and the hash of the file, is in the JSON file of their costs next to it.
@@ -91,7 +91,7 @@ def recorded_actions(scenario: Scenario, folder: Path | None = None) -> dict[int
     scenario
         With its split. There are none of a scenario that differs in any field.
     folder
-        Folder of ``dcgrid dev best-known``; bundled actions unless given.
+        Folder with other files of the same form; bundled actions unless given.
 
     Raises
     ------

@@ -7,20 +7,15 @@ from itertools import pairwise
 
 from helpers.places import ROOT
 
-FOLDERS = ("dcgrid_env", "baselines", "agents", "traces")
+FOLDERS = ("dcgrid_env", "baselines", "agents", "traces", "docs/studies")
 NO_SENTENCE = re.compile(r"(?:Of|The same|As)\b")
 """How a text begins that cannot be read without the one before it."""
 IN_EVERY_PACKAGE = ("__init__", "__main__")
 ONE_IDEA = {
     "hindsight": {"baselines/model_based/hindsight.py", "dcgrid_env/cli/hindsight.py"},
-    "unseen_feeders": {"agents/studies/unseen_feeders.py", "dcgrid_env/cli/unseen_feeders.py"},
-    "curves": {"agents/studies/curves.py", "dcgrid_env/cli/curves.py"},
-    "generalise": {"agents/studies/generalise.py", "dcgrid_env/cli/generalise.py"},
-    "sag_study": {"agents/studies/sag_study.py", "dcgrid_env/cli/sag_study.py"},
-    "agent_search": {"agents/studies/agent_search.py", "dcgrid_env/cli/agent_search.py"},
-    "transfer": {"agents/studies/transfer.py", "dcgrid_env/cli/transfer.py"},
-    "pareto": {"agents/studies/pareto.py", "dcgrid_env/cli/pareto.py"},
-    "unit_overhead": {"dcgrid_env/speed/unit_overhead.py", "dcgrid_env/cli/unit_overhead.py"},
+    "curves": {"agents/training/curves.py", "dcgrid_env/cli/curves.py"},
+    "agent_search": {"agents/training/agent_search.py", "dcgrid_env/cli/agent_search.py"},
+    "model_aided": {"baselines/model_aided/model_aided.py", "docs/studies/model_aided.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }
 """Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name."""

@@ -14,11 +14,13 @@ from helpers.places import ROOT
 
 ROOMS = ("core", "traces", "grid", "powerflow", "devices", "scenario", "engine", "rendering", "envs")
 """Each room may import those before it, and itself; then comes what the package gives under its own name."""
-ABOVE = ("", "baselines", "agents", "speed", "cli", "command")
+ABOVE = ("", "baselines", "agents", "cli", "command")
 """These use public names: of the package, of its rooms, and all of core and of traces."""
-ORDER = (*ROOMS, *ABOVE)
+STUDIES = "studies"
+"""docs/studies, which is not installed: it may import everything, and nothing imports it."""
+ORDER = (*ROOMS, *ABOVE, STUDIES)
 FOLDERS = {"dcgrid_env": "dcgrid_env", "baselines": "dcgrid_env.baselines", "agents": "dcgrid_env.agents"}
-FOLDERS |= {"traces": "dcgrid_env.traces"}
+FOLDERS |= {"traces": "dcgrid_env.traces", "docs/studies": "docs.studies"}
 FOR_ALL = ("core", "traces", "baselines")
 ON_TENSORS = (
     "dcgrid_env.core.torch_threads",
@@ -66,7 +68,7 @@ def module_of(dotted):
 
 
 def own_imports(path):
-    return [target for target in imported(path) if target.split(".")[0] == "dcgrid_env"]
+    return [target for target in imported(path) if target.split(".")[0] in ("dcgrid_env", "docs")]
 
 
 def test_every_folder_is_a_room_of_the_plan():
@@ -110,7 +112,7 @@ def test_torch_and_sb3_are_imported_in_agents_only():
         for name, path in MODULES.items()
         if {target.split(".")[0] for target in imported(path)} & {"torch", "stable_baselines3"}
     }
-    assert {name for name in heavy if room_of(name) not in ("agents", "speed")} == set(ON_TENSORS)
+    assert {name for name in heavy if room_of(name) not in ("agents", STUDIES)} == set(ON_TENSORS)
 
 
 @pytest.mark.parametrize("room", ["baselines", "agents"])

@@ -125,6 +125,11 @@ class Verified:
     """Signature over all the above; empty where the verifier has no key."""
 
     @property
+    def gains_less(self) -> bool:
+        """Whether the gain on fresh episodes lies below that on the claimed ones, their intervals apart."""
+        return self.fresh.gain[2] < self.found.gain[1]
+
+    @property
     def signed_content(self) -> bytes:
         """All but the signature, as it is signed."""
         return json.dumps(plain(self) | {"signature": ""}, sort_keys=True).encode()

@@ -19,7 +19,7 @@ PUBLIC = Path(str(files("dcgrid_env.agents.leaderboard") / "verifier.pub"))
 """File of the verifier's public key, in hexadecimal digits."""
 KEY_VARIABLE = "DCGRID_VERIFIER_KEY"
 """Environment variable with the path of the private key."""
-NEW_KEY = "python docs/leaderboard.py --new-key"
+NEW_KEY = "python -m docs.studies entries --new-key"
 """Command that makes a new pair of keys."""
 
 

@@ -55,7 +55,7 @@ class Validation:
 
 def made_with() -> str:
     """The command that runs, without where it writes and whether it was interrupted."""
-    given, words = iter(command_words()), ["dcgrid"]
+    given, words = iter(command_words()), []
     for word in given:
         if word == "--out":
             next(given, None)

@@ -92,5 +92,5 @@ def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Publ
     missing = len(costs.missing(range(episodes))) if costs else episodes
     if not missing:
         return None
-    command = f"dcgrid dev hindsight {case.spec.options('--scenarios')} --episodes {episodes}"
+    command = f"dcgrid hindsight {case.spec.options('--scenarios')} --episodes {episodes}"
     return f"hindsight is not known for {missing} of the {episodes} episodes; solve them with `{command}`"

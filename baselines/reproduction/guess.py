@@ -75,7 +75,7 @@ FOUND = Guess(
     alpha_per_s=0.003,
     memory="one_step",
 )
-"""The best of the search, ``dcgrid dev fit-paper``."""
+"""The best of the search."""
 LARGER = Guess(
     squared=True,
     v0_pu=1.049,

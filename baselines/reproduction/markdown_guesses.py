@@ -15,11 +15,12 @@ def render_guesses(records: Records) -> str:
     """Compare the guesses with the default: settings, distance from Table I, and figures that were not fitted."""
     columns: dict[str, Records] = records["guesses"]["columns"]
     text = (
-        f"The paper leaves {len(VALUES)} settings open that Table I depends on. `dcgrid dev fit-paper` tried 231 "
-        "choices of them and minimised the error in the 30 numbers. The error is the sum of the mean absolute errors "
-        "of deviation and delay, each as a share of its mean in the paper. The standard deviations, the gain and the "
-        "share of buses inside the band were not fitted and check the result. An earlier search of the same size could "
-        "also choose the rating of a site. It gave the last column: sites of 560 kW, where the paper states 280 kW."
+        f"The paper leaves {len(VALUES)} settings open that Table I depends on. `python -m docs.studies fit-paper` "
+        "tried 231 choices of them and minimised the error in the 30 numbers. The error is the sum of the mean "
+        "absolute errors of deviation and delay, each as a share of its mean in the paper. The standard deviations, "
+        "the gain and the share of buses inside the band were not fitted and check the result. An earlier search of "
+        "the same size could also choose the rating of a site. It gave the last column: sites of 560 kW, where the "
+        "paper states 280 kW."
     )
     settings = [
         [LABELS[name], *(_said(name, column["settings"][name]) for column in columns.values())] for name in LABELS

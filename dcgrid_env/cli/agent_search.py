@@ -1,4 +1,4 @@
-"""The command ``dcgrid dev tune-agent``."""
+"""The command ``dcgrid tune-agent``."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TuneAgent(OverWorkers):
 
     def run(self) -> None:
         """Search, print each trial, then the best. ValueError for a setting that cannot be, before anything is done."""
-        from dcgrid_env.agents.studies.agent_search import (
+        from dcgrid_env.agents.training.agent_search import (
             SECONDS,
             best_as_toml,
             ended,
@@ -59,7 +59,7 @@ class TuneAgent(OverWorkers):
             search,
             seconds,
         )
-        from dcgrid_env.agents.studies.search_spaces import SPACES
+        from dcgrid_env.agents.training.search_spaces import SPACES
         from dcgrid_env.cli.train import ALGORITHMS
 
         require_optuna()
@@ -83,7 +83,7 @@ class TuneAgent(OverWorkers):
             )
             say(console, f"{number_of(trial)}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {own}")
 
-        with alone_in(folder, "dcgrid dev tune-agent"):
+        with alone_in(folder, "dcgrid tune-agent"):
             study = search(base, self.trials, self.seed, folder, self._given(), shown, self.batch, place)
         trials = ended(study)
         stopped = sum(trial.state.name == "PRUNED" for trial in trials)

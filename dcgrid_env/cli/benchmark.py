@@ -46,7 +46,7 @@ class Benchmark(OverWorkers):
     comma. The tuned droop is run besides."""
     episodes: int = 100
     """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
-    dcgrid dev hindsight has solved besides is found in results/hindsight."""
+    dcgrid hindsight has solved besides is found in results/hindsight."""
     tuned: Path | None = None
     """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
     results/tuned.json where they were found for this very scenario, else those that ship with the preset."""

@@ -1,4 +1,4 @@
-"""The command ``dcgrid dev curves``."""
+"""The command ``dcgrid curves``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
 
 if TYPE_CHECKING:
-    from dcgrid_env.agents.studies.curves import Line
+    from dcgrid_env.agents.training.curves import Line
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,7 @@ class Curves(Command):
 
     def run(self) -> None:
         """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
-        from dcgrid_env.agents.studies.curves import lines, read
-        from dcgrid_env.agents.studies.learning_figures import curves_figure
+        from dcgrid_env.agents.training.curves import curves_figure, lines, read
         from dcgrid_env.core.files import write_figure
 
         if not self.folders:

@@ -1,4 +1,4 @@
-"""The command ``dcgrid dev hindsight``."""
+"""The command ``dcgrid hindsight``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class HindsightValues(OverWorkers):
+class Hindsight(OverWorkers):
     """Solve episodes with perfect foresight and store the costs.
 
     Writes one JSON file for each scenario.
@@ -111,7 +111,7 @@ def solve_missing(
         return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
 
     kept_now()  # ValueError before a folder is made
-    with alone_in(folder, "dcgrid dev hindsight"), progress_bar(console) as progress:
+    with alone_in(folder, "dcgrid hindsight"), progress_bar(console) as progress:
         kept = kept_now()
         due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
         bar = progress.add_task("episodes", total=len(due))
@@ -162,7 +162,7 @@ def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
 def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) -> dict[int, dict[str, Any]]:
     """Return the episodes of a scenario in a folder, by seed.
 
-    ValueError if the file is damaged, of another scenario or of the other command: ``best_known`` says of which.
+    ValueError if the file is damaged, of another scenario or of the other kind: ``best_known`` says of which.
     """
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file, read_hindsight
@@ -171,8 +171,8 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
     if content is None:
         return {}
     if (content.get("kind") == BEST_KNOWN) != best_known:
-        other = "dcgrid dev hindsight" if best_known else "dcgrid dev best-known"
-        raise ValueError(f"{hindsight_file(folder, scenario.name)} was written by {other}; choose another --out")
+        what = "hindsight's costs" if best_known else "best known costs"
+        raise ValueError(f"{hindsight_file(folder, scenario.name)} contains {what}; choose another --out")
     if content["scenario_hash"] != scenario_hash(scenario):
         raise ValueError(
             f"{hindsight_file(folder, scenario.name)} is of another {scenario.name}; move it away, or choose another "
@@ -185,7 +185,7 @@ def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[
     from dcgrid_env import scenario_hash
 
     scenario, count = spec.make(split), max(episodes) + 1
-    command = f"dcgrid dev hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
+    command = f"dcgrid hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
     write_json(
         path,
         {

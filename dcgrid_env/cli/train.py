@@ -142,8 +142,7 @@ class Seeds(Command):
     def run(self) -> None:
         """Train what has not been trained, print each seed's cost on validation. ValueError where seeds fail."""
         from dcgrid_env.agents import Card
-        from dcgrid_env.agents.studies.training_runs import train_seed, words_of
-        from dcgrid_env.agents.studies.training_units import train_all
+        from dcgrid_env.agents.training.training_runs import train_all, train_seed, words_of
 
         where, first = place(self.workers, self.ray), self.configurations[0]
         if line := shipped_settings(first):
@@ -165,7 +164,7 @@ class Seeds(Command):
             say(console, f"seed {seed}: {cost}, {spent_s}, {folders[seed]}")
         costs, where = [card.validation_J or 0.0 for card in cards.values()], " ".join(str(folders[s]) for s in cards)
         say(console, f"J {sum(costs) / len(costs):.4f} on average, {min(costs):.4f} to {max(costs):.4f}")
-        say(console, f"`dcgrid dev ship {where} --name NAME` scores them on test")
+        say(console, f"`dcgrid ship {where} --name NAME` scores them on test")
 
 
 def of_seed(configuration: Any, seed: int) -> Any:

@@ -44,7 +44,6 @@ class Verify(Command):
             self._verify(folder, seed)
 
     def _verify(self, folder: Path, seed: int) -> None:
-        from dcgrid_env.agents.leaderboard.page import Listed
         from dcgrid_env.agents.leaderboard.signing import private_key_file
         from dcgrid_env.agents.leaderboard.verifying import verify, verify_again
 
@@ -66,7 +65,7 @@ class Verify(Command):
             f"saves {gains[0]} of the tuned droop's J; {gains[1]} on {found.fresh_episodes} fresh episodes, seeds from "
             f"{found.fresh_seed}",
         )
-        if Listed(entry, found).gains_less:
+        if found.gains_less:
             say(console, "on fresh episodes it saves less: was it learned or chosen on the test episodes?")
         if self.again:
             equal = "to the last bit" if is_equal else "within the tolerance"

@@ -57,40 +57,6 @@ _TRACES = Group(
         }
     },
 )
-_DEV = Group(
-    "Make the data, policies and studies that this project publishes.",
-    {
-        "Upper bounds": {
-            "hindsight": Entry(
-                "Solve episodes with perfect foresight and store the costs.", "hindsight:HindsightValues"
-            ),
-            "best-known": Entry(
-                "Search for the least cost where no linear program applies.", "best_known_values:BestKnownValues"
-            ),
-        },
-        "Policies": {
-            "tune-agent": Entry("Search an algorithm's settings for a scenario.", "agent_search:TuneAgent"),
-            "ship": Entry("Score training runs that differ in the seed; write the best.", "ship:Ship"),
-            "rescore": Entry("Score bundled policies again and write their cards.", "ship:Rescore"),
-            "leaderboard": Entry("Make the leaderboard's tables from verified folders.", "leaderboard:Leaderboard"),
-        },
-        "Studies": {
-            "ablate": Entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
-            "curves": Entry("Draw learning curves of training runs.", "curves:Curves"),
-            "fit-paper": Entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
-            "generalise": Entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
-            "gradient-cosine": Entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),
-            "pareto": Entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
-            "random-feeders": Entry(
-                "Compare random feeders with published ones.", "random_feeder_table:RandomFeederTable"
-            ),
-            "sags": Entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),
-            "transfer": Entry("Score bundled policies on other scenarios than their own.", "transfer:Transfer"),
-            "unit-overhead": Entry("Measure the overhead of units of work.", "unit_overhead:UnitOverhead"),
-            "unseen-feeders": Entry("Score controllers on feeders they never saw.", "unseen_feeders:UnseenFeeders"),
-        },
-    },
-)
 COMMANDS = Group(
     "Voltage control of distribution feeders with AI data centres.",
     {
@@ -109,16 +75,20 @@ COMMANDS = Group(
             "train": _TRAIN,
             "evaluate": Entry("Score a policy on held-out episodes.", "evaluate:Evaluate"),
             "tune": Entry("Tune control laws on the validation split of scenarios.", "tune:Tune"),
+            "tune-agent": Entry("Search an algorithm's settings for a scenario.", "agent_search:TuneAgent"),
+            "hindsight": Entry("Solve episodes with perfect foresight and store the costs.", "hindsight:Hindsight"),
             "benchmark": Entry("Score controllers over scenarios on the test split.", "benchmark:Benchmark"),
+            "curves": Entry("Draw learning curves of training runs.", "curves:Curves"),
             "dataset": Entry("Write episodes as a Minari data set for offline learning.", "dataset:Dataset"),
         },
         "Publish": {
+            "ship": Entry("Score training runs that differ in the seed; write the best.", "ship:Ship"),
             "submit": Entry("Write an entry of the leaderboard.", "submit:Submit"),
             "verify": Entry("Run entries of the leaderboard again and report the scores.", "verify:Verify"),
             "export-sb3": Entry("Convert a Stable-Baselines3 model into a policy file.", "sb3_export:ExportSb3"),
             "reproduce": Entry("Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).", "reproduce:Reproduce"),
         },
-        "More": {"traces": _TRACES, "dev": _DEV},
+        "More": {"traces": _TRACES},
     },
     {VERSION: "Show the version.", TRACEBACK: "With any command, show the traceback of an error."},
 )

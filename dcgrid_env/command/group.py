@@ -22,12 +22,13 @@ class Entry(NamedTuple):
     text: str
     """Summary on one line; the docstring of the class begins with it."""
     where: str
-    """Its class, ``module:Class`` of ``dcgrid_env.cli``, which has ``parse(words, prog)``."""
+    """Its class, ``module:Class`` in the package, which has ``parse(words, prog)``."""
+    package: str = "dcgrid_env.cli"
 
     def load(self) -> Any:
         """Import its class."""
         module, _, name = self.where.partition(":")
-        return getattr(import_module(f"dcgrid_env.cli.{module}"), name)
+        return getattr(import_module(f"{self.package}.{module}"), name)
 
 
 class Group(NamedTuple):

@@ -16,12 +16,12 @@ PACKAGES = ("dcgrid-env", "numpy", "scipy", "numba", "gymnasium", "pettingzoo")
 
 
 _words: ContextVar[tuple[str, ...] | None] = ContextVar("words", default=None)
-"""What follows ``dcgrid`` in the command that runs; None where none was begun by :func:`command_of`."""
+"""Words of the command that runs; None where none was begun by :func:`command_of`."""
 
 
 @contextmanager
 def command_of(words: Sequence[str]) -> Iterator[None]:
-    """Have the results of the block say that the command of these words, without ``dcgrid``, made them."""
+    """Have the results of the block say that the command of these words made them."""
     before = _words.set(tuple(words))
     try:
         yield
@@ -30,9 +30,9 @@ def command_of(words: Sequence[str]) -> Iterator[None]:
 
 
 def command_words() -> tuple[str, ...]:
-    """What follows ``dcgrid`` in the command that runs, those of the shell unless a command was begun from Python."""
+    """Words of the command that runs, those of the shell unless a command was begun from Python."""
     words = _words.get()
-    return tuple(sys.argv[1:]) if words is None else words
+    return ("dcgrid", *sys.argv[1:]) if words is None else words
 
 
 def versions(packages: tuple[str, ...]) -> dict[str, str | None]:
@@ -54,7 +54,7 @@ def code_block(command: str) -> str:
 def meta() -> dict[str, Any]:
     """Command, versions and machine behind a result."""
     return {
-        "command": shlex.join(["dcgrid", *command_words()]),
+        "command": shlex.join(command_words()),
         "versions": {"python": platform.python_version(), **versions(PACKAGES)},
         "machine": {"platform": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
     }

@@ -1,7 +1,7 @@
 """Draw the pictures of presets: python docs/extensions/draw_environments.py FOLDER PRESET..
 
-They are those of ``python docs/picture.py``, drawn without compiling but for the kernel that serves requests: what is
-drawn is the same, and 75 steps take less time than the compiler does in an environment that is used once.
+They are those of ``python -m docs.studies.picture``, drawn without compiling but for the kernel that serves requests:
+what is drawn is the same, and 75 steps take less time than the compiler does in an environment that is used once.
 """
 
 import os
@@ -18,8 +18,8 @@ from dcgrid_env.traces import generate_site
 
 generate_site(60.0, seed=0)  # compiles the kernel that serves requests, millions of them, before the switch
 numba.config.DISABLE_JIT = True  # type: ignore[attr-defined]
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from picture import draw as draw_picture  # noqa: E402  behind the switch, and from the folder of the documents
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from docs.studies.picture import draw as draw_picture  # noqa: E402  behind the switch, and from the repository
 
 SLOW = ("ieee123-3ph-day", "ieee123-3ph", "bursty", "ride-through")
 """Drawn first, so that the others fill the time beside them."""

@@ -20,7 +20,7 @@ from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 
 STEPS = 75
-"""Steps after which ``docs/picture.py`` draws, of an episode that is longer."""
+"""Steps after which ``docs.studies.picture`` draws, of an episode that is longer."""
 FOLDER = "environments"
 SUFFIX = ".myst"
 """Made pages have a suffix of their own, so that what is checked in every ``.md`` is what people write."""
@@ -68,7 +68,8 @@ def page(preset: str) -> str:
         f"# {preset}",
         f"{sentence(PRESETS[preset])}.",
         f"![{preset} under the tuned droop: the feeder's voltages, and the course of the episode]({picture})",
-        f"*`python docs/picture.py {preset}.png {preset} droop-tuned`: test split, seed 0, after {steps} steps.*",
+        f"*`python -m docs.studies.picture {preset}.png {preset} droop-tuned`: "
+        f"test split, seed 0, after {steps} steps.*",
         f"```python\nimport gymnasium, dcgrid_env\n\n"
         f'env = gymnasium.make("{gym_id}")  # one agent holds all actuators\n'
         f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # a native batch\n'

@@ -7,8 +7,9 @@ import pytest
 
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
-from dcgrid_env.agents.shipping import rescored, ship
+from dcgrid_env.agents.shipping import ship
 from dcgrid_env.baselines import make_controller
+from docs.studies.rescore import rescored
 
 
 def trained(folder, seed, q_share, validation_j, scenario="toy6", **more):

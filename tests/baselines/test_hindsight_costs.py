@@ -31,7 +31,7 @@ work is routed the program may leave work at sites that their lowest clock serve
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_has_its_test_episodes(name):
     values = published(make_scenario(name, split="test"))
-    assert values is not None, "the preset has changed; make its values anew with dcgrid dev hindsight"
+    assert values is not None, "the preset has changed; make its values anew with dcgrid hindsight"
     assert values.seeds.tolist() == list(range(EPISODES[name]))
     assert np.isfinite(values.J).all()
     assert len(set(values.episode_hashes)) == EPISODES[name]
@@ -44,12 +44,12 @@ def test_every_preset_has_its_test_episodes(name):
         assert content["kind"] == BEST_KNOWN
         assert values.is_best_known
         assert content["command"].startswith(
-            f"dcgrid dev best-known --scenario {name} --split test --episodes {EPISODES[name]} "
+            f"python -m docs.studies best-known --scenario {name} --split test --episodes {EPISODES[name]} "
         )
         return
     assert not values.is_best_known
     options = f"--scenarios {name} --split test --episodes {EPISODES[name]}"
-    assert content["command"] == f"dcgrid dev hindsight {options}"
+    assert content["command"] == f"dcgrid hindsight {options}"
 
 
 @pytest.mark.parametrize("name", PRESETS)

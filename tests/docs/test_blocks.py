@@ -23,6 +23,7 @@ import pytest
 from dcgrid_env import load_feeder
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.cli import main
+from docs.studies import commands as studies
 from helpers.places import ROOT
 
 DOCUMENTS = sorted(
@@ -51,58 +52,59 @@ SHORTER = {
     "dcgrid evaluate": {"--episodes": "2"},
     "dcgrid submit": {"--episodes": "2"},
     "dcgrid verify": {"--fresh": "2"},
-    "dcgrid dev ship": {"--episodes": "2", "--out": "results/ship"},
+    "dcgrid ship": {"--episodes": "2", "--out": "results/ship"},
     "dcgrid replay": {"--set": "horizon=4"},
     "dcgrid check": {"--episodes": "1", "--seconds": "1", "--workers": "1"},
     "dcgrid import matpower": {},
     "dcgrid tune": {"--episodes": "1", "--laws": "droop", "--workers": "1"},
-    "dcgrid dev hindsight": {"--episodes": "2", "--workers": "1"},
+    "dcgrid hindsight": {"--episodes": "2", "--workers": "1"},
     "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--workers": "1"},
-    "dcgrid dev random-feeders": {"--draws": "2", "--n-bus": "20"},
+    "python -m docs.studies random-feeders": {"--draws": "2", "--n-bus": "20"},
     "dcgrid dataset": {"--episodes": "2"},
     "dcgrid list": {},
-    "python docs/picture.py": {},
-    "python docs/agents.py": {},
-    "python docs/headline.py": {},
+    "python -m docs.studies.picture": {},
+    "python -m docs.studies.agents": {},
+    "python -m docs.studies.headline": {},
 }
 """Options that are given these values, by how a command begins."""
 
 ELSEWHERE = {
     "dcgrid benchmark --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid tune --ray 10.0.0.7:6379": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "dcgrid dev hindsight --ray ray://head.example:10001": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid hindsight --ray ray://head.example:10001": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid train analytic --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "dcgrid dev unit-overhead": "tests/dcgrid_env/speed/test_unit_overhead.py",
-    "dcgrid dev pareto": "tests/agents/studies",
-    "dcgrid dev ablate": "tests/agents/studies",
-    "dcgrid dev generalise": "tests/agents/studies",
-    "dcgrid dev unseen-feeders": "tests/agents/studies",
-    "dcgrid dev transfer": "tests/agents/studies",
-    "dcgrid dev tune-agent": "tests/agents/studies",
-    "dcgrid dev sags": "tests/agents/studies",
+    "python -m docs.studies unit-overhead": "tests/docs/studies/speed/test_unit_overhead.py",
+    "python -m docs.studies pareto": "tests/docs/studies",
+    "python -m docs.studies ablate": "tests/docs/studies",
+    "python -m docs.studies generalise": "tests/docs/studies",
+    "python -m docs.studies unseen-feeders": "tests/docs/studies",
+    "python -m docs.studies transfer": "tests/docs/studies",
+    "dcgrid tune-agent": "tests/agents/training/test_agent_search.py",
+    "python -m docs.studies sags": "tests/docs/studies",
     "dcgrid replay results/run": "tests/dcgrid_env/cli/test_replay.py",  # there of a run that the shell began
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
-    "dcgrid dev fit-paper": "tests/dcgrid_env/cli/test_reproduce.py",
+    "python -m docs.studies fit-paper": "tests/docs/studies/test_fit_paper.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
-    "python docs/import_differences.py": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
+    "python -m docs.studies.import_differences": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
     "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
-    "python docs/replay_picture.py": "tests/dcgrid_env/rendering/test_replay_in_browser.py",  # there with a Chromium
-    "python docs/long_episodes.py": "tests/docs/test_long_episodes.py",
-    "python docs/paired_speed.py": "tests/docs/test_paired_speed.py",
-    "python docs/first_step.py": "tests/docs/test_first_step.py",
+    # there with a Chromium
+    "python -m docs.studies.replay_picture": "tests/dcgrid_env/rendering/test_replay_in_browser.py",
+    "python -m docs.studies.long_episodes": "tests/docs/studies/test_long_episodes.py",
+    "python -m docs.studies.paired_speed": "tests/docs/studies/test_paired_speed.py",
+    "python -m docs.studies.first_step": "tests/docs/studies/test_first_step.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "python docs/examples/sb3_vec_env.py": "tests/docs/test_examples.py",
     "dcgrid export-sb3": "tests/agents/from_sb3",
     "dcgrid evaluate rllib_policy.py:FromRllib": "tests/docs/test_frameworks.py",
     "dcgrid evaluate torchrl_policy.py:FromTorchRl": "tests/docs/test_frameworks.py",
-    "dcgrid dev leaderboard": "tests/agents/leaderboard",
+    "python -m docs.studies leaderboard": "tests/agents/leaderboard",
     "dcgrid verify docs/leaderboard/toy6-analytic": "tests/agents/leaderboard",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
@@ -117,8 +119,8 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
-    "python -m dcgrid_env.speed sizes": "tests/dcgrid_env/speed/test_size_table.py",
-    "python -m dcgrid_env.speed": "tests/dcgrid_env/speed/test_rates.py",
+    "python -m docs.studies speed-sizes": "tests/docs/studies/speed/test_size_table.py",
+    "python -m docs.studies speed": "tests/docs/studies/speed/test_rates.py",
     "python tests/mutation/run.py": "tests/mutation/test_mutation.py",
     "python -m venv": ".ci/run",
     "python -m pip": ".ci/run",
@@ -131,6 +133,7 @@ ELSEWHERE = {
 }
 """What is run by another test or by the submission's checks, and only read here, by how a command begins."""
 
+STUDIES = ["python", "-m", "docs.studies"]
 WORD = re.compile(r"(?:\.venv/bin/)?(dcgrid|python3?|ruff|pyright|bash)(?= )")
 SAVED_AS = re.compile(r"\b(\w+\.py):(\w+)")
 TOML_NAME = re.compile(r"# ([\w-]+\.toml)$", re.MULTILINE)
@@ -199,11 +202,11 @@ def shortened(command):
     return made
 
 
-def read(arguments):
-    """Whether dcgrid's command line can read a command; nothing is done."""
+def read(arguments, *table):
+    """Whether the command line can read a command, of dcgrid or of another table; nothing is done."""
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            main.parse(arguments)
+            main.parse(arguments, *table)
     except SystemExit as stopped:
         return stopped.code in (0, None)
     except ValueError:  # there is no such command
@@ -217,6 +220,8 @@ def check_read(command):
         # `dcgrid tune`: what it is about
         name_alone = all(re.fullmatch("[a-z]+(-[a-z0-9]+)*", word) for word in command)
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
+    elif command[:3] == STUDIES:
+        assert read(command[3:] + ["--help"] * (len(command) == 4), studies.COMMANDS, studies.PROG), command
     elif command[:2] == ["python", "-m"]:
         in_ci = ELSEWHERE.get(listed(ELSEWHERE, command) or "") == ".ci/run"  # with an extra that tests do without
         assert in_ci or importlib.util.find_spec(command[2]) is not None, command
@@ -228,6 +233,8 @@ def run(command, monkeypatch):
     """Run a command in this process."""
     if command[0] == "dcgrid":
         main.main(command[1:])
+    elif command[:3] == STUDIES:
+        studies.main(command[3:])
     else:
         named = command[3:] if command[1] == "-m" else command[2:]
         monkeypatch.setattr(sys, "argv", [command[2] if command[1] == "-m" else command[1], *named])

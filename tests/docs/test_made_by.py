@@ -13,21 +13,31 @@ import pytest
 from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Group
 from dcgrid_env.cli.main import parse
+from docs.studies.commands import COMMANDS as STUDIES
+from docs.studies.commands import PROG
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("agents", "baselines", "dcgrid_env", "docs", "traces")
 DATA = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.json"))
 SOURCES = sorted(path for room in ROOMS for ending in ("py", "toml") for path in (ROOT / room).rglob(f"*.{ending}"))
-QUOTED = re.compile(r"`{1,2}dcgrid ([a-z][^`]+)`{1,2}")
+QUOTED = re.compile(r"`{1,2}((?:dcgrid|python -m docs\.studies) [a-z][^`]+)`{1,2}")
+TABLES = {"dcgrid ": (COMMANDS, "dcgrid"), f"{PROG} ": (STUDIES, PROG)}
+
+
+def table_of(line):
+    """The table that a command is of, how it is called, and the words behind that."""
+    ((start, (table, prog)),) = ((start, of) for start, of in TABLES.items() if line.startswith(start))
+    return table, prog, line.removeprefix(start)
 
 
 @cache
-def read(*words):
+def read(line):
     """Why the command line does not read a command, "" if it does, and what it prints; nothing is run."""
+    table, prog, words = table_of(line)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            parse(words)
+            parse(shlex.split(words), table, prog)
     except SystemExit as stopped:
         return ("" if stopped.code in (0, None) else said.getvalue()), said.getvalue()
     except ValueError as error:  # there is no such command
@@ -36,17 +46,17 @@ def read(*words):
 
 
 def commands(content):
-    """Commands of dcgrid in a JSON file."""
+    """Commands in a JSON file."""
     if isinstance(content, dict | list):
         parts = content.values() if isinstance(content, dict) else content
         return {command for part in parts for command in commands(part)}
-    return {content} if isinstance(content, str) and content.startswith("dcgrid ") else set()
+    return {content} if isinstance(content, str) and content.startswith(tuple(TABLES)) else set()
 
 
 @pytest.mark.parametrize("path", DATA, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_in_a_data_file_can_be_read(path):
     for command in commands(json.loads(path.read_text(encoding="utf-8"))):
-        assert not read(*shlex.split(command)[1:])[0], command
+        assert not read(command)[0], command
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -54,22 +64,20 @@ def test_commands_in_a_source_file_exist_with_their_options(path):
     """Placeholders replace values there, so the test reads only the command and the names of its options."""
     text = re.sub(r'"\s*\n\s*f?"', "", path.read_text(encoding="utf-8"))
     for quoted in QUOTED.findall(text):
-        words = quoted.split()
-        named = group_and_command(words)
-        printed = read(*named, "--help")[1]
-        options = [word for word in words if re.fullmatch("--[a-z-]+", word)] if "{" not in quoted else []
-        assert not [option for option in options if option not in printed], f"dcgrid {quoted}"
+        printed = read(f"{group_and_command(quoted)} --help")[1]
+        options = [word for word in quoted.split() if re.fullmatch("--[a-z-]+", word)] if "{" not in quoted else []
+        assert not [option for option in options if option not in printed], quoted
 
 
-def group_and_command(words):
+def group_and_command(line):
     """The words that choose a command, or only a group where a placeholder or nothing follows it."""
-    member, chosen = COMMANDS, []
-    for word in words:
+    member, chosen, words = table_of(line)
+    for word in words.split():
         if not isinstance(member, Group) or word.isupper() or word.startswith(("{", "-")):
             break
-        assert word in member.members, f"dcgrid {' '.join(words)}"
+        assert word in member.members, line
         member = member.members[word]
-        chosen.append(word)
+        chosen += f" {word}"
     return chosen
 
 

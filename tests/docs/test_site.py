@@ -54,7 +54,7 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
 
 
 def test_the_readme_has_the_table_that_its_command_prints():
-    headline = runpy.run_path(str(ROOT / "docs" / "headline.py"))
+    headline = runpy.run_path(str(ROOT / "docs" / "studies" / "headline.py"))
     made = headline["table"]()
     assert made.count("\n") == 7
     assert made in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -10,11 +10,11 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from dcgrid_env.agents.leaderboard import remote, verifying
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError, Verified, plain, read
-from dcgrid_env.agents.leaderboard.page import listed
 from dcgrid_env.agents.leaderboard.signing import make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import verify
 from dcgrid_env.cli.main import main
+from docs.studies.leaderboard import listed
 from helpers.submitted_code import acted
 
 PEEKING = """

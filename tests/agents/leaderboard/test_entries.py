@@ -13,7 +13,6 @@ from dcgrid_env import PRESETS
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.agents.leaderboard.confinement import version
 from dcgrid_env.agents.leaderboard.entry_files import Submission, SubmissionError, Verified, read
-from dcgrid_env.agents.leaderboard.page import BEGIN, END, Listed, listed, tables, write_page
 from dcgrid_env.agents.leaderboard.running import scenario_of
 from dcgrid_env.agents.leaderboard.signing import PUBLIC, make_keys
 from dcgrid_env.agents.leaderboard.submitting import submit
@@ -22,6 +21,8 @@ from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.files import sha256_of
+from docs.studies.commands import main as studies
+from docs.studies.leaderboard import BEGIN, END, Listed, listed, tables, write_page
 from helpers.fuzzing import mutated_bytes
 from helpers.places import ROOT
 
@@ -94,9 +95,9 @@ def constant():
     return Policy(networks, scenario=PRESET)
 
 
-def stopped(capsys, *arguments):
+def stopped(capsys, *arguments, run=main):
     with pytest.raises(SystemExit) as raised:
-        main([str(argument) for argument in arguments])
+        run([str(argument) for argument in arguments])
     said = capsys.readouterr().err
     assert (raised.value.code, len(said.splitlines())) == (2, 1)
     return said
@@ -281,18 +282,18 @@ def test_a_policy_under_guard_is_entered_too(tmp_path):
 def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
     page = tmp_path / "page.md"
     page.write_text(f"# Page\n{BEGIN}\nold\n{END}\nbehind\n")
-    main(["dev", "leaderboard", str(whole), "--page", str(page)])
+    studies(["leaderboard", str(whole), "--page", str(page)])
     text = page.read_text()
     assert text.startswith(f"# Page\n{BEGIN}\n\n### Local measurements and own sensitivities\n")
     assert text.endswith(f"{END}\nbehind\n")
     assert "| `toy6` | analytic | " in text
     assert "old" not in text
-    main(["dev", "leaderboard", str(whole.parent), "--page", str(page)])  # a folder of folders
+    studies(["leaderboard", str(whole.parent), "--page", str(page)])  # a folder of folders
     assert page.read_text() == text
     twice = shutil.copytree(whole, tmp_path / "twice")
-    assert "name 'analytic' stands in " in stopped(capsys, "dev", "leaderboard", whole, twice, "--page", page)
+    assert "name 'analytic' stands in " in stopped(capsys, "leaderboard", whole, twice, "--page", page, run=studies)
     page.write_text("none")
-    assert "has not one line" in stopped(capsys, "dev", "leaderboard", whole, "--page", page)
+    assert "has not one line" in stopped(capsys, "leaderboard", whole, "--page", page, run=studies)
 
 
 @pytest.mark.parametrize(
@@ -315,7 +316,7 @@ def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said
 
 @pytest.mark.parametrize("file", ["submission.json", "verified.json", "card and weights"])
 def test_a_damaged_folder_is_refused_by_its_file_or_reads_as_the_same(file, entry, tmp_path, monkeypatch):
-    monkeypatch.setattr("dcgrid_env.agents.leaderboard.page.PUBLISHED_EPISODES", 4)
+    monkeypatch.setattr("docs.studies.leaderboard.PUBLISHED_EPISODES", 4)
     folder, same, refused = Path(shutil.copytree(entry, tmp_path / "entry")), listed(entry), 0
     names = [file] if file.endswith(".json") else sorted(json.loads((entry / "submission.json").read_text())["files"])
     whole_files, rng = {name: (folder / name).read_bytes() for name in names}, random.Random(3)
@@ -337,7 +338,7 @@ def test_a_damaged_folder_is_refused_by_its_file_or_reads_as_the_same(file, entr
 
 def test_a_report_against_another_reference_or_other_hindsight_is_not_listed(whole, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("dcgrid_env.agents.leaderboard.page.reference", lambda _: "Droop(k_p_mw_per_pu=9.0)")
+        patch.setattr("docs.studies.leaderboard.reference", lambda _: "Droop(k_p_mw_per_pu=9.0)")
         with pytest.raises(
             SubmissionError, match=r"reference is Droop\(.*, now Droop\(k_p_mw_per_pu=9.0\); submit and"
         ):
@@ -391,6 +392,6 @@ def test_our_page_is_made_of_our_folders(tmp_path, monkeypatch):
     folders = sorted(path.parent for path in (ROOT / "docs" / "leaderboard").glob("*/submission.json"))
     page = ROOT / "docs" / "leaderboard.md"
     made = Path(shutil.copy(page, tmp_path))
-    assert write_page(folders, made) == len(folders) >= 3, "run python docs/leaderboard.py"
-    assert made.read_text() == page.read_text(), "run python docs/leaderboard.py"
+    assert write_page(folders, made) == len(folders) >= 3, "run python -m docs.studies entries"
+    assert made.read_text() == page.read_text(), "run python -m docs.studies entries"
     assert {read(folder / "submission.json", Submission).scenario for folder in folders} <= set(PRESETS)

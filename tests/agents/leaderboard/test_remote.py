@@ -20,7 +20,7 @@ for name in missing:
 import os
 for name in ("O_ACCMODE", "killpg", "fork", "pread", "waitid", "SCHED_IDLE"):
     delattr(os, name)
-import dcgrid_env.agents.leaderboard.page
+import dcgrid_env.agents.leaderboard.verifying
 import dcgrid_env.agents.leaderboard.controller_process
 """
 CONFINING = """

@@ -1,14 +1,13 @@
 """Keys of the verifier."""
 
 import shutil
-import subprocess
-import sys
 
 import pytest
 
 from dcgrid_env.agents.leaderboard import signing
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.agents.leaderboard.signing import is_signed, make_keys, private_key, sign
+from docs.studies.commands import main
 from helpers.places import ROOT
 
 
@@ -41,25 +40,19 @@ def test_a_private_key_that_does_not_fit_signs_nothing(keys, tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, "00" * 32])
-def test_our_entries_need_the_key_of_the_public_key(content, tmp_path, monkeypatch):
-    """Without it the script ends with one line before it makes an entry, and leaves verifier.pub unchanged."""
+def test_our_entries_need_the_key_of_the_public_key(content, tmp_path, monkeypatch, capsys):
+    """Without it the command ends with one line before it makes an entry, and leaves verifier.pub unchanged."""
     key, public = tmp_path / "verifier.key", ROOT / "agents" / "leaderboard" / "verifier.pub"
     if content is not None:
         key.write_text(content)
     monkeypatch.setenv("DCGRID_VERIFIER_KEY", str(key))
+    monkeypatch.chdir(tmp_path)
     before = public.read_text()
-    try:
-        ended = subprocess.run(
-            [sys.executable, ROOT / "docs" / "leaderboard.py", "no-preset"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-        )
-        assert public.read_text() == before
-    finally:
-        public.write_text(before)
-    assert ended.returncode == 1
-    assert len(ended.stderr.splitlines()) == 1
-    assert str(key) in ended.stderr
-    assert "--new-key" in ended.stderr
-    assert key.exists() == (content is not None)
+    with pytest.raises(SystemExit, match="2"):
+        main(["entries", "--scenarios", "toy6"])
+    assert public.read_text() == before
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert str(key) in said
+    assert "--new-key" in said
+    assert [path.name for path in tmp_path.iterdir()] == [key.name] * (content is not None)

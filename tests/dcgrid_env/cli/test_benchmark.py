@@ -305,7 +305,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     first, second = (line for line in printed.splitlines() if line.startswith("[/] will have no score: "))
     assert "`dcgrid tune --laws droop --scenarios mine.py:make`" in first
     assert second.endswith(
-        "of the 2 episodes; solve them with `dcgrid dev hindsight --scenarios mine.py:make --episodes 2`"
+        "of the 2 episodes; solve them with `dcgrid hindsight --scenarios mine.py:make --episodes 2`"
     )
     assert printed.index(first) < printed.index("episodes ")
     assert [f["controller"] for f in results["failures"]] == ["droop-tuned"]

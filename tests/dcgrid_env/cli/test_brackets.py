@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from dcgrid_env.agents import Network, Policy
-from dcgrid_env.agents.studies import ablation, pareto
 from dcgrid_env.cli.main import main
+from docs.studies import ablate, pareto
+from docs.studies.commands import PROG
+from docs.studies.commands import main as studies
 
 NAME = "[/b]:key:"
 
@@ -32,8 +34,8 @@ def a_run(folder):
 TINY = f"--updates 2 --episodes 2 --workers 1 --runs {NAME}/runs --out {NAME}/out"
 PLAIN = NAME.replace("/", "")
 SAID = {
-    f"dev curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
-    f"dev ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
+    f"curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
+    f"ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
         f"{PLAIN}: {NAME} trained on toy6",
         f"wrote {NAME}/{PLAIN}",
     ),
@@ -41,12 +43,12 @@ SAID = {
     f"traces record {NAME}.gz": (f"wrote {NAME}.gz: 2 samples",),
     f"traces fetch {NAME}": (f"{NAME}/file\na recording", "licence: [/]"),
     f"train analytic --scenario toy6 --updates 2 --num-envs 2 --out {NAME}": (f"{NAME}: ",),
-    f"dev pareto --scenario toy6 --delays 4 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/pareto.md"),
-    f"dev ablate --scenario toy6 {TINY} --transfer toy6 --policies {NAME}/run/policy.safetensors": (
+    f"{PROG} pareto --scenario toy6 --delays 4 {TINY}": (f"the first: {NAME}/runs/", f"wrote {NAME}/out/pareto.md"),
+    f"{PROG} ablate --scenario toy6 {TINY} --transfer toy6 --policies {NAME}/run/policy.safetensors": (
         f"{NAME}/run/policy.safetensors (on toy6)",
         f"wrote {NAME}/out/ablations.md",
     ),
-    f"dev generalise --scenarios toy6,ieee33 --vary 0 {TINY}": (
+    f"{PROG} generalise --scenarios toy6,ieee33 --vary 0 {TINY}": (
         f"the first: {NAME}/runs/",
         f"wrote {NAME}/out/general",
     ),
@@ -54,20 +56,16 @@ SAID = {
 }
 
 
-STUDIES = ("dev pareto", "dev ablate", "dev generalise")
-"""Commands that train."""
-
-
 @pytest.mark.parametrize(
     "command",
-    [pytest.param(c, marks=[pytest.mark.slow] if c.startswith(STUDIES) else [], id=c.partition("[")[0]) for c in SAID],
+    [pytest.param(c, marks=[pytest.mark.slow] if c.startswith(PROG) else [], id=c.partition("[")[0]) for c in SAID],
 )
 def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command):
     a_run(here / NAME / "run")
     (here / f"{NAME}.csv").parent.mkdir(parents=True, exist_ok=True)
     (here / f"{NAME}.csv").write_text("".join(f"{time_s},{100 + time_s}\n" for time_s in range(10)))
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0,))
-    monkeypatch.setattr(ablation, "VARIANTS", {"all": {}})
+    monkeypatch.setattr(ablate, "VARIANTS", {"all": {}})
     monkeypatch.setattr(
         "dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
     )
@@ -82,7 +80,8 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     recording = SimpleNamespace(description="a recording", licence="[/]", citation="[/]")
     monkeypatch.setattr("dcgrid_env.traces.recordings.RECORDINGS", {NAME: recording})
     monkeypatch.setattr("dcgrid_env.traces.recordings.fetch", lambda *given: f"{NAME}/file")
-    main(command.split())
+    words = command.removeprefix(PROG).split()
+    (studies if command.startswith(PROG) else main)(words)
     printed = capsys.readouterr().out
     for text in SAID[command]:
         assert text in printed

@@ -18,7 +18,7 @@ WRITING = {
     "run": (("run", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "results.json"),
     "run, its figure": (("run", "--scenario", "toy6", "--episodes", "1", "--out", "out"), "figure.png"),
     "benchmark": (("benchmark", "--scenarios", "toy6", "--controllers", "none", *SHORT, "--out", "out"), "about.json"),
-    "hindsight": (("dev", "hindsight", "--scenarios", "toy6", *SHORT, "--out", "out/deep"), "toy6.json"),
+    "hindsight": (("hindsight", "--scenarios", "toy6", *SHORT, "--out", "out/deep"), "toy6.json"),
     "tune": (
         ("tune", "--scenarios", "toy6", "--laws", "droop-q", *SHORT, "--out", "out/tuned.json"),
         "tuned.json",
@@ -96,7 +96,7 @@ def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint
 @pytest.mark.slow
 def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done(here):
     """Ctrl-C ends them by a termination, whatever they are doing."""
-    arguments = ["dev", "pareto", "--scenario", "toy6", "--delays", "4", "--updates", "100000", "--workers", "2"]
+    arguments = ["train", "analytic", "--scenario", "toy6", "--seeds", "2", "--updates", "100000", "--workers", "2"]
     command = [sys.executable, "-m", "dcgrid_env.cli.main", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     began = time.monotonic()
@@ -115,16 +115,13 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
     [
         (("train", "ppo", "--scenario", "toy6", "--gamma", "2"), "results"),
         (("train", "safe", "--scenario", "toy6", "--margin", "2"), "results"),
-        (("dev", "pareto", "--scenario", "toy6", "--workers", "0"), "results"),
-        (("dev", "ablate", "--scenario", "toy6", "--workers", "0"), "results"),
-        (("dev", "generalise", "--scenarios", "toy6,ieee33", "--workers", "0"), "results"),
         (("reproduce", "--trace", "no-such"), "results"),
         (("traces", "show", "training", "--duration-s", "10", "--out", "new/trace.xyz"), "new"),
         (("traces", "fetch", "no-such", "--cache", "new"), "new"),
-        (("dev", "curves", "nowhere", "--out", "new/curves.png"), "new"),
-        (("dev", "ship", "nowhere", "--name", "toy6-x", "--out", "new"), "new"),
+        (("curves", "nowhere", "--out", "new/curves.png"), "new"),
+        (("ship", "nowhere", "--name", "toy6-x", "--out", "new"), "new"),
         (("tune", "--laws", "none", "--out", "new/tuned.json"), "new"),
-        (("dev", "hindsight", "--split", "exam", "--out", "new"), "new"),
+        (("hindsight", "--split", "exam", "--out", "new"), "new"),
     ],
 )
 def test_a_command_that_fails_at_once_makes_no_folder(here, arguments, out):

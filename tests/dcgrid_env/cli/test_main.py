@@ -1,4 +1,4 @@
-"""The table of commands: where each stands, what an older spelling gets, and what help says."""
+"""The tables of commands, of ``dcgrid`` and of docs/studies: where each stands and what its help says."""
 
 import dataclasses
 import itertools
@@ -14,28 +14,39 @@ from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry, Group
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.main import main, parse
+from docs.studies.commands import COMMANDS as STUDIES
+from docs.studies.commands import PROG
+from docs.studies.commands import main as studies
 
-PLACES = dict(COMMANDS.below("dcgrid"))
+PLACES = dict(COMMANDS.below("dcgrid")) | dict(STUDIES.below(PROG))
 CLASSES = {line: member.load() for line, member in PLACES.items() if isinstance(member, Entry)}
-GROUPS = {"dcgrid": COMMANDS} | {line: member for line, member in PLACES.items() if isinstance(member, Group)}
+GROUPS = {"dcgrid": COMMANDS, PROG: STUDIES} | {
+    line: member for line, member in PLACES.items() if isinstance(member, Group)
+}
 WIDE = "2000"
 
 
-def stopped(capsys, *arguments):
+def stopped(capsys, *arguments, run=main):
     with pytest.raises(SystemExit) as raised:
-        main(list(arguments))
+        run(list(arguments))
     return raised.value.code, capsys.readouterr()
+
+
+def helped(capsys, line):
+    """The help of a command or group, by the words that call it."""
+    words, run = (line.removeprefix(PROG), studies) if line.startswith(PROG) else (line.removeprefix("dcgrid"), main)
+    code, said = stopped(capsys, *words.split(), "--help", run=run)
+    assert code == 0
+    return said.out
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["show"], "no command 'show'; did you mean dcgrid traces show? `dcgrid --help` lists all"),
-        (["trian", "ppo"], "no command 'trian'; did you mean dcgrid train or "),
+        (["trian", "ppo"], "no command 'trian'; did you mean dcgrid train? "),
         (["nothing"], "no command 'nothing'; `dcgrid --help` lists all"),
-        (["hindsight", "--workers", "1"], "no command 'hindsight'; did you mean dcgrid dev hindsight? "),
-        (["dev", "nothing"], "no command 'nothing'; `dcgrid dev --help` lists all"),
-        (["dev", "tune", "--laws", "droop"], "no command 'tune'; did you mean dcgrid tune? "),
+        (["dev", "hindsight"], "no command 'dev'; `dcgrid --help` lists all"),
         (["train", "--seed", "1"], "no command '--seed'; `dcgrid train --help` lists all"),
     ],
 )
@@ -62,7 +73,7 @@ def test_an_unknown_command_is_one_line(capsys, arguments, message):
         ),
         ("run --trace infrence", "no trace 'infrence'; did you mean inference. `dcgrid list traces` lists all"),
         ("evaluate toy6-anlytic", "no controller 'toy6-anlytic'; did you mean toy6-analytic, "),
-        ("dev tune-agent pp", "no algorithm 'pp'; did you mean ppo. "),
+        ("tune-agent pp", "no algorithm 'pp'; did you mean ppo. "),
     ],
 )
 def test_an_unknown_name_gets_suggestions_and_where_all_are_listed(capsys, arguments, said):
@@ -84,25 +95,24 @@ def test_the_commands_are_in_their_groups():
     assert {title: list(commands) for title, commands in COMMANDS.sections.items()} == {
         "Try": ["run", "list", "replay"],
         "Your grid": ["import", "check", "capacity", "export"],
-        "Train": ["train", "evaluate", "tune", "benchmark", "dataset"],
-        "Publish": ["submit", "verify", "export-sb3", "reproduce"],
-        "More": ["traces", "dev"],
+        "Train": ["train", "evaluate", "tune", "tune-agent", "hindsight", "benchmark", "curves", "dataset"],
+        "Publish": ["ship", "submit", "verify", "export-sb3", "reproduce"],
+        "More": ["traces"],
     }
 
 
 @pytest.mark.parametrize("line", GROUPS)
 def test_a_page_lists_every_command_on_one_line(line, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    code, said = stopped(capsys, *line.split()[1:], "--help")
-    lines = said.out.splitlines()
-    assert code == 0
-    assert said.out.isascii()
+    page = helped(capsys, line)
+    lines = page.splitlines()
+    assert page.isascii()
     assert max(map(len, lines)) <= 80
     shown = [re.split(r" {2,}", row.strip()) for row in lines if row.startswith("  ")]
     assert shown[: -1 - len(GROUPS[line].options)] == [[name, at.text] for name, at in GROUPS[line].members.items()]
 
 
-@pytest.mark.parametrize("words", [["--help"], ["-h"], ["dev", "--help"], ["train", "--help"]])
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["train", "--help"]])
 def test_a_page_is_shown_before_the_package_loads(words):
     code = (
         f"import sys; sys.argv = ['dcgrid', *{words}]\nfrom dcgrid_command import main; main()\n"
@@ -113,7 +123,7 @@ def test_a_page_is_shown_before_the_package_loads(words):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("words", [[], ["dev"]])
+@pytest.mark.parametrize("words", [[], ["traces"]])
 def test_a_group_without_a_command_shows_its_page_and_fails(words, capsys):
     code, said = stopped(capsys, *words)
     assert code == 2
@@ -124,9 +134,7 @@ def test_a_group_without_a_command_shows_its_page_and_fails(words, capsys):
 @pytest.mark.parametrize("columns", ["60", "80", "120"])
 def test_a_help_fits_the_terminal(line, columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", columns)
-    code, said = stopped(capsys, *line.split()[1:], "--help")
-    assert code == 0
-    lines = said.out.splitlines()
+    lines = helped(capsys, line).splitlines()
     assert lines[0].startswith(f"usage: {line} [-h]")
     assert max(map(len, lines)) <= int(columns)
 
@@ -134,9 +142,9 @@ def test_a_help_fits_the_terminal(line, columns, capsys, monkeypatch):
 @pytest.mark.parametrize("line", CLASSES)
 def test_a_help_has_no_line_break_of_the_source_and_no_none(line, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", WIDE)
-    _, said = stopped(capsys, *line.split()[1:], "--help")
-    assert not re.search(r"\{None[,}]|\(default: (None)?\)|``|:class:", said.out)
-    lines = said.out.splitlines()
+    page = helped(capsys, line)
+    assert not re.search(r"\{None[,}]|\(default: (None)?\)|``|:class:", page)
+    lines = page.splitlines()
     about = list(itertools.takewhile(lambda text: not re.match("╭|[ +]-", text), lines[2:-1]))
     assert all(about[::2])
     assert not any(about[1::2])  # a paragraph is a line
@@ -161,7 +169,7 @@ def test_a_command_is_a_dataclass_that_runs(line):
 def test_what_goes_on_after_an_interruption():
     words = {
         "run": "", "benchmark": "", "evaluate none": "", "evaluate none --hindsight": "the same command",
-        "tune": "the same command", "tune --again": "", "dev hindsight": "the same command",
+        "tune": "the same command", "tune --again": "", "hindsight": "the same command",
         "traces fetch x": "the same command", "traces show x": "", "train analytic": "the same command with --resume",
     }  # fmt: skip
     for line, start in words.items():
@@ -176,9 +184,7 @@ def test_the_version_is_shown_and_loads_nothing_heavy(capsys):
     assert "--version" in COMMANDS.options
 
 
-@pytest.mark.parametrize(
-    "line", ["train ppo", "train analytic", "run", "evaluate", "benchmark", "tune", "dev hindsight"]
-)
+@pytest.mark.parametrize("line", ["train ppo", "train analytic", "run", "evaluate", "benchmark", "tune", "hindsight"])
 def test_help_names_scenario_files(line, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "500")
     assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out

@@ -17,6 +17,7 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Network, Policy
+from helpers.places import ROOT
 from helpers.ray_cluster import QUIET, ray_cluster
 
 pytestmark = [
@@ -52,9 +53,9 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def begun(*words):
-    command = [sys.executable, "-m", "dcgrid_env.cli.main", *words]
-    environment = os.environ | QUIET | {"PYTHONPATH": os.getcwd()}
+def begun(*words, module="dcgrid_env.cli.main"):
+    command = [sys.executable, "-m", module, *words]
+    environment = os.environ | QUIET | {"PYTHONPATH": os.pathsep.join([os.getcwd(), str(ROOT)])}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
 
 
@@ -136,14 +137,15 @@ def test_tuning_hindsight_capacity_studies_and_searches_come_to_the_same(here, c
     site = ("--scenario", "mine.toml", "--samples", "2", "--window-s", "10", "--settle-s", "4", "--max-mw", "4")
     commands = {
         "tuned.json": ("tune", "--laws", "droop-q", *few, "--out", "{}/tuned.json"),
-        "mine.json": ("dev", "hindsight", *few, "--out", "{}"),
+        "mine.json": ("hindsight", *few, "--out", "{}"),
         "capacity.csv": ("capacity", *site, "--controllers", "none,droop-tuned", "--out", "{}"),
-        "unseen-feeders.md": ("dev", "unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--out", "{}"),
+        "unseen-feeders.md": ("unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--out", "{}"),
         "reproduction.json": ("reproduce", "--episodes", "2", "--trace", "generated", "--out", "{}"),
     }
-    for words in commands.values():
+    for name, words in commands.items():
+        module = "docs.studies" if name == "unseen-feeders.md" else "dcgrid_env.cli.main"
         for out, where in (("local", ("--workers", "1")), ("ray", ("--ray", cluster.address))):
-            code, said = ended(begun(*(word.format(out) for word in words), *where))
+            code, said = ended(begun(*(word.format(out) for word in words), *where, module=module))
             assert code == 0, said
     for name in commands:
         local, ray = ((here / out / name).read_text() for out in ("local", "ray"))
@@ -151,14 +153,14 @@ def test_tuning_hindsight_capacity_studies_and_searches_come_to_the_same(here, c
             part = {"tuned.json": "laws", "reproduction.json": "claims"}.get(name, "episodes")
             local, ray = (json.loads(text)[part] for text in (local, ray))
         if name.endswith(".md"):
-            local, ray = ([line for line in text.splitlines() if "dcgrid dev" not in line] for text in (local, ray))
+            local, ray = ([line for line in text.splitlines() if "docs.studies" not in line] for text in (local, ray))
         assert local == ray
         assert local
 
 
 def test_a_search_over_settings_finds_the_same(here, cluster):
     pytest.importorskip("optuna", reason="the extra search is not installed")
-    words = ["dev", "tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--batch", "2"]
+    words = ["tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--batch", "2"]
     words += ["--fixed", "updates=4", "validation_episodes=2", "hidden=[4]", "window=20", "num_envs=4"]
     assert ended(begun(*words, "--workers", "1", "--out", "local"))[0] == 0
     code, said = ended(begun(*words, "--ray", cluster.address, "--out", "ray"))

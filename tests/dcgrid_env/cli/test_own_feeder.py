@@ -102,7 +102,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
     main(["run", *file, "--controllers", "none,droop-tuned", "--episodes", "1", "--out", "again"])
     main(["benchmark", *file, "--controllers", "none", *few, "--workers", "1", "--out", "bench"])
     assert "no score" not in capsys.readouterr().out
-    main(["dev", "hindsight", *file, *few, "--workers", "1"])
+    main(["hindsight", *file, *few, "--workers", "1"])
     assert "2 episodes, mean J" in capsys.readouterr().out
 
 

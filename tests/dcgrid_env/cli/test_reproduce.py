@@ -102,19 +102,6 @@ def check_figures(folder, text, figures):
     assert ["not published" in figure["caption"] for figure in figures] == [True, True, *5 * [False]]
 
 
-def test_the_search_is_printed_and_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "300")
-    words = ["--tries", "2", "--episodes", "2", "--trace", "generated", "--workers", "1"]
-    main(["dev", "fit-paper", "--out", str(tmp_path), *words])
-    assert "substation (p.u.)" in capsys.readouterr().out
-    records = json.loads((tmp_path / "fit-paper.json").read_text(encoding="utf-8"))
-    first, second = records["trials"]
-    assert (first["squared"], second["squared"]) == (False, True)
-    assert first["delay_s"] == second["delay_s"]
-    assert first["total"] > second["total"]
-    assert records["load"].startswith("generator")
-
-
 def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -12,7 +12,7 @@ import pytest
 
 import dcgrid_env.agents.policy.policy as policies
 from dcgrid_env import make_scenario, scenario_hash
-from dcgrid_env.agents import Network, Policy, controllers, evaluate
+from dcgrid_env.agents import Card, Network, Policy, controllers, evaluate
 from dcgrid_env.agents.training.config import Training
 from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -206,9 +206,7 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
 def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, monkeypatch):
     made = {"algorithm": "ppo", "seed": 0, "training_s": 1.0, "validation_J": 0.3}
     policy().save(tmp_path / "run" / "policy", made)
-    main(
-        ["dev", "ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")]
-    )
+    main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
     assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
     for module, name, value in (
         (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)),
@@ -228,10 +226,10 @@ def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, 
 
 
 def test_bad_shipping_is_one_line(tmp_path, capsys):
-    code, said = stopped(capsys, "dev", "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
+    code, said = stopped(capsys, "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
     assert (code, len(said.strip().splitlines())) == (2, 1)
     assert "nowhere" in said
-    assert "episodes is 1; give at least 2" in stopped(capsys, "dev", "ship", "x", "--name", "y", "--episodes", "1")[1]
+    assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
 
 
 OWN = """
@@ -351,3 +349,35 @@ def test_training_takes_devices_in_any_order(here):
     main(["train", "analytic", "--scenario", "turned.py:scenario", "--updates", "1", "--num-envs", "2", "--out", "run"])
     learned = Policy.load(here / "run" / "policy.safetensors")
     assert {name: network.n_out for name, network in learned.networks.items()} == {"inverter": 1, "datacenter": 2}
+
+
+def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = [
+        "train",
+        "analytic",
+        "--scenario",
+        "toy6",
+        "--set",
+        "horizon=10",
+        "--seeds",
+        "2",
+        "--seed",
+        "3",
+        "--workers",
+        "1",
+    ]
+    main([*words, "--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--hidden", "4", "--out", "runs"])
+    said = capsys.readouterr().out
+    assert "seed 3: J" in said
+    assert "seed 4: J" in said
+    assert "`dcgrid ship runs/seed-3 runs/seed-4 --name NAME`" in said
+    for seed in (3, 4):
+        card = Card.load(tmp_path / "runs" / f"seed-{seed}" / "policy.json")
+        assert card.seed == seed
+        assert "--seeds" not in card.command
+        assert f"--seed {seed}" in card.command
+    for asked in ("0", "many"):
+        with pytest.raises(SystemExit):
+            main(["train", "analytic", "--seeds", asked])
+        assert capsys.readouterr().err.startswith("dcgrid: seeds")

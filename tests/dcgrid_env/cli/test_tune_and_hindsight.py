@@ -22,13 +22,13 @@ from helpers.places import ROOT
 
 
 def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys):
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path)]
+    arguments = ["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path)]
     main([*arguments, "--episodes", "2"])
     path = tmp_path / "toy6.json"
     content = json.loads(path.read_text())
     scenario = make_scenario("toy6", split="test")
     assert content["scenario_hash"] == scenario_hash(scenario)
-    assert content["command"] == "dcgrid dev hindsight --scenarios toy6 --split test --episodes 2"
+    assert content["command"] == "dcgrid hindsight --scenarios toy6 --split test --episodes 2"
     found = hindsight(scenario, 1)
     assert content["episodes"][1] == {
         "seed": 1, "hash": episode_hash(scenario, 1), "J": found.J, "bound": found.bound, "rounds": found.rounds,
@@ -54,17 +54,14 @@ def test_best_known_costs_are_of_the_other_command(tmp_path, capsys):
     written = ROOT / "baselines" / "data" / "hindsight" / "ride-through.json"
     (tmp_path / written.name).write_bytes(written.read_bytes())
     with pytest.raises(SystemExit, match="2"):
-        main(["dev", "hindsight", "--scenarios", "ride-through", "--episodes", "1", "--out", str(tmp_path)])
-    assert capsys.readouterr().err.endswith(
-        "ride-through.json was written by dcgrid dev best-known; choose another --out\n"
-    )
+        main(["hindsight", "--scenarios", "ride-through", "--episodes", "1", "--out", str(tmp_path)])
+    assert capsys.readouterr().err.endswith("ride-through.json contains best known costs; choose another --out\n")
 
 
 def test_two_processes_solve_what_one_does(tmp_path):
     for jobs in ("1", "2"):
         main(
             [
-                "dev",
                 "hindsight",
                 "--scenarios",
                 "toy6",
@@ -188,7 +185,7 @@ def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, messag
 
 def test_an_interrupted_hindsight_keeps_its_episodes(tmp_path, capsys, monkeypatch):
     _solutions(monkeypatch, stop_at=3)
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes", "4"]
+    arguments = ["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes", "4"]
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 130
@@ -218,7 +215,7 @@ class Solved(NamedTuple):
 def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, monkeypatch):
     # Seed 1 has the largest gap, below the bound; 1 and 2 stopped at six programs, of which 2 agrees.
     _solutions(monkeypatch, s1=(2.0, 2.5, 6), s2=(1.0, 1.0, 6), s3=(4.0, 3.9, 5))
-    arguments = ["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes"]
+    arguments = ["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes"]
     main([*arguments, "8"])
     said = " ".join(capsys.readouterr().out.split())
     assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped at 6 programs with a" in said
@@ -230,7 +227,7 @@ def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, mon
     main([*arguments, "2"])
     content = json.loads(path.read_text())
     assert [e["seed"] for e in content["episodes"]] == [0, 1, 7]
-    assert content["command"] == "dcgrid dev hindsight --scenarios toy6 --split test --episodes 8"
+    assert content["command"] == "dcgrid hindsight --scenarios toy6 --split test --episodes 8"
     assert "5 of the seeds 0 to 7 are missing" in " ".join(capsys.readouterr().out.split())
 
 
@@ -257,7 +254,7 @@ def test_a_damaged_file_is_named(text, message, tmp_path, capsys):
         text = json.dumps({"scenario_hash": about, "episodes": text})
     path.write_text(text)
     with pytest.raises(SystemExit) as stopped:
-        main(["dev", "hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
+        main(["hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
     _is_one_line(stopped, capsys, f"{path} {message}", "; delete it, or choose another --out")
     assert path.read_text() == text
 
@@ -266,7 +263,7 @@ def test_an_out_that_hindsight_cannot_write_is_refused_at_once(tmp_path, capsys,
     _solutions(monkeypatch, stop_at=1)
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stopped:
-        main(["dev", "hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path / "file")])
+        main(["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path / "file")])
     _is_one_line(stopped, capsys, "no folder")
 
 
@@ -283,7 +280,6 @@ def _is_one_line(stopped, capsys, *messages):
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
     arguments = [
-        "dev",
         "hindsight",
         "--scenarios",
         "toy6",
@@ -316,10 +312,10 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
         (["tune", "--scenarios", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
         (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
         (["tune", "--scenarios", "toy6", "--workers", "0"], "workers is 0; give at least 1"),
-        (["dev", "hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers is -1; give at least 1"),
-        (["dev", "hindsight", "--scenarios", " , "], "name at least one, or all"),
-        (["dev", "hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["dev", "hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
+        (["hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers is -1; give at least 1"),
+        (["hindsight", "--scenarios", " , "], "name at least one, or all"),
+        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
@@ -387,13 +383,13 @@ def test_two_scenarios_of_one_name_are_refused(here, capsys):
 
 def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
     _solutions(monkeypatch)
-    arguments = ["dev", "hindsight", "--scenario", "own.py:make", "--workers", "1", "--episodes", "2", "--set"]
+    arguments = ["hindsight", "--scenario", "own.py:make", "--workers", "1", "--episodes", "2", "--set"]
     main([*arguments, "load_sigma=0.1"])
     content = json.loads((here / "results" / "hindsight" / "mine.json").read_text())
     scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("test")
     assert content["scenario_hash"] == scenario_hash(scenario)
     assert content["command"] == (
-        "dcgrid dev hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
+        "dcgrid hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
     )
     known = published(scenario, FOLDER)
     assert known is not None
@@ -412,7 +408,7 @@ def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
 def test_other_processes_rebuild_ones_own_scenario(here):
     for jobs in ("1", "2"):
         common = ["--scenario", "own.py:make", "--set", "horizon=8", "--episodes", "2", "--workers", jobs]
-        main(["dev", "hindsight", *common, "--out", f"h{jobs}"])
+        main(["hindsight", *common, "--out", f"h{jobs}"])
         main(["tune", "--laws", "droop-q,constant-q", *common, "--out", f"t{jobs}.json"])
     for one, two in (("h1/mine.json", "h2/mine.json"), ("t1.json", "t2.json")):
         assert json.loads((here / one).read_text()) == json.loads((here / two).read_text())

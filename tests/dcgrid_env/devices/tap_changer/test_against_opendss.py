@@ -29,7 +29,7 @@ def ours(feeder, tap, p_kw, q_kvar):
 
 
 def opendss(feeder, tap, p_kw, q_kvar):
-    from dcgrid_env.speed.opendss_circuit import OpenDss
+    from docs.studies.speed.opendss_circuit import OpenDss
 
     circuit, table = OpenDss(feeder), feeder.network.regulator
     text, names = circuit.dss.Text, [f"{n}_{p}" for n, p in zip(table.name, table.sensed_phase, strict=True)]

@@ -13,7 +13,7 @@ from dcgrid_env.envs.base import HugeObservationWarning
 from dcgrid_env.powerflow import distflow, linearise, sensitivity_by
 from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.scenario.on_feeder import scenario_on
-from dcgrid_env.speed.synthetic_feeders import balanced_feeder, three_phase_feeder
+from docs.studies.speed.synthetic_feeders import balanced_feeder, three_phase_feeder
 
 LARGE = 3000
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import distflow, load_feeder
-from dcgrid_env.grid.random_feeders.published import PUBLISHED, Figures
+from docs.studies.random_feeders import PUBLISHED, Figures
 
 KNOWN = {figures.name: figures for nets in PUBLISHED.values() for figures in nets}
 SHIPPED = ("ieee33", "das69", "ieee123", "khodr141")

@@ -7,7 +7,7 @@ import pytest
 
 from dcgrid_env import ThreePhaseFeeder, load_feeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
-from dcgrid_env.speed.opendss_circuit import OpenDss
+from docs.studies.speed.opendss_circuit import OpenDss
 from helpers.feeders import THREE_PHASE
 
 pytest.importorskip("dss", reason="OpenDSSDirect.py is not installed (the extra test has it)")

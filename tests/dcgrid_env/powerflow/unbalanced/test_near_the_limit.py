@@ -10,7 +10,7 @@ from dcgrid_env import load_feeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
 from dcgrid_env.powerflow.unbalanced import adjoint_batch, newton
 from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution
-from dcgrid_env.speed.opendss_circuit import OpenDss
+from docs.studies.speed.opendss_circuit import OpenDss
 from helpers.feeders import THREE_PHASE
 
 SHARES = (0.9, 0.963, 0.98, 0.99, 0.999, 0.9999)

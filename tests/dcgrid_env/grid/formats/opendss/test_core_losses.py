@@ -14,7 +14,7 @@ from dcgrid_env.grid.formats.opendss import read_opendss
 from dcgrid_env.grid.three_phase_tables import CoreTable
 from dcgrid_env.powerflow import solve_unbalanced
 from dcgrid_env.powerflow.unbalanced.array_form import sweep_arrays
-from dcgrid_env.speed.opendss_circuit import OpenDss
+from docs.studies.speed.opendss_circuit import OpenDss
 from helpers.places import ROOT, require
 
 pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")

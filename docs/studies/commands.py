@@ -1,0 +1,49 @@
+"""The table of the commands of this folder, as ``dcgrid_command.command_table`` has those of ``dcgrid``."""
+
+from functools import partial
+
+from dcgrid_command.group import Entry, Group
+from dcgrid_env.cli.main import main as command_line
+
+PROG = "python -m docs.studies"
+_entry = partial(Entry, package="docs.studies")
+COMMANDS = Group(
+    "Make the data, policies and studies that this project publishes.",
+    {
+        "Bundled data": {
+            "best-known": _entry(
+                "Search for the least cost where no linear program applies.",
+                "best_known.best_known_values:BestKnownValues",
+            ),
+            "rescore": _entry("Score bundled policies again and write their cards.", "rescore:Rescore"),
+            "leaderboard": _entry("Make the leaderboard's tables from verified folders.", "leaderboard:Leaderboard"),
+            "entries": _entry(
+                "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
+            ),
+        },
+        "Studies": {
+            "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
+            "fit-paper": _entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
+            "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
+            "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),
+            "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
+            "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
+            "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),
+            "transfer": _entry("Score bundled policies on other scenarios than their own.", "transfer:Transfer"),
+            "unseen-feeders": _entry("Score controllers on feeders they never saw.", "unseen_feeders:UnseenFeeders"),
+        },
+        "Speed": {
+            "speed": _entry("Measure environments, power flows and other libraries.", "speed.rates:Speed"),
+            "speed-sizes": _entry("Measure feeders of 100 to 100,000 buses.", "speed.size_table:SpeedSizes"),
+            "speed-training": _entry(
+                "Measure a training by gradients through the grid.", "speed.training_rates:TrainingSpeed"
+            ),
+            "unit-overhead": _entry("Measure the overhead of units of work.", "speed.unit_overhead:UnitOverhead"),
+        },
+    },
+)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run a command of the table."""
+    command_line(args, COMMANDS, PROG)

@@ -1,0 +1,85 @@
+"""Print the README's table of results from the benchmark's pages and the policies' cards.
+
+`python -m docs.studies.headline` prints that; with the word `results` it prints the table of docs/results.md, from the
+benchmark's pages alone.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "extensions"))
+from headroom import controllers, hindsight, saved  # pyright: ignore[reportMissingImports]
+
+from dcgrid_env import PRESETS
+from dcgrid_env.agents import Card
+from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.baselines.score import REFERENCE
+
+SHOWN = ("ieee123", "ieee33-weak", "bursty", "mixed", "ieee34-3ph", "routing")
+BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
+BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
+LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic"}
+
+
+def by_model(preset: str, name: str) -> str:
+    """Score of a controller with its interval over episodes, and J saved."""
+    figures = controllers(preset)
+    if name not in figures:
+        return "–"
+    j, score = figures[name]
+    value, low, high = (float(figure) for figure in score.strip("()").replace("(", "").split() if figure != "to")
+    return cell((value, low, high), saved(j, figures[REFERENCE][0]))
+
+
+def learned(preset: str, algorithm: str) -> str:
+    """Mean score over the training seeds with its interval over seeds and episodes, and J saved in the mean."""
+    path = FOLDER / f"{preset}-{algorithm}.json"
+    if not path.exists():
+        return "–"
+    scored = Card.load(path).scored
+    assert scored is not None, path
+    assert scored.droop_J is not None, path
+    assert scored.seed_J is not None, path
+    share = saved(float(np.mean(scored.seed_J)), scored.droop_J)
+    return cell(scored.over_seeds or scored.score, share) + ("" if scored.over_seeds else ", one seed")
+
+
+def cell(score: tuple[float, float, float], share: str) -> str:
+    """A score with its interval, and J saved."""
+    value, low, high = score
+    return f"{value:.2f} ({low:.2f} to {high:.2f}); {share} %"
+
+
+def results() -> str:
+    """The table of docs/results.md, as Markdown: every preset, controllers that are not trained."""
+    heads = ["scenario", "J: none", "J: droop-tuned", "J: hindsight", "headroom, %", *BY_HAND]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for preset in PRESETS:
+        figures, (is_best_known, best) = controllers(preset), hindsight(preset)
+        droop = figures[REFERENCE][0]
+        cells = [f"`{preset}`", f"{figures['none'][0]:.4f}", f"{droop:.4f}"]
+        cells += [f"{best:.4f}" + " (best known)" * is_best_known, saved(best, droop)]
+        for name in BY_HAND:
+            j, score = figures.get(name, (0.0, ""))
+            cells.append(f"{float(score.split()[0]):.2f}; {saved(j, droop)} %" if score else "–")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def table() -> str:
+    """The table, as Markdown."""
+    heads = ["scenario", "tuned droop: J", "headroom", *BY_MODEL.values(), *LEARNED.values()]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for preset in SHOWN:
+        droop = controllers(preset)[REFERENCE][0]
+        is_best_known, best = hindsight(preset)
+        cells = [f"`{preset}`", f"{droop:.4f}", f"{saved(best, droop)} %" + " (best known)" * is_best_known]
+        cells += [by_model(preset, name) for name in BY_MODEL] + [learned(preset, name) for name in LEARNED]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(results() if sys.argv[1:] == ["results"] else table())

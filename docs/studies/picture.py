@@ -1,0 +1,31 @@
+"""Draw a picture of the documents, the README's by default: python -m docs.studies.picture PATH [SCENARIO [LAW]]."""
+
+import sys
+
+import matplotlib.image
+
+from dcgrid_env import DcgridEnv, make_scenario
+from dcgrid_env.baselines import make_controller
+
+STEPS = 75
+LONGEST = 300
+"""Steps of an episode that is drawn whole; of a longer one the first 150 make the axes."""
+
+
+def draw(path: str, scenario: str = "ieee123", law: str = "droop") -> None:
+    """Write the picture of a scenario's first test episode under a law after some steps."""
+    drawn = make_scenario(scenario, split="test")
+    if drawn.horizon > LONGEST:
+        drawn = make_scenario(drawn, horizon=2 * STEPS)
+    env = DcgridEnv(drawn, render_mode="rgb_array")
+    controller = make_controller(law, drawn)
+    observation, _ = env.reset(seed=0)
+    controller.reset(drawn)
+    for _ in range(min(STEPS, drawn.horizon - 1)):
+        observation, *_ = env.step(controller.act(observation))
+    matplotlib.image.imsave(path, env.render())
+    env.close()
+
+
+if __name__ == "__main__":
+    draw(*sys.argv[1:])

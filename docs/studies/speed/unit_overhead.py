@@ -1,0 +1,185 @@
+"""What it costs to have units of work done elsewhere: starting, a message, and the whole of a few long units."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.table import Table
+
+from dcgrid_env.cli import workers
+from dcgrid_env.cli.settings import at_least
+from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
+
+EMPTY = 400
+"""Units without work by which messages are timed."""
+
+
+@dataclass(frozen=True)
+class Overhead:
+    """What was measured of a place; times are the least of several, as other processes only ever add to them."""
+
+    name: str
+    begin_s: float
+    """From the call to the first result of a unit without work: workers are started, and import the package."""
+    message_s: float
+    """For each further unit without work, all workers together: what a unit costs who hands it out."""
+    wall_s: tuple[float, float]
+    """The long units take so long one at a time, and so long on all workers, without what it takes to begin."""
+    between_s: float
+    """From the end of a long unit to the beginning of the next on that worker, in the mean: what a unit costs beside
+    its work, however fast the cores are meanwhile."""
+
+
+def spin(steps: int) -> int:
+    """Work of one core that touches no memory to speak of."""
+    x = 1
+    for _ in range(steps):
+        x = (x * 1103515245 + 12345) & 0x7FFFFFFF
+    return x
+
+
+def timed_spin(steps: int) -> tuple[int, float, float]:
+    """``spin`` in which process, from when to when by the machine's clock, s."""
+    began = time.time()
+    spin(steps)
+    return os.getpid(), began, time.time()
+
+
+def steps_of(seconds: float) -> int:
+    """Steps of ``spin`` that take about so many seconds of CPU time."""
+    steps, best = 2_000_000, math.inf
+    for _ in range(3):
+        began = time.process_time()
+        spin(steps)
+        best = min(best, time.process_time() - began)
+    return int(steps * seconds / best)
+
+
+def overheads(places: Sequence[tuple[str, Place]], units: int, seconds: float, repeats: int) -> list[Overhead]:
+    """Measure places in turn, again and again, so that a busy minute is not one place's alone.
+
+    Parameters
+    ----------
+    places
+        With their names, each of the same number of workers.
+    units
+        How many long units there are.
+    seconds
+        CPU time of each, about.
+    repeats
+        How often all is done; the least time counts.
+    """
+    steps = steps_of(seconds)
+    times: dict[str, list[tuple[float, ...]]] = {name: [] for name, _ in places}
+    for _ in range(repeats):
+        for name, place in places:
+            begin_s, message_s = _messages(place)
+            alone_s, between_s = _long(place, units, steps, float(place.workers))
+            times[name].append((begin_s, message_s, alone_s, _long(place, units, steps, 1.0)[0], between_s))
+    found = []
+    for name, measured in times.items():
+        begin_s, message_s, alone_s, all_s, between_s = (min(column) for column in zip(*measured, strict=True))
+        found.append(Overhead(name, begin_s, message_s, (alone_s, all_s), between_s))
+    return found
+
+
+def _messages(place: Place) -> tuple[float, float]:
+    began = time.perf_counter()
+    results = place.run([Unit(str(i), spin, 0) for i in range(EMPTY)])
+    next(results)
+    first = time.perf_counter()
+    for _ in results:
+        pass
+    return first - began, (time.perf_counter() - first) / (EMPTY - 1)
+
+
+def _long(place: Place, units: int, steps: int, cores: float) -> tuple[float, float]:
+    """Wall time of long units after one without work on each worker, and the mean time between two of a worker, s."""
+    warm = [Unit(f"warm {i}", timed_spin, 0, Needs(cores)) for i in range(place.workers)]
+    work = [Unit(str(i), timed_spin, steps, Needs(cores)) for i in range(units)]
+    results = place.run([*warm, *work])
+    for _ in warm:
+        next(results)
+    began = time.perf_counter()
+    done = sorted(result for _, result in results if not isinstance(result, Lost))
+    wall_s = time.perf_counter() - began
+    gaps = [b[1] - a[2] for a, b in itertools.pairwise(done) if a[0] == b[0]]
+    return wall_s, sum(gaps) / len(gaps) if gaps else math.nan
+
+
+def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) -> float:
+    """Wall time of many units on many workers, s, simulated from what was measured.
+
+    Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first,
+    which begins it ``between_s`` later; every worker is there after ``begin_s``, all at once. Nothing
+    of a network's or a file system's is in it.
+    """
+    handed, free = 0.0, [overhead.begin_s] * workers
+    for i in range(units):
+        handed += overhead.message_s
+        # All units last as long, so that workers become free in the order in which they were given work.
+        free[i % workers] = max(handed, free[i % workers]) + overhead.between_s + seconds
+    return max(free)
+
+
+@dataclass(frozen=True)
+class UnitOverhead(OverWorkers):
+    """Measure the overhead of units of work.
+
+    Measures it on this machine and, with --ray, on a cluster.
+
+    Units of about --seconds of CPU time are run one at a time and on all workers, and units without work by the
+    hundred; times are the least of --repeats. How long many units take on many workers is simulated from that.
+    """
+
+    units: int = 4
+    """Number of the long units."""
+    seconds: float = 10.0
+    """CPU time of each, s."""
+    repeats: int = 3
+    """How often all is measured."""
+
+    def run(self) -> None:
+        """Measure and print. ValueError for a setting that cannot be."""
+        at_least(self, units=1, seconds=0.001, repeats=1)
+        places = [("this machine", workers.place(self.workers, None))]
+        if self.ray is not None:
+            places.append(("Ray", workers.place(None, self.ray)))
+        n = places[0][1].workers
+        if n < 2 or any(other.workers != n for _, other in places):
+            raise ValueError(f"workers is {n}; give at least 2, and as many as the cluster has cores")
+        found = overheads(places, self.units, self.seconds, self.repeats)
+        head = ("first result, s", "message, ms", "between, ms", "one at a time, s", f"on {n} workers, s", "speed-up")
+        measured = Table("measured", *head)
+        for one in found:
+            alone, together = one.wall_s
+            figures = (one.begin_s, 1e3 * one.message_s, 1e3 * one.between_s, alone, together, alone / together)
+            measured.add_row(one.name, *(f"{figure:.2f}" for figure in figures))
+        console = plain_console()
+        console.print(measured)
+        if len(found) > 1:
+            here, there = found
+            more = [100.0 * (b / a - 1.0) for a, b in zip(here.wall_s, there.wall_s, strict=True)]
+            between = 100.0 * (there.between_s - here.between_s) / self.seconds
+            say(
+                console,
+                f"Ray beside this machine: {more[0]:+.1f} % one at a time, {more[1]:+.1f} % on {n} workers; by the",
+            )
+            say(
+                console,
+                f"time between units, which other processes disturb less, {between:+.2f} % of {self.seconds:g} s",
+            )
+        simulated = Table(f"simulated: 1,000 units of {self.seconds:g} s", *(one.name for one in found))
+        for n_workers in (1, 2, 8, 32, 128, 512):
+            times = (simulated_s(one, 1000, self.seconds, n_workers) for one in found)
+            simulated.add_row(
+                f"{n_workers} workers", *(f"{t:.0f} s, {1000 * self.seconds / t:.1f} times" for t in times)
+            )
+        console.print(simulated)
