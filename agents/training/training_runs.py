@@ -1,7 +1,8 @@
 """Training runs that belong together: each in a folder of its own, resumed where it stopped, and not done again.
 
 A run is a training configuration with its folder, ``out``. When it is over, its settings are left there in
-``finished.json``; what it says while it trains goes into ``training.log``.
+``finished.json``; what it says while it trains goes into ``training.log``. Runs are units of work, in their own folders
+where the worker sees these, else in one that travels with them.
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ def check_read(command):
         name_alone = all(re.fullmatch("[a-z]+(-[a-z0-9]+)*", word) for word in command)
         assert read([*command[1:], *["--help"] * name_alone]), f"`{shlex.join(command)}` cannot be read"
     elif command[:3] == STUDIES:
-        assert read(command[3:] + ["--help"] * (len(command) == 4), studies.COMMANDS, studies.PROG), command
+        assert read(command[3:] + ["--help"] * (len(command) <= 4), studies.COMMANDS, studies.PROG), command
     elif command[:2] == ["python", "-m"]:
         in_ci = ELSEWHERE.get(listed(ELSEWHERE, command) or "") == ".ci/run"  # with an extra that tests do without
         assert in_ci or importlib.util.find_spec(command[2]) is not None, command
