@@ -10,17 +10,10 @@ from array_api_compat import array_namespace
 Array = Any
 """A NumPy array or a torch tensor: code that takes either returns the same kind."""
 
-_FLOAT64 = np.dtype(np.float64)
-
 
 def namespace(array: Array) -> Any:
     """The array-API namespace of a NumPy array or a torch tensor."""
     return np if isinstance(array, np.ndarray) else array_namespace(array)
-
-
-def is_rows(array: Array) -> bool:
-    """Whether it is what compiled kernels take: a NumPy array (row, column) of float64, contiguous."""
-    return isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype == _FLOAT64 and array.flags.c_contiguous
 
 
 def as_like(values: Array, like: Array) -> Array:

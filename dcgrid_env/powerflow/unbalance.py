@@ -27,12 +27,12 @@ def three_phase_nodes(feeder: ThreePhaseFeeder) -> np.ndarray:
     ).reshape(-1, 3)
 
 
-def unbalance_factor(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> Array:
-    """Voltage unbalance factor |V2| / |V1| of each three-phase bus, (..., n_three_phase_bus).
+def unbalance_factor(nodes: np.ndarray, v_re_pu: Array, v_im_pu: Array) -> Array:
+    """Voltage unbalance factor |V2| / |V1| of each bus with ``nodes`` (n_bus, 3), see ``three_phase_nodes``.
 
     ``v_re_pu`` and ``v_im_pu`` are the voltages of all nodes, real and imaginary part, p.u., (..., n_node).
     """
-    (a_re, a_im), (b_re, b_im), (c_re, c_im) = _phasors(feeder, v_re_pu, v_im_pu)
+    (a_re, a_im), (b_re, b_im), (c_re, c_im) = _phasors(nodes, v_re_pu, v_im_pu)
     h = math.sqrt(0.75)
     sum_re, sum_im = a_re - 0.5 * (b_re + c_re), a_im - 0.5 * (b_im + c_im)
     turn_re, turn_im = h * (b_re - c_re), h * (b_im - c_im)
@@ -41,18 +41,18 @@ def unbalance_factor(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -
     return negative / (positive + TINY_PU)
 
 
-def nema_unbalance(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> Array:
-    """Unbalance by NEMA MG 1 of each three-phase bus, a share, (..., n_three_phase_bus); see ``unbalance_factor``."""
-    xp, (a, b, c) = namespace(v_re_pu), _phasors(feeder, v_re_pu, v_im_pu)
+def nema_unbalance(nodes: np.ndarray, v_re_pu: Array, v_im_pu: Array) -> Array:
+    """Unbalance by NEMA MG 1 of each bus, a share, (..., n_bus); arguments as for ``unbalance_factor``."""
+    xp, (a, b, c) = namespace(v_re_pu), _phasors(nodes, v_re_pu, v_im_pu)
     lines = [xp.hypot(p[0] - q[0], p[1] - q[1]) for p, q in ((a, b), (b, c), (c, a))]
     mean = (lines[0] + lines[1] + lines[2]) / 3.0
     off = [xp.abs(line - mean) for line in lines]
     return xp.maximum(xp.maximum(off[0], off[1]), off[2]) / (mean + TINY_PU)
 
 
-def _phasors(feeder: ThreePhaseFeeder, v_re_pu: Array, v_im_pu: Array) -> list[tuple[Array, Array]]:
+def _phasors(nodes: np.ndarray, v_re_pu: Array, v_im_pu: Array) -> list[tuple[Array, Array]]:
     """Real and imaginary part of each phase's voltage at the three-phase buses."""
-    xp, nodes = namespace(v_re_pu), three_phase_nodes(feeder)
+    xp = namespace(v_re_pu)
     if not isinstance(v_re_pu, np.ndarray):
         nodes = xp.asarray(nodes.copy(), device=v_re_pu.device)
     return [(take_last(v_re_pu, nodes[:, phase]), take_last(v_im_pu, nodes[:, phase])) for phase in range(3)]

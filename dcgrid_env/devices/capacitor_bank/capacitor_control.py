@@ -11,13 +11,12 @@ its clock then begins anew at the step's end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from math import lcm
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, is_rows, namespace, take_last
+from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -109,9 +108,6 @@ def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> B
     if not state.on.shape[-1]:
         return state
     of_nodes = (solution.v_pu, solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
-    if all(isinstance(a, np.ndarray) and a.ndim == 2 and a.dtype == np.float64 for a in of_nodes):
-        v_pu, kvar_share = _kernels().measured_banks(settings, *of_nodes)
-        return state._replace(v_pu=v_pu, kvar_share=kvar_share)
     v, re, im, i_re, i_im = (take_last(values, settings.nodes).reshape(shape) for values in of_nodes)
     kvar = im * i_re - re * i_im
     k = v.shape[-1]
@@ -131,19 +127,8 @@ def control_banks(
 
     ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
     """
-    by_voltage = control.measures == "voltage"
-    if is_rows(state.on):
-        marks = (
-            (control.on_below_pu, control.off_above_pu)
-            if by_voltage
-            else (control.on_above_share, control.off_below_share)
-        )
-        acts = np.ones(state.on.shape[-1]) if controlled is None else controlled
-        given = (*map(float, (*marks, control.delay_s)), state, float(dt_s), acts, _SAME_TIME_S)
-        on, beyond_s, since_s, switched, switchings = _kernels().control_banks(by_voltage, *given)
-        return BankState(on, state.v_pu, state.kvar_share, beyond_s, since_s, switched, switchings)
     xp, none = namespace(state.on), 0.0 * state.on
-    if by_voltage:
+    if control.measures == "voltage":
         too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
     else:
         too_low, too_high = state.kvar_share > control.on_above_share, state.kvar_share < control.off_below_share
@@ -162,11 +147,3 @@ def control_banks(
         switched=switched,
         switchings=state.switchings + switched,
     )
-
-
-@cache
-def _kernels() -> Any:
-    """The compiled forms, imported on first use: they bring the compiler with them."""
-    from dcgrid_env.devices.capacitor_bank import bank_kernels
-
-    return bank_kernels

@@ -14,12 +14,10 @@ at once at the top clock, while a backlog is worked off at the rating only. The 
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -89,9 +87,9 @@ def step(
     boost
         Whether ``p_ref_kw`` may exceed the rating.
     """
-    if type(dvfs) is LinearDvfs and is_rows(p_ref_kw) and is_rows(class_backlog_kws):
-        own, clock = (params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz), np.ascontiguousarray(f_mhz)
-        after = _kernel().serve_linearly(*own, class_backlog_kws, p_ref_kw, clock, dt_s, boost)
+    if type(dvfs) is LinearDvfs:
+        ratings = params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz
+        after = _serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost)
         return DataCenterStep(*after, *after[:3])
     xp = namespace(p_ref_kw)
     arrived = positive_part(p_ref_kw - params.p_idle_kw)
@@ -101,12 +99,25 @@ def step(
     return serve_arrived(params, dvfs, class_backlog_kws, base, arrived, f_mhz, dt_s, compute_share)
 
 
-@cache
-def _kernel() -> Any:
-    """The compiled form, imported on first use: it brings the compiler with it."""
-    from dcgrid_env.devices.datacenter import linear_kernel
-
-    return linear_kernel
+@compiled_as("dcgrid_env.devices.datacenter.linear_kernel:serve_linearly", like="p_ref_kw", views=("f_mhz",))
+def _serve_linearly(
+    p_idle_kw: Array,
+    p_dynamic_kw: Array,
+    f_max_mhz: Array,
+    backlog_kws: Array,
+    p_ref_kw: Array,
+    f_mhz: Array,
+    dt_s: float,
+    boost: bool,
+) -> tuple[Array, Array, Array, Array]:
+    """Backlog, kW s, work arrived and served, and draw, kW, of ``step`` under the linear law."""
+    xp = namespace(p_ref_kw)
+    arrived = positive_part(p_ref_kw - p_idle_kw)
+    most = xp.maximum(p_dynamic_kw, arrived) if boost else p_dynamic_kw
+    served = xp.minimum(most * (f_mhz / f_max_mhz), arrived + backlog_kws / dt_s)
+    # The positive part takes off no more than the rounding of a queue that has just run empty.
+    backlog = positive_part(backlog_kws + (arrived - served) * dt_s)
+    return backlog, arrived, served, xp.minimum(p_ref_kw, p_idle_kw) + served
 
 
 def serve_arrived(

@@ -9,10 +9,7 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def serve_linearly(p_idle_kw, p_dynamic_kw, f_max_mhz, backlog_kws, p_ref_kw, f_mhz, dt_s, boost):
-    """Backlog, kW s, work arrived and served, and draw, kW, (row, slot) each, with the bits of the array form.
-
-    The first three arrays are (slot,), the others (row, slot).
-    """
+    """Backlog, kW s, work arrived and served, and draw, kW, (row, slot) each, with the bits of the array form."""
     queued, arrived, served, p_kw = (
         np.empty_like(p_ref_kw), np.empty_like(p_ref_kw), np.empty_like(p_ref_kw), np.empty_like(p_ref_kw),
     )  # fmt: skip

@@ -19,12 +19,13 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
 from dcgrid_env.core.metric import Metric, cost_metric
+from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
-from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState, kernels
+from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState
 from dcgrid_env.devices.datacenter.streaming_lateness import StreamingLateness
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -150,12 +151,7 @@ class ServedSites(PassesBy):
         if queue.shape[-1] != later + 1:
             queue = namespace(queue).concat((queue,) * (later + 1), axis=-1)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
-        figures = (site.arrived_kw, site.served_kw, dt_s, soon, later, share, first)
-        if is_rows(site.arrived_kw) and is_rows(site.served_kw) and queue.flags.c_contiguous:
-            none = np.zeros((0, 0))
-            after = kernels().serve_by_slack(queue, none if moved is None else moved, *figures)
-        else:
-            after = serve_by_slack(queue, moved, *figures)
+        after = serve_by_slack(queue, moved, site.arrived_kw, site.served_kw, dt_s, soon, later, share, first)
         return ServiceState(*after), site, p_kw
 
     def observe(self, params: DataCenterParams, own: ServiceState) -> tuple[Array, ...]:
@@ -200,6 +196,7 @@ class _LatenessOfSites:
         return self._late.figures()
 
 
+@compiled_as("dcgrid_env.devices.datacenter.site_kernels:serve_by_slack", like="arrived_kw")
 def serve_by_slack(
     queue_kws: Array,
     moved_kw: Array | None,

@@ -9,7 +9,6 @@ sites without it, and a class here or beside that has what ``SiteFeature`` lists
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from dcgrid_env.core.arrays import Array, sum_last
@@ -207,14 +206,6 @@ class AdmittingFeature(SiteFeature, Protocol):
             Its state, and what it has made of the work.
         """
         ...
-
-
-@cache
-def kernels() -> Any:
-    """The compiled kernels of features, imported on first use: they bring the compiler with them."""
-    from dcgrid_env.devices.datacenter import site_kernels
-
-    return site_kernels
 
 
 def with_share_served(site: DataCenterState, share: Array, dt_s: float) -> DataCenterState:

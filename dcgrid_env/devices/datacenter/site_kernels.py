@@ -1,6 +1,6 @@
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownVariableType=false
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
-"""Compiled forms of what ``work_routing`` and ``service_levels`` do, one pass over the sites each.
+"""The compiled form of what ``service_levels`` does, one pass over the sites.
 
 Numba's functions have no types to check.
 """
@@ -11,47 +11,17 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 
-TINY_KW = 1e-30
-
-
-@compiled
-def route(arrived_kw, route_share, p_dynamic_kw, movable_share):
-    """What arrives at each site after the move, what it sent and received, kW, and its share of all work that arrives.
-
-    Rows of (4, row, slot), from arrays (row, slot) and the sites' dynamic power (slot,); see ``RoutedSites.admit``.
-    """
-    lanes, slots = arrived_kw.shape
-    out = np.empty((4, lanes, slots))
-    for lane in range(lanes):
-        given = room = 0.0
-        for i in range(slots):
-            r = route_share[lane, i]
-            give = (-r if r < 0.0 else 0.0) * movable_share * arrived_kw[lane, i]
-            take = (r if r > 0.0 else 0.0) * p_dynamic_kw[i]
-            out[1, lane, i], out[2, lane, i] = give, take
-            given, room = given + give, room + take
-        moved = given if given < room else room
-        of_given, of_room, whole = moved / (given + TINY_KW), moved / (room + TINY_KW), 0.0
-        for i in range(slots):
-            sent, received = out[1, lane, i] * of_given, out[2, lane, i] * of_room
-            after = arrived_kw[lane, i] - sent + received
-            out[0, lane, i], out[1, lane, i], out[2, lane, i] = after, sent, received
-            whole += after
-        for i in range(slots):
-            out[3, lane, i] = out[0, lane, i] / (whole + TINY_KW)
-    return out
-
 
 @compiled
 def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later, share, by_deadline):
-    """See ``service_levels.serve_by_slack``; ``moved_kw`` is (0, 0) where nothing has a step less."""
+    """See ``service_levels.serve_by_slack``."""
     lanes, slots = arrived_kw.shape
     queue = np.empty((lanes, slots, later + 1))
     due = np.empty((2, lanes, slots))
     at_soon = soon + 1 if by_deadline else later + 1
     for lane in range(lanes):
         for i in range(slots):
-            moved = moved_kw[lane, i] * dt_s if moved_kw.size else 0.0
+            moved = moved_kw[lane, i] * dt_s if moved_kw is not None else 0.0
             own, left_kws = arrived_kw[lane, i] * dt_s - moved, served_kw[lane, i] * dt_s
             carried, young_old = 0.0, 0.0
             for j in range(later + 2):

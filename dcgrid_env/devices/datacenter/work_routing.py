@@ -22,10 +22,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, number, settle
 from dcgrid_env.core.metric import Metric, cost_metric
-from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState, kernels
+from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -138,9 +138,6 @@ class RoutedSites(PassesBy):
         xp, arrived, route = namespace(load.arrived_kw), load.arrived_kw, setpoints[0]
         on_grid = self._on_grid(state, given)
         share = load.compute_share
-        if share is None and on_grid is None and is_rows(arrived) and is_rows(route):
-            after = kernels().route(arrived, route, params.p_dynamic_kw, self.rule.movable_share)
-            return RoutingState(after[1], after[2], after[3]), load._replace(arrived_kw=after[0], moved_kw=after[2])
         give = positive_part(-route) * self.rule.movable_share * arrived
         room = positive_part(route) * params.p_dynamic_kw
         room = room if on_grid is None else room * on_grid

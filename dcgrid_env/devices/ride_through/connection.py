@@ -15,14 +15,14 @@ device is connected is a step function, which has none but where a smooth surrog
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, is_rows, namespace, sum_last
+from dcgrid_env.core.arrays import Array, as_like, namespace, sum_last
+from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.ride_through import connection_surrogate
-from dcgrid_env.devices.ride_through.rules import ALL_BACK, RideThrough
+from dcgrid_env.devices.ride_through.rules import ALL_BACK, Figures, RideThrough
 
 _MINUTE_S = 60.0
 
@@ -103,54 +103,66 @@ def advance(
     state
         At the end, with ``lost_kw`` 0, which the device fills in.
     """
-    if is_rows(before.share):
-        return _advance_lanes(rule, before, supply, pace, dt_s)
-    return advance_arrays(rule, before, supply, pace, dt_s)
+    figures = rule.figures(before.share.shape[-1])
+    if before.share.dtype != np.float64:
+        figures = Figures(*(as_like(part, before.share) if isinstance(part, np.ndarray) else part for part in figures))
+    volts = supply.v_lowest_pu, supply.v_highest_pu
+    pace = pace + 0.0 * before.share if isinstance(pace, float) else pace
+    return ConnectionState(*_advanced(before, *volts, supply.sags, pace, figures, supply.widths, dt_s))
 
 
-def advance_arrays(
-    rule: RideThrough, before: ConnectionState, supply: Supply, pace: Array | float, dt_s: float
-) -> ConnectionState:
-    """The array form of :func:`advance`, for tensors and other precisions."""
-    xp, slots = namespace(before.share), before.share.shape[-1]
-    elements = rule.elements(slots)
-    threshold, time_s = (as_like(values, before.share) for values in (elements.threshold, elements.time_s))
-    v = _measured(xp, supply, elements)
+@compiled_as(
+    "dcgrid_env.devices.ride_through.connection_kernel:advance_lanes",
+    like="before",
+    views=("v_lowest_pu", "v_highest_pu"),
+)
+def _advanced(
+    before: ConnectionState,
+    v_lowest_pu: Array,
+    v_highest_pu: Array,
+    sags: Array | None,
+    pace: Array,
+    figures: Figures,
+    widths: connection_surrogate.TripWidths | None,
+    dt_s: float,
+) -> tuple[Array, ...]:
+    """The fields of the state after an interval, with ``lost_kw`` 0."""
+    xp = namespace(before.share)
+    threshold, time_s, delay_s, release_s, n_under, longest_s, remembered_s, window_s = figures
+    v = _measured(xp, v_lowest_pu, v_highest_pu, n_under, threshold.shape[-1] - n_under)
     beyond = v < threshold
     out_of_order = beyond.any(-1)
     timer_s = xp.where(beyond, before.timer_s + dt_s, 0.0 * before.timer_s)
     connected = before.share > 0.0
     event = slow = (beyond & (timer_s + 1e-3 * dt_s >= time_s)).any(-1) & connected
 
-    delay_s, release_s = (as_like(times, before.share) for times in rule.delays_s(slots))
     soon = 1e-3 * dt_s
     may_go = (pace > 0.0) & ~out_of_order
     released = (before.locked > 0.0) & (before.wait_s + soon >= release_s) & may_go
     locked = (before.locked > 0.0) & ~released
     aged = before.event_age_s + dt_s
-    age_s = xp.where((aged > rule.remembered_s) | released[..., None], 0.0 * aged + rule.remembered_s, aged)
+    age_s = xp.where((aged > remembered_s) | released[..., None], 0.0 * aged + remembered_s, aged)
     age_s = _with_new(xp, event, dt_s + 0.0 * before.wait_s, age_s)
-    locked = locked | _is_full(rule, event, age_s)
+    locked = locked | _is_full(event, age_s, window_s)
     since_s = xp.where(out_of_order, 0.0 * before.wait_s, before.wait_s + dt_s)
     since_s = xp.where(event, 0.0 * since_s + dt_s, since_s)
-    for duration_s, retained, rest_s in _sags(supply.sags):
+    for duration_s, retained, rest_s in _sags(sags):
         fell = ((v * retained[..., None] < threshold) & (timer_s + duration_s[..., None] > time_s)).any(-1)
         fell = fell & (duration_s > 0.0)
         age_s = _with_new(xp, fell, rest_s + 0.0 * since_s, age_s)
-        locked = locked | _is_full(rule, fell, age_s)
+        locked = locked | _is_full(fell, age_s, window_s)
         since_s = xp.where(fell, rest_s + 0.0 * since_s, since_s)
         event = event | fell
 
     ready = ~event & (before.wait_s + soon >= xp.where(released, 0.0 * delay_s, delay_s)) & ~connected
     return_s = before.return_age_s + dt_s
-    return_s = xp.where(return_s > rule.remembered_s, 0.0 * return_s + rule.remembered_s, return_s)
-    if rule.returns_per_minute:
+    return_s = xp.where(return_s > remembered_s, 0.0 * return_s + remembered_s, return_s)
+    if return_s.shape[-1]:
         ready = ready & (return_s[..., -1] >= _MINUTE_S)
     start = ready & ~locked & may_go
     grown = before.share + pace
     full = xp.where(grown > ALL_BACK, 0.0 * grown + 1.0, grown)
     share = xp.where((connected | start) & ~event, full, 0.0 * full)
-    longest_s = rule.longest_wait_s(slots)
     after = ConnectionState(
         share=share,
         timer_s=timer_s,
@@ -161,13 +173,13 @@ def advance_arrays(
         tripped=xp.astype(event & connected, before.share.dtype),
         lost_kw=0.0 * before.share,
     )
-    if supply.widths is None:
+    if widths is None:
         return after
     asked = (before.locked <= 0.0) | (before.wait_s + soon >= release_s)
     may_return = ready & asked & ~out_of_order
     fell = event & ~slow
     return connection_surrogate.with_derivatives(
-        before, after, v, threshold, time_s, fell, may_return, pace, dt_s, supply.widths
+        before, after, v, threshold, time_s, fell, may_return, pace, dt_s, widths
     )
 
 
@@ -179,50 +191,21 @@ def by_rule(rule: RideThrough, dt_s: float) -> float:
 def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
     """How near the slow trip is, 0 .. 1, (row, slot): the largest share of its time that an element has counted."""
     xp, like = namespace(state.share), state.share
-    if is_rows(like):
-        return _kernel().largest_timer_share(state.timer_s, rule.elements(like.shape[-1]).time_s)
     time_s = as_like(rule.elements(like.shape[-1]).time_s, like)
     shares = xp.where(state.timer_s > 0.0, state.timer_s / (time_s + 1e-9), 0.0 * state.timer_s)
-    largest = shares.max(-1) if isinstance(shares, np.ndarray) else shares.amax(-1)
+    largest = shares.max(-1, initial=0.0) if isinstance(shares, np.ndarray) else shares.amax(-1)
     return xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
 
 
 def younger(ages_s: Array, than_s: float) -> Array:
     """How many of the ages of events or returns are below a time, (row, slot), of ages (row, slot, n)."""
-    if isinstance(ages_s, np.ndarray) and ages_s.dtype == np.float64 and ages_s.ndim == 3:
-        return _kernel().younger(ages_s, than_s)
     return sum_last(namespace(ages_s).astype(ages_s < than_s, ages_s.dtype))
 
 
-def _advance_lanes(
-    rule: RideThrough, before: ConnectionState, supply: Supply, pace: Array | float, dt_s: float
-) -> ConnectionState:
-    """The compiled form, on NumPy arrays of float64."""
-    shape, elements = before.share.shape, rule.elements(before.share.shape[-1])
-    volts = tuple(map(np.ascontiguousarray, (supply.v_lowest_pu, supply.v_highest_pu)))
-    sags = np.zeros((shape[0], 0, 3)) if supply.sags is None else np.ascontiguousarray(supply.sags)
-    paces = pace if is_rows(pace) else np.full(shape, pace)
-    after = _kernel().advance_lanes(
-        tuple(before[:6]), volts, sags, paces, elements.threshold, elements.time_s,
-        elements.n_under, *rule.delays_s(shape[-1]), rule.longest_wait_s(shape[-1]), rule.remembered_s,
-        float(rule.lockout_window_s), dt_s,
-    )  # fmt: skip
-    return ConnectionState(*after)
-
-
-@cache
-def _kernel() -> Any:
-    """The compiled form, imported on first use: it brings the compiler with it."""
-    from dcgrid_env.devices.ride_through import connection_kernel
-
-    return connection_kernel
-
-
-def _measured(xp: Any, supply: Supply, elements: Any) -> Array:
+def _measured(xp: Any, v_lowest_pu: Array, v_highest_pu: Array, n_under: int, n_over: int) -> Array:
     """What each element compares with its threshold, p.u., (row, slot, n_element)."""
-    n_over = elements.count - elements.n_under
-    low = _repeated(supply.v_lowest_pu, elements.n_under)
-    return low if not n_over else xp.concat((low, -_repeated(supply.v_highest_pu, n_over)), axis=-1)
+    low = _repeated(v_lowest_pu, n_under)
+    return low if not n_over else xp.concat((low, -_repeated(v_highest_pu, n_over)), axis=-1)
 
 
 def _repeated(values: Array, times: int) -> Array:
@@ -246,6 +229,6 @@ def _with_new(xp: Any, where: Array, age_s: Array, ages_s: Array) -> Array:
     return xp.where(where[..., None], xp.concat((age_s[..., None], ages_s[..., :-1]), axis=-1), ages_s)
 
 
-def _is_full(rule: RideThrough, event: Array, age_s: Array) -> Array:
+def _is_full(event: Array, age_s: Array, window_s: float) -> Array:
     """Whether an event is the last of enough within the window."""
-    return event & (age_s[..., -1] <= rule.lockout_window_s) if rule.lockout_events else event & ~event
+    return event & (age_s[..., -1] <= window_s) if age_s.shape[-1] else event & ~event

@@ -20,16 +20,12 @@ def _note(ages_s, age_s, window_s):
 
 
 @compiled
-def advance_lanes(
-    before, volts, sags, pace, threshold, time_s, n_under, delay_s, release_s, longest_s, remembered_s, window_s, dt_s
-):
-    """The fields of ``ConnectionState`` after an interval, ``lost_kw`` 0.
-
-    ``before`` are the first six fields, ``volts`` the lowest and highest voltage, (row, slot) each; ``sags`` are
-    (row, n_sag, 3), ``pace`` (row, slot), thresholds and times of elements (slot, n_element), delays (slot,).
-    """
-    share_in, timer_in, wait_in, events_in, returns_in, locked_in = before
-    low, high = volts
+def advance_lanes(before, low, high, sags, pace, figures, widths, dt_s):
+    """The fields of ``ConnectionState`` after an interval, ``lost_kw`` 0; ``widths`` are for tensors."""
+    threshold, time_s, delay_s, release_s, n_under, longest_s, remembered_s, window_s = figures
+    share_in, timer_in, wait_in, locked_in = before.share, before.timer_s, before.wait_s, before.locked
+    events_in, returns_in = before.event_age_s, before.return_age_s
+    in_step = np.empty((len(share_in), 0, 3)) if sags is None else sags
     lanes, slots = share_in.shape
     share, wait, locked = np.empty_like(share_in), np.empty_like(share_in), np.empty_like(share_in)
     tripped, lost = np.empty_like(share_in), np.zeros_like(share_in)
@@ -55,8 +51,8 @@ def advance_lanes(
             if event:
                 since = dt_s
                 is_locked = _note(events[i, j], dt_s, window_s) or is_locked
-            for s in range(sags.shape[1]):
-                duration_s, retained, rest_s = sags[i, s, 0], sags[i, s, 1], sags[i, s, 2]
+            for s in range(in_step.shape[1]):
+                duration_s, retained, rest_s = in_step[i, s, 0], in_step[i, s, 1], in_step[i, s, 2]
                 fell = False
                 for k in range(threshold.shape[1] if duration_s > 0.0 else 0):
                     v = low[i, j] if k < n_under else -high[i, j]
@@ -78,29 +74,3 @@ def advance_lanes(
             locked[i, j] = 1.0 if is_locked else 0.0
             tripped[i, j] = 1.0 if event and connected else 0.0
     return share, timer, wait, events, returns, locked, tripped, lost
-
-
-@compiled
-def largest_timer_share(timer_s, time_s):
-    """How near the slow trip is, 0 .. 1, (row, slot), see ``connection.timer_share``."""
-    lanes, slots, n_element = timer_s.shape
-    largest = np.zeros((lanes, slots))
-    for i in range(lanes):
-        for j in range(slots):
-            for k in range(n_element):
-                if timer_s[i, j, k] > 0.0:
-                    largest[i, j] = max(largest[i, j], timer_s[i, j, k] / (time_s[j, k] + 1e-9))
-            largest[i, j] = min(largest[i, j], 1.0)
-    return largest
-
-
-@compiled
-def younger(ages_s, than_s):
-    """How many ages of each slot are below a time, (row, slot)."""
-    lanes, slots, n = ages_s.shape
-    count = np.zeros((lanes, slots))
-    for i in range(lanes):
-        for j in range(slots):
-            for k in range(n):
-                count[i, j] += ages_s[i, j, k] < than_s
-    return count

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,27 @@ ALL_BACK = 1.0 - 1e-6
 LONGEST_S = 1e6
 """Longest time of a rule, s: eleven days."""
 Release = Literal["by hand", "staggered", "agent"]
+
+
+class Figures(NamedTuple):
+    """What a rule says of each slot, and of all."""
+
+    threshold: Any
+    """Thresholds of the elements, p.u., undervoltages first, (slot, n_element)."""
+    time_s: Any
+    """How long each element counts before it trips, s, (slot, n_element)."""
+    delay_s: Any
+    """How long each slot waits before it returns, s, (slot,)."""
+    release_s: Any
+    """How long it waits before it is released from a lock-out, s, (slot,)."""
+    n_under: int
+    """Number of elements for undervoltages."""
+    longest_s: float
+    """What the time since the last event is cut at, s."""
+    remembered_s: float
+    """What the age of an event or a return is cut at, s."""
+    window_s: float
+    """Window of a lock-out, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +103,20 @@ class RideThrough(PickledByFields):
         """What a time since the last event is cut at, s: no rule looks further back."""
         latest = max(float(times.max(initial=0.0)) for times in self.delays_s(slots))
         return max(latest, self.by_hand_s + self.stagger_s * max(slots - 1, 0))
+
+    @cached_on_owner
+    def figures(self, slots: int) -> Figures:
+        """All that the rule says of as many slots."""
+        elements = self.elements(slots)
+        return Figures(
+            elements.threshold,
+            elements.time_s,
+            *self.delays_s(slots),
+            n_under=elements.n_under,
+            longest_s=self.longest_wait_s(slots),
+            remembered_s=self.remembered_s,
+            window_s=float(self.lockout_window_s),
+        )
 
     @cached_property
     def remembered_s(self) -> float:

@@ -10,10 +10,9 @@ Where work waits on battery, b carries the idle draw alone and w is the share on
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part
+from dcgrid_env.core.arrays import Array, namespace, positive_part
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
 
@@ -60,26 +59,6 @@ def step(
     state, grid_kw, works
         State at the end; draw from the grid, kW; share of the site's work that is done, 0 .. 1.
     """
-    if is_rows(p_kw) and all(map(is_rows, (stored_kws, share, p_idle_kw, served_kw))):
-        *own, grid_kw, works = _kernel().step_lanes(
-            stored_kws, share, p_kw, p_idle_kw, served_kw, p_rated_kw, rule.battery_s, rule.recharge_share,
-            rule.charge_efficiency, rule.on_battery == "serves", dt_s,
-        )  # fmt: skip
-        return BatteryState(*own), grid_kw, works
-    return step_arrays(rule, stored_kws, share, p_kw, p_idle_kw, served_kw, p_rated_kw, dt_s)
-
-
-def step_arrays(
-    rule: UpsRideThrough,
-    stored_kws: Array,
-    share: Array,
-    p_kw: Array,
-    p_idle_kw: Array,
-    served_kw: Array,
-    p_rated_kw: Array,
-    dt_s: float,
-) -> tuple[BatteryState, Array, Array]:
-    """The array form of :func:`step`, for tensors and other precisions."""
     xp = namespace(p_kw)
     away = 1.0 - share
     wanted = away * (p_kw if rule.on_battery == "serves" else p_idle_kw)
@@ -105,11 +84,3 @@ def without_grid(rule: UpsRideThrough, state: BatteryState, available: Array, dt
         stored_kws=state.stored_kws - rule.charge_efficiency * dt_s * undone_kw,
         recharge_kw=state.recharge_kw - undone_kw,
     )
-
-
-@cache
-def _kernel() -> Any:
-    """The compiled form, imported on first use: it brings the compiler with it."""
-    from dcgrid_env.devices.ride_through import ups_battery_kernel
-
-    return ups_battery_kernel

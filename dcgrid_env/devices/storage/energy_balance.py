@@ -10,12 +10,10 @@ Powers are those at the grid. A storage that is disconnected neither charges nor
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from dcgrid_env.core.arrays import Array, is_rows, namespace, positive_part
+from dcgrid_env.core.arrays import Array, namespace, positive_part
+from dcgrid_env.core.twins import compiled_as
 
 
 class StorageParams(NamedTuple):
@@ -78,45 +76,45 @@ def step(
     dt_s
         Length of the interval, s.
     """
-    xp, hours = namespace(asked_kw), dt_s / 3600.0
-    if is_rows(state.stored_kwh):
-        return _step_lanes(params, state, asked_kw, connected, hours)
-    p_kw = xp.maximum(xp.minimum(asked_kw, state.charge_limit_kw), -state.discharge_limit_kw)
-    if connected is not None:
-        p_kw = p_kw * connected
-    share = (1.0 - params.standby_share_per_h) ** hours
-    charged, discharged = positive_part(p_kw), positive_part(-p_kw)
-    gained = charged * params.charge_efficiency - discharged / params.discharge_efficiency
-    # The bounds take off no more than the rounding of a storage that has just run full or empty.
-    stored = xp.minimum(positive_part(state.stored_kwh * share + gained * hours), params.energy_kwh)
-    kept = stored * share
-    room_kw = (params.energy_kwh - kept) / (params.charge_efficiency * hours)
-    return StorageState(
-        stored_kwh=stored,
-        storage_kw=p_kw,
-        charge_limit_kw=xp.minimum(params.p_rated_kw, room_kw),
-        discharge_limit_kw=xp.minimum(params.p_rated_kw, kept * params.discharge_efficiency / hours),
-        throughput_kwh=state.throughput_kwh + (charged + discharged) * hours,
-        storage_loss_kwh=state.storage_loss_kwh + p_kw * hours - (stored - state.stored_kwh),
-        missing_kwh=positive_part(params.returned_kwh - stored),
-    )
-
-
-def _step_lanes(
-    params: StorageParams, state: StorageState, asked_kw: np.ndarray, connected: np.ndarray | None, hours: float
-) -> StorageState:
-    p, s = params, state
+    p, s, hours = params, state, dt_s / 3600.0
     figures = (p.p_rated_kw, p.energy_kwh, p.charge_efficiency, p.discharge_efficiency, p.returned_kwh)
     before = (s.stored_kwh, s.charge_limit_kw, s.discharge_limit_kw, s.throughput_kwh, s.storage_loss_kwh)
     share = (1.0 - params.standby_share_per_h) ** hours
-    there = np.empty((0, 0)) if connected is None else connected
-    asked, there = np.ascontiguousarray(asked_kw, np.float64), np.ascontiguousarray(there, np.float64)
-    return StorageState(*_kernel().step_lanes(figures, share, before, asked, there, hours))
+    return StorageState(*_stepped(figures, share, before, asked_kw, connected, hours))
 
 
-@cache
-def _kernel() -> Any:
-    """The compiled form, imported on first use: it brings the compiler with it."""
-    from dcgrid_env.devices.storage import energy_kernel
+@compiled_as("dcgrid_env.devices.storage.energy_kernel:step_lanes", like="before", views=("asked_kw", "connected"))
+def _stepped(
+    figures: tuple[Array, ...],
+    share: Array,
+    before: tuple[Array, ...],
+    asked_kw: Array,
+    connected: Array | None,
+    hours: float,
+) -> tuple[Array, ...]:
+    """The fields of the state after an interval.
 
-    return energy_kernel
+    From figures, (slot,) each, the share of the energy that is kept, (slot,), arrays of the state and setpoints,
+    (row, slot) each, and ``connected``, (row, slot).
+    """
+    p_rated_kw, energy_kwh, charge_efficiency, discharge_efficiency, returned_kwh = figures
+    stored_before_kwh, charge_limit_kw, discharge_limit_kw, throughput_kwh, loss_kwh = before
+    xp = namespace(asked_kw)
+    p_kw = xp.maximum(xp.minimum(asked_kw, charge_limit_kw), -discharge_limit_kw)
+    if connected is not None:
+        p_kw = p_kw * connected
+    charged, discharged = positive_part(p_kw), positive_part(-p_kw)
+    gained = charged * charge_efficiency - discharged / discharge_efficiency
+    # The bounds take off no more than the rounding of a storage that has just run full or empty.
+    stored = xp.minimum(positive_part(stored_before_kwh * share + gained * hours), energy_kwh)
+    kept = stored * share
+    room_kw = (energy_kwh - kept) / (charge_efficiency * hours)
+    return (
+        stored,
+        p_kw,
+        xp.minimum(p_rated_kw, room_kw),
+        xp.minimum(p_rated_kw, kept * discharge_efficiency / hours),
+        throughput_kwh + (charged + discharged) * hours,
+        loss_kwh + p_kw * hours - (stored - stored_before_kwh),
+        positive_part(returned_kwh - stored),
+    )

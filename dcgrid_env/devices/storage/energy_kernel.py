@@ -8,22 +8,20 @@ from dcgrid_env.core.compiled import compiled
 
 
 @compiled
-def step_lanes(params, share, state, asked_kw, connected, hours):
+def step_lanes(figures, share, before, asked_kw, connected, hours):
     """State after an interval as the rows of (7, row, slot), in the order of ``StorageState``.
 
-    From figures, (slot,) each, the share of the energy that is kept, (slot,), arrays of the state and setpoints,
-    (row, slot) each, and ``connected``, (row, slot), or (0, 0) where all are. The bits are those of the array form;
-    what is not finite stays so.
+    The bits are those of the array form; what is not finite stays so.
     """
-    p_rated, energy, charge_efficiency, discharge_efficiency, returned = params
-    stored_before, charge_limit, discharge_limit, throughput, loss = state
+    p_rated, energy, charge_efficiency, discharge_efficiency, returned = figures
+    stored_before, charge_limit, discharge_limit, throughput, loss = before
     out = np.empty((7, *asked_kw.shape))
     for lane in range(asked_kw.shape[0]):
         for i in range(asked_kw.shape[1]):
             p = asked_kw[lane, i]
             p = charge_limit[lane, i] if p > charge_limit[lane, i] else p
             p = -discharge_limit[lane, i] if p < -discharge_limit[lane, i] else p
-            if connected.size:
+            if connected is not None:
                 p = p * connected[lane, i]
             charged, discharged = 0.0 if p < 0.0 else p, 0.0 if p > 0.0 else -p
             gained = charged * charge_efficiency[i] - discharged / discharge_efficiency[i]

@@ -10,7 +10,6 @@ set closer than its regulator can go would have it go to and fro for ever.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,20 +98,10 @@ def settings_like(settings: Any, like: Array) -> Any:
 def relay_volts(settings: RelaySettings, solution: Any) -> Array:
     """Relay volts of each regulator, (..., n_regulator), of a ``ThreePhaseSolution`` of its feeder."""
     of_nodes = (solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
-    if all(isinstance(a, np.ndarray) and a.ndim == 2 and a.dtype == np.float64 for a in of_nodes):
-        return tap_kernels().relay_volts(settings, *of_nodes)
     v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in of_nodes)
     re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
     im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re
     return namespace(re).hypot(re, im)
-
-
-@cache
-def tap_kernels() -> Any:
-    """The compiled forms, imported on first use: they bring the compiler with them."""
-    from dcgrid_env.devices.tap_changer import tap_kernels as kernels
-
-    return kernels
 
 
 def direction(settings: RelaySettings, relay_v: Array, tap: Array) -> Array:

@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, is_rows, namespace
-from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, tap_kernels
+from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction
 
 MOST_EVENTS = 1000
 """Taps at different times within one step; a step that asks for more goes on with them in the next."""
-_SAME_TIME_S = 1e-6
+SAME_TIME_S = 1e-6
+"""Times that are less than this apart are one, s."""
 
 
 class RegulatorState(NamedTuple):
@@ -64,14 +66,17 @@ def control_taps(
     RegulatorState
         With the volts as they are predicted under the new taps.
     """
-    xp, tap, volts, since = namespace(state.tap), state.tap, state.relay_v, state.since_s
-    if not tap.shape[-1]:
+    if not state.tap.shape[-1]:
         return state
-    if is_rows(tap):
-        acts = np.ones(tap.shape[-1]) if controlled is None else controlled
-        return RegulatorState(
-            *tap_kernels().control_taps(settings, state, float(dt_s), acts, MOST_EVENTS, _SAME_TIME_S)
-        )
+    return RegulatorState(*_controlled(settings, state, float(dt_s), controlled))
+
+
+@compiled_as("dcgrid_env.devices.tap_changer.tap_kernels:control_taps", like="state")
+def _controlled(
+    settings: RelaySettings, state: RegulatorState, dt_s: float, controlled: Array | None
+) -> tuple[Array, ...]:
+    """The fields of the state after the step, see ``control_taps``."""
+    xp, tap, volts, since = namespace(state.tap), state.tap, state.relay_v, state.since_s
     none = 0.0 * tap
     wanted = _wanted(settings, volts, tap, controlled)
     waited, sequence = (xp.where(wanted != 0.0, a, none) for a in (state.out_of_band_s, state.in_sequence))
@@ -80,11 +85,11 @@ def control_taps(
         delay = xp.where(sequence != 0.0, settings.tap_delay_s, settings.delay_s)
         due_in = xp.where(wanted != 0.0, xp.where(delay > waited, delay - waited, none), none + math.inf)
         soonest = _lowest(due_in)
-        goes_on = soonest <= left + _SAME_TIME_S
+        goes_on = soonest <= left + SAME_TIME_S
         if not bool(xp.any(goes_on)):
             break
         passed = xp.where(goes_on, xp.where(soonest < left, soonest, left), 0.0 * left)
-        turn = xp.where(goes_on & (due_in <= soonest + _SAME_TIME_S), wanted, none)
+        turn = xp.where(goes_on & (due_in <= soonest + SAME_TIME_S), wanted, none)
         tap = tap + turn
         volts = volts + (turn[..., None] * settings.volts_per_tap).sum(-2)
         moved = moved + xp.abs(turn)
@@ -95,7 +100,7 @@ def control_taps(
         sequence = xp.where(in_band, none, xp.where(turn != 0.0, none + 1.0, sequence))
         left = left - passed
     waited = xp.where(wanted != 0.0, waited + left, none)
-    return RegulatorState(tap, volts, waited, sequence, since + left, moved, state.moves + moved)
+    return tap, volts, waited, sequence, since + left, moved, state.moves + moved
 
 
 def _wanted(settings: RelaySettings, relay_v: Array, tap: Array, controlled: Array | None) -> Array:

@@ -1,37 +1,21 @@
-"""The regulators' relays and controls compiled, lane by lane, with the bits of the array forms."""
+"""The controls of regulators compiled, one environment after the other, with the bits of the array form."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-
-
-@compiled
-def relay_volts(settings, v_re, v_im, i_re, i_im):
-    """Relay volts, (row, n_regulator), from voltages and currents of all nodes, (row, n_node)."""
-    lanes, n = v_re.shape[0], len(settings.node)
-    out = np.empty((lanes, n))
-    for lane in range(lanes):
-        for r in range(n):
-            node, gain = settings.node[r], settings.volts_per_pu[r]
-            a, b = i_re[lane, node], i_im[lane, node]
-            re = v_re[lane, node] * gain - settings.r_ohm[r] * a + settings.x_ohm[r] * b
-            im = v_im[lane, node] * gain - settings.r_ohm[r] * b - settings.x_ohm[r] * a
-            out[lane, r] = math.hypot(re, im)
-    return out
+from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S
 
 
 @compiled(inner=True)
-def _direct(settings, controlled, volts, tap, wanted):
+def _direct(settings, acts, volts, tap, wanted):
     """Put into ``wanted`` which way each regulator of a lane is to go; the number of those that are to go anywhere."""
     asking = 0
     for r in range(len(tap)):
         missing_v = settings.target_v[r] - volts[r]
         wanted[r] = 0.0
-        if controlled[r] != 0.0:
+        if acts[r] != 0.0:
             if missing_v > settings.half_band_v[r] and tap[r] < settings.highest[r]:
                 wanted[r] = 1.0
             elif missing_v < -settings.half_band_v[r] and tap[r] > settings.lowest[r]:
@@ -41,11 +25,12 @@ def _direct(settings, controlled, volts, tap, wanted):
 
 
 @compiled
-def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
+def control_taps(settings, state, dt_s, controlled):
     """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, row, n_regulator)."""
     lanes, n = state.tap.shape
     out = np.empty((7, lanes, n))
     wanted, due_in = np.empty(n), np.empty(n)
+    acts = np.ones(n) if controlled is None else controlled
     for lane in range(lanes):
         tap, volts, waited, sequence, since, moved, moves = (
             out[0, lane], out[1, lane], out[2, lane], out[3, lane], out[4, lane], out[5, lane], out[6, lane],
@@ -53,23 +38,23 @@ def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
         for r in range(n):
             tap[r], volts[r], since[r] = state.tap[lane, r], state.relay_v[lane, r], state.since_s[lane, r]
             moved[r] = 0.0
-        asking = _direct(settings, controlled, volts, tap, wanted)
+        asking = _direct(settings, acts, volts, tap, wanted)
         for r in range(n):
             asks = wanted[r] != 0.0
             waited[r] = state.out_of_band_s[lane, r] if asks else 0.0
             sequence[r] = state.in_sequence[lane, r] if asks else 0.0
         left = dt_s
-        for _ in range(most_events if asking else 0):
+        for _ in range(MOST_EVENTS if asking else 0):
             soonest = np.inf
             for r in range(n):
                 delay = settings.tap_delay_s[r] if sequence[r] != 0.0 else settings.delay_s[r]
                 due_in[r] = max(delay - waited[r], 0.0) if wanted[r] != 0.0 else np.inf
                 soonest = min(soonest, due_in[r])
-            if not soonest <= left + same_time_s:
+            if not soonest <= left + SAME_TIME_S:
                 break
             passed = min(soonest, left)
             for r in range(n):
-                due_in[r] = wanted[r] if due_in[r] <= soonest + same_time_s else 0.0  # now the turn of each
+                due_in[r] = wanted[r] if due_in[r] <= soonest + SAME_TIME_S else 0.0  # now the turn of each
                 tap[r] += due_in[r]
                 moved[r] += abs(due_in[r])
             for r in range(n):
@@ -77,7 +62,7 @@ def control_taps(settings, state, dt_s, controlled, most_events, same_time_s):
                 for other in range(n):
                     change += due_in[other] * settings.volts_per_tap[other, r]
                 volts[r] += change
-            _direct(settings, controlled, volts, tap, wanted)
+            _direct(settings, acts, volts, tap, wanted)
             for r in range(n):
                 turned, in_band = due_in[r] != 0.0, wanted[r] == 0.0
                 since[r] = 0.0 if turned else since[r] + passed

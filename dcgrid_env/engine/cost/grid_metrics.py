@@ -11,7 +11,7 @@ from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.physics.disconnection import leaving
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.powerflow import nema_unbalance
+from dcgrid_env.powerflow import nema_unbalance, three_phase_nodes
 from dcgrid_env.scenario.costs.overload import overload_figures
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -111,7 +111,7 @@ def phase_figures(series: Any) -> dict[str, Any]:
     if not isinstance(feeder, ThreePhaseFeeder):
         return {}
     factor = phases.unbalance[1:]
-    nema = nema_unbalance(feeder, phases.v_re_pu[1:], phases.v_im_pu[1:])
+    nema = nema_unbalance(three_phase_nodes(feeder), phases.v_re_pu[1:], phases.v_im_pu[1:])
     regulators, banks = phases.equipment
     return {
         "unbalance_mean_pct": 100.0 * factor.mean() if factor.size else 0.0,

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, is_rows, namespace, take_at, take_last
+from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
@@ -84,10 +85,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     """
     xp = namespace(action)
     params = parameters(scenario, action)
-    if is_rows(action):
-        setpoint = step_kernels().setpoints(action, params.middle, params.half_range)
-    else:
-        setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
     by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:
@@ -166,7 +164,8 @@ def _solved(
     if exogenous.to_draw is not None:
         return grid_pass().grid_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
     solve, changing = _grid(scenario)
-    p_net, q_net = _net_loads(exogenous, p_kw, q_kvar)
+    legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
+    p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
     control = _control(scenario, params.devices, devices, exogenous) if changing else None
     equipment = None
     if state.three_phase is not None:
@@ -238,18 +237,15 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
     return tuple(map(slice, ends[:-1], ends[1:]))
 
 
-def _net_loads(exogenous: Exogenous, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
-    """Net load of each leg, kW and kvar, (row, n_leg), under the agents' draws and reactive injections."""
-    p_load, q_load, legs = exogenous.p_load_kw, exogenous.q_load_kvar, _legs(exogenous)
-    if is_rows(p_load) and is_rows(p_kw):
-        return step_kernels().net_loads(p_load, q_load, legs, p_kw, q_kvar)
-    p_net = add_at(p_load, legs, _to_nodes(p_kw, legs))
-    return p_net, add_at(q_load, legs, _to_nodes(-q_kvar, legs))
+@compiled_as("dcgrid_env.engine.physics.step_kernels:net_loads", like="p_load_kw")
+def net_loads(p_load_kw: Array, q_load_kvar: Array, legs: Array, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
+    """Net load of each leg, kW and kvar, (row, n_leg): loads, and what agents draw less what they inject.
 
-
-def _legs(exogenous: Exogenous) -> Array:
-    """Where the agents draw, (row, n_agent, k)."""
-    return exogenous.nodes if exogenous.legs is None else exogenous.legs
+    ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg, among which an agent's ``p_kw, q_kvar``
+    (row, n_agent) are shared in equal parts; an agent may have a leg several times.
+    """
+    p_net = add_at(p_load_kw, legs, _to_nodes(p_kw, legs))
+    return p_net, add_at(q_load_kvar, legs, _to_nodes(-q_kvar, legs))
 
 
 @cache
@@ -287,14 +283,22 @@ def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
     return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
 
 
+@compiled_as("dcgrid_env.engine.physics.step_kernels:by_phase", like="v_pu")
+def by_phase(
+    v_pu: Array, v_re_pu: Array, v_im_pu: Array, agent_nodes: Array, bus_nodes: np.ndarray
+) -> tuple[Array, Array, Array]:
+    """Each agent's lowest and highest phase, p.u., (row, n_agent), and each three-phase bus's unbalance factor.
+
+    ``agent_nodes`` (row, n_agent, k) are flat positions row * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
+    are voltages, (row, n_node).
+    """
+    return *extremes_of_nodes(v_pu, agent_nodes), unbalance_factor(bus_nodes, v_re_pu, v_im_pu)
+
+
 def _by_phase(scenario: Scenario, solution: Any, nodes: Array, equipment: Equipment) -> ThreePhaseState:
     """What the state of a three-phase feeder has beside its voltages."""
     feeder: Any = scenario.feeder
-    if is_rows(solution.v_pu):
-        v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
-        lowest, highest, factor = step_kernels().by_phase(*v, nodes, three_phase_nodes(feeder))
-    else:
-        lowest, highest = extremes_of_nodes(solution.v_pu, nodes)
-        factor = unbalance_factor(feeder, solution.v_re_pu, solution.v_im_pu)
+    v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
+    lowest, highest, factor = by_phase(*v, nodes, three_phase_nodes(feeder))
     equipment = feeder_equipment.measured(scenario, equipment, solution)
     return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor, equipment)

@@ -34,11 +34,7 @@ def setpoints(action, middle, half_range):
 
 @compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
-    """Net load of each leg, kW and kvar, (row, n_leg): loads, and what agents draw less what they inject.
-
-    ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg, among which an agent's ``p_kw, q_kvar``
-    (row, n_agent) are shared in equal parts; an agent may have a leg several times.
-    """
+    """See ``dynamics.net_loads``."""
     p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
     p_at, q_at = p_net.reshape(-1), q_net.reshape(-1)
     lanes, agents, parts = legs.shape
@@ -53,11 +49,7 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
 
 @compiled
 def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
-    """Each agent's lowest and highest phase, p.u., (row, n_agent), and each three-phase bus's unbalance factor.
-
-    ``agent_nodes`` (row, n_agent, k) are flat positions row * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
-    are voltages, (row, n_node). See ``powerflow.unbalance``.
-    """
+    """See ``dynamics.by_phase`` and ``powerflow.unbalance``."""
     lanes, agents, parts = agent_nodes.shape
     lowest, highest = np.empty((lanes, agents)), np.empty((lanes, agents))
     factor = np.empty((lanes, bus_nodes.shape[0]))

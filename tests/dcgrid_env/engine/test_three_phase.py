@@ -13,7 +13,7 @@ from dcgrid_env.engine.physics import connections, dynamics
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.record.episode_record import Recorder
 from dcgrid_env.engine.simulation import Simulation
-from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_for, unbalance_factor
+from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_for, three_phase_nodes, unbalance_factor
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
@@ -41,13 +41,9 @@ def test_loads_and_devices_enter_the_power_flow_where_they_stand(name):
             legs = feeder.first_device_leg + np.array(nodes)
             p[lane, legs] += state.p_kw[lane, agent] / len(nodes)
             q[lane, legs] -= state.q_kvar[lane, agent] / len(nodes)
-    net = dynamics._net_loads(outside, state.p_kw, state.q_kvar)
-    np.testing.assert_allclose(net, (p, q), rtol=1e-12, atol=1e-9)
-    tensors = dynamics._net_loads(
-        outside._replace(**{f: torch.tensor(getattr(outside, f)) for f in ("p_load_kw", "q_load_kvar", "legs")}),
-        torch.tensor(state.p_kw), torch.tensor(state.q_kvar),
-    )  # fmt: skip
-    np.testing.assert_allclose(tensors, (p, q), rtol=1e-12, atol=1e-9)
+    arrays = outside.p_load_kw, outside.q_load_kvar, outside.legs, state.p_kw, state.q_kvar
+    for net in (dynamics.net_loads(*arrays), dynamics.net_loads(*map(torch.tensor, arrays))):
+        np.testing.assert_allclose(net, (p, q), rtol=1e-12, atol=1e-9)
     assert np.all(outside.p_load_kw[:, feeder.first_device_leg :] == 0.0)
 
 
@@ -62,7 +58,9 @@ def test_voltages_are_those_of_the_solver_and_agents_see_their_phases(name):
             seen = (state.v_agent_pu, state.three_phase.v_agent_lowest_pu, state.three_phase.v_agent_highest_pu)
             assert [field[lane, agent] for field in seen] == pytest.approx([v.mean(), v.min(), v.max()], abs=1e-14)
     tensors = (torch.tensor(a) for a in (state.three_phase.v_re_pu, state.three_phase.v_im_pu))
-    np.testing.assert_allclose(state.three_phase.unbalance, unbalance_factor(feeder, *tensors), rtol=1e-12)
+    np.testing.assert_allclose(
+        state.three_phase.unbalance, unbalance_factor(three_phase_nodes(feeder), *tensors), rtol=1e-12
+    )
     phasors = state.three_phase.v_re_pu + 1j * state.three_phase.v_im_pu
     np.testing.assert_allclose(np.abs(phasors), state.v_pu, rtol=1e-12)
     names = observation.field_names(scenario)["dc_0"]
@@ -186,7 +184,7 @@ def test_unbalance_is_charged_on_request_and_measured():
     assert figures["unbalance_mean_pct"] == pytest.approx(100.0 * factor.mean())
     assert 0.5 < figures["unbalance_mean_pct"] < 3.0
     states = [t.state.three_phase for t in after[1:]]
-    nema = [nema_unbalance(plain.feeder, s.v_re_pu[0], s.v_im_pu[0]).max() for s in states]
+    nema = [nema_unbalance(three_phase_nodes(plain.feeder), s.v_re_pu[0], s.v_im_pu[0]).max() for s in states]
     assert figures["nema_unbalance_max_pct"] == pytest.approx(100.0 * max(nema))
     own = ieee13().replace(weights=CostWeights(unbalance=1000.0), reward="local")
     without = ieee13().replace(reward="local")

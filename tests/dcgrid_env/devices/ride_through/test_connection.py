@@ -150,26 +150,6 @@ def test_tensors_go_the_same_way():
         assert all(np.array_equal(x, y.numpy()) for x, y in zip(a, b, strict=True))
 
 
-@pytest.mark.parametrize("kind", [UpsRideThrough, RideThrough])
-def test_the_compiled_form_is_the_array_form_to_the_bit(kind):
-    rng, shape = np.random.default_rng(1), (7, 3)
-    rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
-    states = [connection.initial(rule, np.zeros(shape))] * 2
-    trips = 0.0
-    for _ in range(400):
-        v = rng.uniform(0.87, 1.12, shape) if rng.random() < 0.2 else np.ones(shape)
-        sags = np.stack(
-            (rng.choice([0.0, 0.0, 0.0, 0.05], (7, 2)), rng.uniform(0.2, 1.0, (7, 2)), rng.random((7, 2))), -1
-        )
-        supply = Supply(None, v - 0.02, v, sags)
-        pace = rng.choice([0.0, 0.3], shape)
-        forms = connection.advance, connection.advance_arrays
-        states = [form(rule, state, supply, pace, 1.0) for form, state in zip(forms, states, strict=True)]
-        assert all(np.array_equal(a, b) for a, b in zip(*states, strict=True))
-        trips += states[0].tripped.sum()
-    assert trips > 15.0
-
-
 def test_the_speed_of_the_ramp_has_a_derivative():
     rule, zero = ups(release="agent"), torch.zeros((1, 1), dtype=torch.float64)
     away = connection.initial(rule, zero)._replace(share=zero + 0.25)

@@ -53,16 +53,3 @@ def test_recharging_keeps_to_its_share_and_to_the_rating():
     low, _, _ = ups_battery.step(rule, one(0.0), one(1.0), one(50.0), one(23.0), one(27.0), RATED, 1.0)
     high, grid_kw, _ = ups_battery.step(rule, one(0.0), one(1.0), one(97.0), one(23.0), one(27.0), RATED, 1.0)
     assert (low.recharge_kw.item(), high.recharge_kw.item(), grid_kw.item()) == (10.0, 3.0, 100.0)
-
-
-@pytest.mark.parametrize("on_battery", ["serves", "waits"])
-def test_the_compiled_form_gives_the_same_bits_as_the_arrays(on_battery):
-    rule = UpsRideThrough(curve="itic", on_battery=on_battery, battery_s=20.0, recharge_share=0.3)
-    rng, rated_kw = np.random.default_rng(3), np.array([100.0, 250.0, 400.0])
-    share = np.clip(rng.uniform(-0.5, 1.5, (64, 3)), 0.0, 1.0)
-    stored_kws = rng.uniform(0.0, 1.0, (64, 3)) * rated_kw * 20.0
-    p_kw = np.maximum(rng.uniform(-0.2, 1.0, (64, 3)), 0.0) * rated_kw
-    figures = (rule, stored_kws, share, p_kw, 0.2 * p_kw, 0.8 * p_kw, rated_kw, 1.0)
-    compiled, arrays = ups_battery.step(*figures), ups_battery.step_arrays(*figures)
-    for own, other in zip((*compiled[0], *compiled[1:]), (*arrays[0], *arrays[1:]), strict=True):
-        np.testing.assert_array_equal(own, other)

@@ -96,17 +96,3 @@ def test_tensors_give_what_arrays_give_and_a_derivative():
     (slope,) = torch.autograd.grad(state.stored_kwh.sum(), action)
     kept = 0.9 ** (1.0 / 60.0)
     np.testing.assert_allclose(slope, np.array([0.95 * kept**2, kept / 0.95, 0.95]) / 60.0, rtol=1e-9)
-
-
-@given(CASES, ASKED, st.booleans())
-def test_the_compiled_form_has_the_bits_of_the_array_form(figures, asked, loses):
-    params = storages(p_rated_kw=100.0, **figures).parameters
-    rows = np.array(asked)[:, None]
-    there = (np.arange(len(asked)) % 2.0)[:, None] if loses else None
-    state = energy_balance.initial(params, np.zeros_like(rows))
-    plain = type(state)(*(part[:, 0] for part in state))
-    for _ in range(3):
-        state = energy_balance.step(params, state, rows, there, 1.0)
-        plain = energy_balance.step(params, plain, rows[:, 0], None if there is None else there[:, 0], 1.0)
-        for compiled, by_array in zip(state, plain, strict=True):
-            np.testing.assert_array_equal(compiled[:, 0], by_array)

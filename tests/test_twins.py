@@ -1,0 +1,127 @@
+"""Every function that is bound to a compiled twin gives the same figures in both forms."""
+
+from importlib import import_module
+from pkgutil import walk_packages
+
+import numpy as np
+import pytest
+import torch
+
+import dcgrid_env
+from dcgrid_env import load_feeder
+from dcgrid_env.core.twins import TWINS
+from dcgrid_env.devices.ride_through import connection
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
+from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
+from dcgrid_env.devices.tap_changer.relay import relay_settings
+from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
+
+for room in ("devices", "engine", "powerflow"):
+    for module in walk_packages([f"{dcgrid_env.__path__[0]}/{room}"], f"dcgrid_env.{room}."):
+        if not module.name.endswith("sweep_tensors"):
+            import_module(module.name)
+
+ROWS, SLOTS = 60, 4
+
+
+def dispatch_lanes(rng):
+    rated = rng.uniform(100.0, 900.0, SLOTS)
+    p, asked = rng.uniform(-1.2, 1.2, (2, ROWS, SLOTS)) * rated
+    return rated, rng.uniform(0.0, 1.0, SLOTS) * rated, p, asked
+
+
+def serve_linearly(rng):
+    rated, ones = rng.uniform(100.0, 900.0, SLOTS), np.ones(SLOTS)
+    backlog = rng.uniform(-200.0, 900.0, (ROWS, SLOTS)).clip(0.0)
+    f_mhz = rng.uniform(210.0, 1410.0, (ROWS, 2 * SLOTS))[:, ::2]
+    f_mhz[:9] = 1410.0
+    p_ref = rng.uniform(0.0, 1.2, (ROWS, SLOTS)) * rated
+    return 0.23 * rated, 0.77 * rated, 1410.0 * ones, backlog, p_ref, f_mhz, 0.7, bool(rng.integers(2))
+
+
+def serve_by_slack(rng):
+    soon = int(rng.integers(4))
+    later = soon + 1 + int(rng.integers(5))
+    queue = rng.uniform(-10.0, 30.0, (ROWS, SLOTS, later + 1)).clip(0.0)
+    arrived = rng.uniform(-30.0, 100.0, (ROWS, SLOTS)).clip(0.0)
+    served = rng.choice([0.0, 0.4, 1.0], (ROWS, SLOTS)) * (arrived + queue.sum(-1))
+    moved = rng.uniform(0.0, 1.0, (ROWS, SLOTS)) * arrived if rng.integers(2) else None
+    return queue, moved, arrived, served, 1.0, soon, later, rng.random(), bool(rng.integers(2))
+
+
+def step_lanes(rng):
+    energy = rng.uniform(0.01, 10.0, SLOTS)
+    figures = (rng.uniform(5.0, 60.0, SLOTS), energy, *rng.uniform(0.3, 1.0, (2, SLOTS)), 0.5 * energy)
+    full = rng.uniform(-0.2, 1.2, (ROWS, SLOTS)).clip(0.0, 1.0) * energy
+    before = (full, *rng.uniform(0.0, 60.0, (2, ROWS, SLOTS)), *rng.normal(0.0, 5.0, (2, ROWS, SLOTS)))
+    connected = rng.integers(0, 2, (ROWS, SLOTS)).astype(float) if rng.integers(2) else None
+    return figures, rng.uniform(0.9, 1.0, SLOTS), before, rng.normal(0.0, 60.0, (ROWS, SLOTS)), connected, 1.0 / 60.0
+
+
+def control_taps(rng):
+    settings = relay_settings(load_feeder(rng.choice(["ieee13-3ph", "ieee123-3ph"])))
+    shape = (ROWS, len(settings.node))
+    tap, volts = rng.integers(-16, 17, shape).astype(float), rng.normal(122.0, 4.0, shape)
+    waited = rng.uniform(0.0, 20.0, shape)
+    state = initial_regulators(tap, volts)._replace(out_of_band_s=waited, in_sequence=(waited < 2.0) * 1.0)
+    controlled = rng.integers(0, 2, shape[1]).astype(float) if rng.integers(2) else None
+    return settings, state, float(rng.choice([0.1, 1.0, 30.0, 600.0])), controlled
+
+
+def advance_lanes(rng):
+    kind, shape = (RideThrough, UpsRideThrough)[rng.integers(2)], (ROWS, 3)
+    rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
+    state = connection.initial(rule, np.zeros(shape))
+    for _ in range(1 + int(rng.integers(40))):
+        v = rng.uniform(0.87, 1.12, shape) if rng.random() < 0.2 else np.ones(shape)
+        sags = rng.choice([0.0, 0.0, 0.0, 0.05], (ROWS, 2)), *rng.uniform(0.2, 1.0, (2, ROWS, 2))
+        given = connection.Supply(None, v - 0.02, v, np.stack(sags, -1) if rng.integers(2) else None)
+        pace = rng.choice([0.0, 0.3], shape)
+        state = connection.advance(rule, state, given, pace, 1.0)
+    return state, given.v_lowest_pu, given.v_highest_pu, given.sags, pace, rule.figures(3), None, 1.0
+
+
+def net_loads(rng):
+    n, parts = 12, int(rng.choice([1, 3]))
+    at = np.stack([rng.permutation(n)[: SLOTS * parts].reshape(SLOTS, parts) for _ in range(ROWS)])
+    p_load, q_load, p, q = (rng.normal(0.0, 50.0, (ROWS, k)) for k in (n, n, SLOTS, SLOTS))
+    return p_load, q_load, at + n * np.arange(ROWS)[:, None, None], p, q
+
+
+def by_phase(rng):
+    re, im = rng.normal(0.0, 0.8, (2, ROWS, 12))
+    agents = rng.integers(0, 12, (ROWS, SLOTS, 3)) + 12 * np.arange(ROWS)[:, None, None]
+    return np.hypot(re, im), re, im, agents, rng.permutation(12).reshape(4, 3)
+
+
+INPUTS = [
+    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, net_loads, by_phase,
+]  # fmt: skip
+"""Random arguments of each pair, by the name of its kernel."""
+ROUNDED = {"serve_by_slack": 1e-9}
+"""Pairs that add up in another order, and how far apart they may be."""
+
+
+def test_every_pair_has_inputs():
+    assert {kernel.split(":")[1] for kernel in TWINS} == {make.__name__ for make in INPUTS}
+
+
+@pytest.mark.parametrize("make", INPUTS, ids=lambda make: make.__name__)
+def test_both_forms_give_the_same_figures(make):
+    twins = next(own for kernel, own in TWINS.items() if kernel.endswith(f":{make.__name__}"))
+    for seed in range(30):
+        args = make(np.random.default_rng(seed))
+        compiled, arrays = twins(*args), twins.array_form(*args)
+        for ours, theirs in zip(compiled, arrays, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=ROUNDED.get(make.__name__, 0.0))
+        assert any(np.unique(figures).size > 1 for figures in arrays)
+
+
+def test_what_decides_between_the_forms(monkeypatch):
+    twins = TWINS["dcgrid_env.devices.converter_kernel:dispatch_lanes"]
+    monkeypatch.setattr(twins, "kernel", lambda *args: "kernel")
+    monkeypatch.setattr(twins, "array_form", lambda *args: "arrays")
+    rows = np.ones((2, 3))
+    assert twins(rows[0], rows[0], rows, rows) == "kernel"
+    for other in (rows[0], rows.astype(np.float32), torch.tensor(rows)):
+        assert twins(rows[0], rows[0], other, other) == "arrays"
