@@ -180,31 +180,20 @@ class UpsSite:
 
     def metrics(self, params: DataCenterParams, history: SiteState, own: UpsState, dt_s: float) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
-        ups, battery, full_kws = own.ups, own.battery, self._full_kws(params)
-        gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1))
-        lost_kw = ups.lost_kw[1:].sum(axis=1)
-        return {
-            "ups_trips": ups.tripped[1:].sum(),
-            "ups_lost_kw": lost_kw.sum(),
-            "ups_lost_step_kw": lost_kw.max(initial=0.0),
-            "ups_away_s": (1.0 - ups.share[1:]).sum() * dt_s,
-            "ups_locked_s": ups.locked[1:].sum() * dt_s,
-            "ups_all_back_s": (gone[-1] - gone[0] + 1) * dt_s if len(gone) else 0.0,
-            "battery_work_kws": battery.battery_work_kw[1:].sum() * dt_s,
-            "battery_energy_kws": battery.battery_kw[1:].sum() * dt_s,
-            "battery_missing_kws": np.maximum(full_kws - battery.stored_kws[-1], 0.0).sum(),
-        }
+        whole = self.streaming(params, dt_s)
+        whole.add(history, own)
+        return whole.figures()
 
     def streaming(self, params: DataCenterParams, dt_s: float) -> _StreamingUps:
         """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
-        return _StreamingUps(self, params, dt_s)
+        return _StreamingUps(self._full_kws(params), dt_s)
 
 
 class _StreamingUps:
     """Accumulates the figures of ``UpsSite`` over a course that comes in parts."""
 
-    def __init__(self, sites: UpsSite, params: DataCenterParams, dt_s: float):
-        self.sites, self.params, self.dt_s = sites, params, dt_s
+    def __init__(self, full_kws: np.ndarray, dt_s: float):
+        self._full_kws, self._dt_s = full_kws, dt_s
         self._combined = Combined(METRICS)
         self._steps = 0
         self._away: tuple[int, int] | None = None
@@ -212,16 +201,26 @@ class _StreamingUps:
 
     def add(self, history: SiteState, own: UpsState) -> None:
         """Take a part."""
-        figures = self.sites.metrics(self.params, history, own, self.dt_s)
-        del figures["ups_all_back_s"]
-        steps = len(own.ups.share) - 1
-        self._combined.add(figures, steps)
-        gone = np.flatnonzero((own.ups.share[1:] < 1.0).any(axis=1)) + self._steps
+        ups, battery, dt_s, steps = own.ups, own.battery, self._dt_s, len(own.ups.share) - 1
+        lost_kw = ups.lost_kw[1:].sum(axis=1)
+        gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1)) + self._steps
         if len(gone):
             self._away = int(gone[0]) if self._away is None else self._away[0], int(gone[-1])
         self._steps += steps
+        figures = {
+            "ups_trips": ups.tripped[1:].sum(),
+            "ups_lost_kw": lost_kw.sum(),
+            "ups_lost_step_kw": lost_kw.max(initial=0.0),
+            "ups_away_s": (1.0 - ups.share[1:]).sum() * dt_s,
+            "ups_locked_s": ups.locked[1:].sum() * dt_s,
+            "battery_work_kws": battery.battery_work_kw[1:].sum() * dt_s,
+            "battery_energy_kws": battery.battery_kw[1:].sum() * dt_s,
+            "battery_missing_kws": np.maximum(self._full_kws - battery.stored_kws[-1], 0.0).sum(),
+        }
+        self._combined.add(figures, steps)
 
     def figures(self) -> dict[str, float]:
         """Those of all parts so far."""
-        away_s = 0.0 if self._away is None else (self._away[1] - self._away[0] + 1) * self.dt_s
-        return self._combined.figures() | {"ups_all_back_s": away_s}
+        away_s = 0.0 if self._away is None else (self._away[1] - self._away[0] + 1) * self._dt_s
+        figures = self._combined.figures() | {"ups_all_back_s": away_s}
+        return {metric.name: figures[metric.name] for metric in METRICS if metric.name in figures}

@@ -105,7 +105,7 @@ def advance(
     """
     figures = rule.figures(before.share.shape[-1])
     if before.share.dtype != np.float64:
-        figures = Figures(*(as_like(part, before.share) if isinstance(part, np.ndarray) else part for part in figures))
+        figures = figures._make(as_like(a, before.share) if isinstance(a, np.ndarray) else a for a in figures)
     volts = supply.v_lowest_pu, supply.v_highest_pu
     pace = pace + 0.0 * before.share if isinstance(pace, float) else pace
     return ConnectionState(*_advanced(before, *volts, supply.sags, pace, figures, supply.widths, dt_s))

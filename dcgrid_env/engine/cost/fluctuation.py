@@ -116,37 +116,8 @@ def swing_figures(scenario: Scenario, p_kw: np.ndarray) -> dict[str, float]:
     }
 
 
-def fluctuation(scenario: Scenario, v_pu: np.ndarray, p_kw: np.ndarray) -> dict[str, float]:
-    """The figures of the module's table that the scenario has.
-
-    Parameters
-    ----------
-    scenario
-        The scenario.
-    v_pu
-        Voltages from the reset on, p.u., (step + 1, n_node).
-    p_kw
-        Draws of the agents from the reset on, kW, (step + 1, n_agent).
-    """
-    figures: dict[str, float] = {}
-    own_kw = p_kw[:, sites(scenario)]
-    if shows_flicker(scenario):
-        figures["pst_max"] = worst_flicker(scenario, v_pu[1:]).pst
-        figures |= swing_figures(scenario, own_kw[1:])
-    if scenario.ramp_limit_kw_per_s is not None:
-        before = np.concatenate((np.repeat(own_kw[:1], ramp_steps(scenario) - 1, axis=0), own_kw))
-        ramps = ramps_kw_per_s(scenario, own_kw[1:], before[: len(own_kw) - 1])
-        figures["ramp_max_kw_per_s"] = float(ramps.max())
-        figures["ramp_excess_pct"] = 100.0 * float(excess(ramps, scenario.ramp_limit_kw_per_s).mean())
-    if scenario.voltage_step_limit_pu is not None:
-        v = v_pu[:, scenario.feeder.load_slice]
-        figures["voltage_step_max_pu"] = float(np.abs(np.diff(v, axis=0)).max())
-        figures["voltage_step_excess_pct"] = 100.0 * float(voltage_step_excess(scenario, v[1:], v[:-1]).mean())
-    return figures
-
-
 class StreamingFluctuation:
-    """Accumulates the figures of ``fluctuation.fluctuation``."""
+    """Accumulates those figures of the module's table that the scenario has."""
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
@@ -179,7 +150,7 @@ class StreamingFluctuation:
         self._combined.add(figures, steps)
 
     def figures(self) -> dict[str, float]:
-        """Those of all parts so far."""
+        """The figures of all parts so far."""
         if self._flicker is None:
             return self._combined.figures()
         swings = swing_figures(self.scenario, np.concatenate(self._draws))

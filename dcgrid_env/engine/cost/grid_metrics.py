@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.metric import Metric
+from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
 from dcgrid_env.engine.physics.disconnection import leaving
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance, three_phase_nodes
-from dcgrid_env.scenario.costs.overload import overload_figures
+from dcgrid_env.scenario.costs import overload
 from dcgrid_env.scenario.scenario import Scenario
 
 VOLTAGES = (
@@ -78,8 +80,45 @@ END = (
 """How an episode ended."""
 
 
-def grid_figures(series: Any) -> dict[str, Any]:
-    """Metrics of costs, voltages, losses and loadings of a ``Series``."""
+class StreamingGrid:
+    """Accumulates the metrics of the grid over an episode that comes in parts; one part is the whole episode."""
+
+    def __init__(self, scenario: Scenario):
+        self._combined = self._phases = Combined(PHASES)
+        self._fluctuation = StreamingFluctuation(scenario)
+        self._order: dict[str, Any] = {}
+        self._steps, self._mean, self._variance = 0, 0.0, 0.0
+        """Mean and variance of abs(V - 1)."""
+        self._outside = np.zeros(len(scenario.feeder.load_nodes), bool)
+
+    def add(self, part: Any) -> None:
+        """Take the next steps of the episode, a ``Series`` from the end of the part before on."""
+        steps, figures = len(part.cost_j), _grid_figures(part)
+        if not self._order:
+            self._order = dict.fromkeys(figures)
+            costs = (cost_metric(name, name) for name in part.costs)
+            self._combined = Combined((*VOLTAGES, *FLOW, *overload.METRICS, *END, *costs))
+        std, self._outside = figures.pop("voltage_deviation_std_pu"), self._outside | figures.pop("outside_buses_pct")
+        self._combined.add(figures, steps)
+        self._phases.add(_phase_figures(part), steps)
+        self._fluctuation.add(part.v_pu, part.p_kw_from_reset)
+        self._steps += steps
+        share, off = steps / self._steps, figures["voltage_deviation_mean_pu"] - self._mean
+        self._variance = (1.0 - share) * (self._variance + share * off * off) + share * std * std
+        self._mean += share * off
+
+    def figures(self) -> dict[str, float]:
+        """Metrics of all parts so far."""
+        over_all = {
+            "voltage_deviation_std_pu": math.sqrt(self._variance),
+            "outside_buses_pct": 100.0 * self._outside.mean(),
+        }
+        figures = self._order | self._combined.figures() | over_all
+        return figures | self._fluctuation.figures() | self._phases.figures()
+
+
+def _grid_figures(series: Any) -> dict[str, Any]:
+    """Metrics of costs, voltages, losses and loadings of a ``Series``, and which nodes are ever outside the band."""
     s = series.scenario
     v = series.v_pu[1:, s.feeder.load_slice]
     deviation = np.abs(v - 1.0)
@@ -92,7 +131,7 @@ def grid_figures(series: Any) -> dict[str, Any]:
         "voltage_deviation_mean_pu": deviation.mean(),
         "voltage_deviation_std_pu": deviation.std(),
         "outside_bus_seconds_pct": 100.0 * outside.mean(),
-        "outside_buses_pct": 100.0 * outside.any(axis=0).mean(),
+        "outside_buses_pct": outside.any(axis=0),
         "voltage_min_pu": v.min(),
         "voltage_max_pu": v.max(),
         "voltage_step_mean_pu": np.abs(np.diff(series.v_pu[:, s.feeder.load_slice], axis=0)).mean(),
@@ -101,11 +140,11 @@ def grid_figures(series: Any) -> dict[str, Any]:
         "q_effort_pct": 100.0 * (np.abs(series.q_kvar[:, : len(ratings)]) / ratings).mean() if len(ratings) else 0.0,
         "steps": len(v),
         "power_flow_converged": series.converged,
-        **overload_figures(s, series.loading),
+        **overload.overload_figures(s, series.loading),
     }
 
 
-def phase_figures(series: Any) -> dict[str, Any]:
+def _phase_figures(series: Any) -> dict[str, Any]:
     """Metrics of the unbalance and of the equipment of a ``Series`` on a three-phase feeder; none on a balanced one."""
     feeder, phases = series.scenario.feeder, series.three_phase
     if not isinstance(feeder, ThreePhaseFeeder):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.engine.cost.fluctuation import WorstFlicker, fluctuation, worst_flicker
-from dcgrid_env.engine.cost.grid_metrics import after_loss, grid_figures, phase_figures
+from dcgrid_env.engine.cost.fluctuation import WorstFlicker, worst_flicker
+from dcgrid_env.engine.cost.grid_metrics import StreamingGrid, after_loss
 from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 from dcgrid_env.engine.physics.state import field_of_devices, over_arrays
 from dcgrid_env.scenario.scenario import Scenario
@@ -59,8 +59,9 @@ class Series:
 
     def metrics(self) -> dict[str, float]:
         """Every metric of the episode."""
-        s = self.scenario
-        figures = grid_figures(self) | fluctuation(s, self.v_pu, self.p_kw_from_reset) | phase_figures(self)
+        s, grid = self.scenario, StreamingGrid(self.scenario)
+        grid.add(self)
+        figures = grid.figures()
         for device, history in zip(s.devices, self.devices, strict=True):
             requests = self.requests() if device.input == "workload" else None
             figures |= device.metrics(history, s.dt_s, requests)

@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from dcgrid_env.core.metric import Combined, Streaming
+from dcgrid_env.engine.cost.grid_metrics import AFTER_LOSS, StreamingGrid
+from dcgrid_env.engine.cost.metric_list import METRICS
 from dcgrid_env.engine.physics.state import over_arrays
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
-import math
-
-from dcgrid_env.core.metric import Combined, Metric, Streaming, cost_metric
-from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
-from dcgrid_env.engine.cost.grid_metrics import grid_figures, phase_figures
-from dcgrid_env.engine.cost.metric_list import METRICS
 
 WHOLE_COURSE_BYTES = 256 * 2**20
 """Largest course that a run keeps whole; beyond, it is recorded in parts."""
@@ -26,9 +23,6 @@ _PART_BYTES = 48 * 2**20
 _PART_STEPS = 16, 1024
 _ARRAY_BYTES = 112
 """What an array takes beside its values."""
-
-if TYPE_CHECKING:
-    from dcgrid_env.engine.simulation import Transition
 
 
 class PartSink(Protocol):
@@ -78,7 +72,7 @@ class StreamingRecorder:
         self._part_length = np.zeros(lanes, dtype=np.int64)
         self._over = np.zeros(lanes, dtype=bool)
         self._costs = np.zeros(lanes)
-        self._figures = [StreamingMetrics(scenario) for _ in range(lanes)]
+        self._figures = [_StreamingMetrics(scenario) for _ in range(lanes)]
 
     def add(self, transition: Transition) -> None:
         """Take a step's transition; a lane whose episode has ended before is not counted further."""
@@ -141,47 +135,32 @@ def _size(transition: Transition) -> tuple[int, int]:
     return sum(sizes), len(sizes)
 
 
-_SQUARE = Metric("mean square", "mean square of |V-1|", "p.u.", 4, "lower", over_parts="mean")
-
-
-class StreamingMetrics:
+class _StreamingMetrics:
     """Accumulates the figures of one environment's episode."""
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
-        self._grid: Combined | None = None
-        self._fluctuation = StreamingFluctuation(scenario)
-        self._outside = np.zeros(len(scenario.feeder.load_nodes), bool)
+        self._grid, self._after_loss = StreamingGrid(scenario), Combined(AFTER_LOSS)
         self._devices: list[Streaming] = []
 
     def add(self, part: Series) -> None:
         """Take the next steps of the episode, from the end of the part before on."""
-        s, steps = self.scenario, len(part.cost_j)
-        figures = grid_figures(part) | phase_figures(part) | part.after_loss()
-        if self._grid is None:
-            self._grid = Combined((*METRICS.values(), *(cost_metric(name, name) for name in part.costs), _SQUARE))
-            self._devices = [_of_device(device, part, i) for i, device in enumerate(s.devices)]
-        std, mean = figures.pop("voltage_deviation_std_pu"), figures["voltage_deviation_mean_pu"]
-        del figures["outside_buses_pct"]
-        self._grid.add(figures | {_SQUARE.name: std * std + mean * mean}, steps)
-        v = part.v_pu[1:, s.feeder.load_slice]
-        self._outside |= (np.abs(v - 1.0) > s.band_pu).any(axis=0)
-        self._fluctuation.add(part.v_pu, part.p_kw_from_reset)
+        steps = len(part.cost_j)
+        if not self._devices:
+            self._devices = [_of_device(device, part, i) for i, device in enumerate(self.scenario.devices)]
+        self._grid.add(part)
         for own, history in zip(self._devices, part.devices, strict=True):
             own.add(history, steps)
+        self._after_loss.add(part.after_loss(), steps)
 
     def figures(self) -> dict[str, float]:
         """Those of all parts so far, in the order of ``Series.metrics``; ValueError before the first."""
-        if self._grid is None:
+        if not self._devices:
             raise ValueError("no step has been recorded yet")
         figures = self._grid.figures()
-        mean = figures["voltage_deviation_mean_pu"]
-        figures["voltage_deviation_std_pu"] = math.sqrt(max(figures.pop(_SQUARE.name) - mean * mean, 0.0))
-        figures["outside_buses_pct"] = 100.0 * self._outside.mean()
-        figures |= self._fluctuation.figures()
         for own in self._devices:
             figures |= own.figures()
-        return {name: float(value) for name, value in figures.items()}
+        return {name: float(value) for name, value in (figures | self._after_loss.figures()).items()}
 
 
 def _of_device(device: Any, part: Series, i: int) -> Streaming:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dcgrid_env import Scenario, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.engine.cost.flicker import short_term_flicker
-from dcgrid_env.engine.cost.fluctuation import fluctuation, shows_flicker, swing, worst_flicker
+from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation, shows_flicker, swing, worst_flicker
 from helpers.three_phase import ieee13
 
 TENTHS: dict[str, Any] = {"dt_s": 0.1, "horizon": 6000}
@@ -91,8 +91,9 @@ def test_an_episode_that_ends_early_has_its_figures_all_the_same():
 def test_without_sites_there_is_no_swing():
     scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=None, **TENTHS)
     n_node, n_agent = scenario.feeder.n_node, scenario.n_agents
-    found = fluctuation(scenario, np.ones((6001, n_node)), np.ones((6001, n_agent)))
-    assert found == {"pst_max": 0.0, "swing_share_max_pct": 0.0, "swing_rms_max_pct": 0.0}
+    whole = StreamingFluctuation(scenario)
+    whole.add(np.ones((6001, n_node)), np.ones((6001, n_agent)))
+    assert whole.figures() == {"pst_max": 0.0, "swing_share_max_pct": 0.0, "swing_rms_max_pct": 0.0}
 
 
 # --- swings ------------------------------------------------------------------------------------------
