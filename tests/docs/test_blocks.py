@@ -65,6 +65,7 @@ SHORTER = {
     "python -m docs.studies.picture": {},
     "python -m docs.studies.agents": {},
     "python -m docs.studies.headline": {},
+    "python -m docs.studies.compiled_twins": {"--rounds": "1", "--presets": "toy6"},
 }
 """Options that are given these values, by how a command begins."""
 

@@ -3,8 +3,8 @@
 Blocks with and without a twin alternate in one process, so that other work slows both alike; the median of the ratios
 is printed for each number of environments in a batch.
 
-    python docs/compiled_twins.py
-    python docs/compiled_twins.py --presets ieee123 routing --rounds 25
+    python -m docs.studies.compiled_twins
+    python -m docs.studies.compiled_twins --presets ieee123 routing --rounds 25
 """
 
 import argparse
