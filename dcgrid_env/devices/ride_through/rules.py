@@ -37,15 +37,15 @@ class Figures(NamedTuple):
     time_s: Any
     """How long each element counts before it trips, s, (slot, n_element)."""
     delay_s: Any
-    """How long each slot waits before it returns, s, (slot,)."""
+    """Delay of each slot before it returns, s, (slot,)."""
     release_s: Any
-    """How long it waits before it is released from a lock-out, s, (slot,)."""
+    """Delay before a release from a lock-out, s, (slot,)."""
     n_under: int
     """Number of elements for undervoltages."""
     longest_s: float
-    """What the time since the last event is cut at, s."""
+    """Largest value of the time since the last event, s."""
     remembered_s: float
-    """What the age of an event or a return is cut at, s."""
+    """Largest value of the age of an event or a return, s."""
     window_s: float
     """Window of a lock-out, s."""
 

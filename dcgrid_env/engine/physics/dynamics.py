@@ -241,8 +241,8 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
 def net_loads(p_load_kw: Array, q_load_kvar: Array, legs: Array, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
     """Net load of each leg, kW and kvar, (row, n_leg): loads, and what agents draw less what they inject.
 
-    ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg, among which an agent's ``p_kw, q_kvar``
-    (row, n_agent) are shared in equal parts; an agent may have a leg several times.
+    ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg. An agent's ``p_kw, q_kvar`` (row, n_agent) are
+    shared in equal parts among its legs, and it may have a leg several times.
     """
     p_net = add_at(p_load_kw, legs, _to_nodes(p_kw, legs))
     return p_net, add_at(q_load_kvar, legs, _to_nodes(-q_kvar, legs))
