@@ -71,14 +71,14 @@ def control_taps(rng):
 def advance_lanes(rng):
     kind, shape = (RideThrough, UpsRideThrough)[rng.integers(2)], (ROWS, 3)
     rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
-    state = connection.initial(rule, np.zeros(shape))
-    for _ in range(1 + int(rng.integers(40))):
+    state, v, sags, pace = connection.initial(rule, np.zeros(shape)), np.ones(shape), None, np.ones(shape)
+    for _ in range(int(rng.integers(1, 40))):
         v = rng.uniform(0.87, 1.12, shape) if rng.random() < 0.2 else np.ones(shape)
-        sags = rng.choice([0.0, 0.0, 0.0, 0.05], (ROWS, 2)), *rng.uniform(0.2, 1.0, (2, ROWS, 2))
-        given = connection.Supply(None, v - 0.02, v, np.stack(sags, -1) if rng.integers(2) else None)
+        dips = rng.choice([0.0, 0.0, 0.0, 0.05], (ROWS, 2)), *rng.uniform(0.2, 1.0, (2, ROWS, 2))
+        sags = np.stack(dips, -1) if rng.integers(2) else None
         pace = rng.choice([0.0, 0.3], shape)
-        state = connection.advance(rule, state, given, pace, 1.0)
-    return state, given.v_lowest_pu, given.v_highest_pu, given.sags, pace, rule.figures(3), None, 1.0
+        state = connection.advance(rule, state, connection.Supply(None, v - 0.02, v, sags), pace, 1.0)
+    return state, v - 0.02, v, sags, pace, rule.figures(3), None, 1.0
 
 
 def net_loads(rng):

@@ -60,8 +60,8 @@ def main():
     for preset in args.presets:
         envs = [DcgridVectorEnv(n, preset) for n in BATCHES]
         rng = np.random.default_rng(0)
-        lengths = [int(600 / n**0.5) for n in BATCHES]
-        actions = [rng.uniform(-1.0, 1.0, (n, *e.action_space.shape)) for n, e in zip(lengths, envs, strict=True)]
+        shapes = [(int(600 / n**0.5), *e.action_space.sample().shape) for n, e in zip(BATCHES, envs, strict=True)]
+        actions = [rng.uniform(-1.0, 1.0, shape) for shape in shapes]
         for name in used_in(envs[0], actions[0]):
             gains = []
             for env, given in zip(envs, actions, strict=True):

@@ -11,7 +11,7 @@ from dcgrid_env.core.compiled import compiled
 def step_lanes(figures, share, before, asked_kw, connected, hours):
     """State after an interval as the rows of (7, row, slot), in the order of ``StorageState``.
 
-    The bits are those of the array form; what is not finite stays so.
+    The bits are those of the array form. NaN and infinity stay so.
     """
     p_rated, energy, charge_efficiency, discharge_efficiency, returned = figures
     stored_before, charge_limit, discharge_limit, throughput, loss = before

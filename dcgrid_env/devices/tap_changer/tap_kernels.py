@@ -10,7 +10,7 @@ from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S
 
 @compiled(inner=True)
 def _direct(settings, acts, volts, tap, wanted):
-    """Put into ``wanted`` which way each regulator of a lane is to go; the number of those that are to go anywhere."""
+    """Write the direction of each regulator's next tap into ``wanted``, and return the number of directions but 0."""
     asking = 0
     for r in range(len(tap)):
         missing_v = settings.target_v[r] - volts[r]

@@ -21,18 +21,6 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
 
 
 @compiled
-def setpoints(action, middle, half_range):
-    """Setpoints (row, n_action) of actions, which are cut to [-1, 1]: the middle of a range and a part of its half."""
-    out = np.empty(action.shape)
-    for lane in range(action.shape[0]):
-        for i in range(action.shape[1]):
-            a = action[lane, i]
-            a = -1.0 if a < -1.0 else a
-            out[lane, i] = middle[i] + half_range[i] * (1.0 if a > 1.0 else a)
-    return out
-
-
-@compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     """See ``dynamics.net_loads``."""
     p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
