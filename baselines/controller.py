@@ -146,7 +146,7 @@ class LocalController:
         first = names[env_info.agents[order[0]]]
         # The fields that all agents have stand at the same place in each, and so do those of the data centres.
         self._at = {
-            name: starts[: None if name in _OF_ALL else env_info.n_datacenters] + first.index(name)
+            name: starts[: None if name in _OF_ALL else env_info.datacenters.count] + first.index(name)
             for name in (*_OF_ALL, *_OF_SITES)
             if name in first
         }
@@ -165,7 +165,7 @@ class LocalController:
     def _lay_out(self, agents: list[str]) -> None:
         """Find where the joint action has the clocks and the reactive setpoints of agents, and what it is at rest."""
         at = {entry: i for i, entry in enumerate(action_layout(self.scenario).names)}
-        self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.n_datacenters]]
+        self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.datacenters.count]]
         self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
         self._q_at = [at[agents[i], _Q] for i in self._reactive]
         self._p_at = [at[agents[i], _P] for i in self._storages]
@@ -189,10 +189,10 @@ class LocalController:
         return self._joint(*self.control(local), self.draw(local))
 
     def _local(self, joint: np.ndarray) -> Local:
-        rated = self.scenario.datacenter.p_rated_kw
+        rated = self.scenario.datacenters.parameters.p_rated_kw
         wide = joint.astype(np.float64)
         none = np.zeros((*wide.shape[:-1], 0))
-        band = self.scenario.band_pu or 1.0
+        band = self.scenario.cost.band_pu or 1.0
         fields = {name: wide[..., at] for name, at in self._at.items()}
         return Local(
             v_pu=1.0 + band * fields["v_deviation"],
@@ -207,8 +207,8 @@ class LocalController:
 
     def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray, draw_kw: np.ndarray | None) -> np.ndarray:
         s = self.scenario
-        span = s.f_max_mhz - s.f_min_mhz
-        clock = 2.0 * (f_mhz - s.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
+        span = s.datacenters.f_max_mhz - s.datacenters.f_min_mhz
+        clock = 2.0 * (f_mhz - s.datacenters.f_min_mhz) / span - 1.0 if span else np.ones_like(f_mhz)
         q = q_kvar / np.where(self._q_scale > 0, self._q_scale, 1.0)
         actions = np.zeros((*q.shape[:-1], 1)) + self._rest
         actions[..., self._clock_at] = clock

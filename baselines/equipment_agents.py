@@ -69,7 +69,7 @@ class _Regulators:
         relays = acting_relays(scenario, "agent")
         assert relays is not None
         (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
-        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.band_pu or 1.0
+        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.cost.band_pu or 1.0
         self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
         names = [name for own in field_names(scenario).values() for name in own]
         self._tap_at, self._relay_at = ([i for i, name in enumerate(names) if name == own] for own in (_TAP, "relay"))

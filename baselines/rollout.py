@@ -150,9 +150,10 @@ def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
 
     Actions and metrics are those of the team, whoever is paid what.
     """
-    wanted = {"reward": "shared", "observe": getattr(controller, "observe", scenario.observe)}
-    changed = {field: value for field, value in wanted.items() if getattr(scenario, field) != value}
-    return scenario.replace(**changed) if changed else scenario
+    reward, observe = "shared", getattr(controller, "observe", scenario.sensing.observe)
+    if (scenario.cost.reward, scenario.sensing.observe) == (reward, observe):
+        return scenario
+    return scenario.replace(reward=reward, observe=observe)
 
 
 def transitions(

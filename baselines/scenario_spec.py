@@ -101,24 +101,12 @@ def read_overrides(texts: tuple[str, ...], option: str = "set") -> dict[str, Any
     for text in texts:
         field, sign, value = text.partition("=")
         field = field.strip()
-        part, _, own = field.partition(".")
-        if sign and part.isidentifier() and own.isidentifier():
-            _set_within(overrides, part, own, value.strip(), option)
-            continue
-        if not sign or not field.isidentifier():
+        if not sign or not all(map(str.isidentifier, field.split("."))):
             raise ValueError(f"{option}: {text!r} is no field with its value; write FIELD=VALUE, such as horizon=60")
         if field in overrides:
             raise ValueError(f"{option}: {field} is there twice, as {overrides[field]!r} and as {value}; give it once")
         overrides[field] = value.strip() if field == "name" else read_value(field, value.strip(), option)
     return overrides
-
-
-def _set_within(overrides: dict[str, Any], part: str, field: str, text: str, option: str) -> None:
-    """Put the field of a part among the overrides; ValueError where it, or the part as a whole, is there already."""
-    fields = overrides.setdefault(part, {})
-    if not isinstance(fields, dict) or field in fields:
-        raise ValueError(f"{option}: {part}.{field} is there twice, or beside {part} as a whole; give it once")
-    fields[field] = read_value(f"{part}.{field}", text, option)
 
 
 def read_value(field: str, text: str, option: str = "set") -> Any:
@@ -219,7 +207,7 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
         raise ValueError("set: split is chosen by the command, with --split where it takes one; leave it out")
     for field in chosen:
         if field in overrides:
-            raise ValueError(f"set: {field} is an option of its own here; give --{field} instead")
+            raise ValueError(f"set: {field} is chosen by an option of the command; leave one of them out")
     try:
         return make_scenario(base, **overrides, **chosen, split=split)
     except (TypeError, OverflowError, MemoryError) as error:

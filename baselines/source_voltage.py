@@ -49,7 +49,7 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
     """
     if acting_relays(scenario) is not None:
         return SourceVoltage(scenario.source_voltage_pu, *_reach(scenario, scenario.source_voltage_pu, episodes), True)
-    taps = int(scenario.band_pu / TAP_PU + 1e-9)
+    taps = int(scenario.cost.band_pu / TAP_PU + 1e-9)
     tap, tried = taps, dict[int, tuple[float, float]]()  # from the top, where a power flow has most room
     for _ in range(_ROUNDS):
         tried[tap] = lowest, highest = _reach(scenario, 1.0 + tap * TAP_PU, episodes)

@@ -100,8 +100,8 @@ def test_overrides_of_the_text_work_on_the_presets_they_are_for():
         for preset in dcgrid_env.IDS if name == "id" else [name.strip('"')]:
             env = eval(f"gymnasium.make({preset!r}, {overrides})", {"gymnasium": gymnasium})
             env.reset(seed=0)
-    env = gymnasium.make("dcgrid/IEEE33-v0", n_datacenters=3, datacenter_buses=None)
-    assert env.get_wrapper_attr("scenario").n_datacenters == 3
+    env = gymnasium.make("dcgrid/IEEE33-v0", n_datacenters=3, datacenters={"buses": None})
+    assert env.get_wrapper_attr("scenario").datacenters.count == 3
 
 
 def test_every_id_and_scenario_is_named():

@@ -100,7 +100,12 @@ class Learner:
     def __init__(self, cfg: Analytic, grids: Sequence[Scenario]):
         self.cfg, self.device = cfg, device_of(cfg.device)
         kind = "shared" if cfg.view == "shared" else "joint"
-        self.chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
+        self.chosen: dict[str, Any] = {
+            "preview": cfg.preview,
+            "act": cfg.act,
+            "nameplate": True,
+            "outputs": "change",
+        }
         like, widths = torch.empty(0, device=self.device), cfg.trip_widths
         self.envs = [TensorEnv(grid, like=like, trip_widths=widths) for grid in grids]
         made_for = {**self.chosen, "array": self._tensor, "clip": forgiving_clip}
@@ -146,7 +151,7 @@ class Learner:
                 total = total + self._priced(env, step)
                 waited = waited + step.state.backlog_kws.detach().sum(-1)
                 arrived = arrived + step.state.arrived_kw.detach().sum(-1)
-                excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.weights.violation or 1.0)
+                excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.cost.weights.violation or 1.0)
             assert step is not None
             loss = (total + self._left(env, step)) / size
             self.spent_s["forward"] += time.perf_counter() - began_s
@@ -179,7 +184,10 @@ class Learner:
 
     def _left(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
         """Charge at a window's end as at an episode's: for the backlog, and for what else only the end charges."""
-        rated_kw, weight = float(env.scenario.datacenter.p_rated_kw.sum()) or 1.0, env.scenario.weights.leftover
+        rated_kw, weight = (
+            float(env.scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0,
+            env.scenario.cost.weights.leftover,
+        )
         due = self.factors["delay"] * weight * step.state.backlog_kws.sum(-1).mean() / rated_kw
         return due + sum(further.mean() for further in self._further_end_costs(env, step).values())
 
@@ -245,7 +253,7 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     grids = grids_of(cfg)
-    if cfg.violation_limit_pu is not None and not all(grid.weights.violation > 0 for grid in grids):
+    if cfg.violation_limit_pu is not None and not all(grid.cost.weights.violation > 0 for grid in grids):
         raise ValueError("violation_limit_pu: the violation has weight 0 in a scenario; its price cannot be found")
     model = learner(cfg, grids)
     judged_on = scenarios(cfg.scenario, cfg.set, "validation")

@@ -83,6 +83,7 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
         )
     networks = networks_of(lanes, actor.layers, actor.activation, actor.squash, *(normalisation or (None, None, None)))
     return Policy(
-        networks, observe=scenario.observe, preview=scenario.preview, scenario=spec.label, made_with=made_with,
+        networks, observe=scenario.sensing.observe, preview=scenario.sensing.preview, scenario=spec.label,
+        made_with=made_with,
         channels=lanes.further_channels,
     )  # fmt: skip

@@ -122,7 +122,7 @@ def measured_scope(make: Callable[[], Controller], scenario: Scenario, name: str
         for _ in range(min(STEPS, on.horizon)):
             next(steps)
         steps.close()
-    wider = [WIDER[on.observe]] if on.observe in WIDER else []
+    wider = [WIDER[on.sensing.observe]] if on.sensing.observe in WIDER else []
     return Scope.of(*trial.needed, *wider, *([MODEL] if isinstance(whole, NeedsPlacement) else []))
 
 

@@ -108,11 +108,11 @@ class PolicyInterface:
         self._reactive = None if (q_scale_kvar > 0).all() else array(q_scale_kvar > 0)
         self._of_all = {z: self._columns(z, range(len(names)), array) for z in ("v_deviation", "r", "x")}
         self._lay_out(act, array)
-        self._idle, self._dt_s = scenario.idle_share, float(scenario.dt_s)
-        self._slowest = scenario.f_min_mhz / scenario.f_max_mhz
-        self._ahead = preview and scenario.preview
+        self._idle, self._dt_s = scenario.datacenters.idle_share, float(scenario.dt_s)
+        self._slowest = scenario.datacenters.f_min_mhz / scenario.datacenters.f_max_mhz
+        self._ahead = preview and scenario.sensing.preview
         if gains is not None:
-            band = scenario.band_pu or 1.0
+            band = scenario.cost.band_pu or 1.0
             q_kvar = q_scale_kvar[self._q_agents]
             reach_mw = np.where(q_kvar > 0, q_kvar, np.inf) / 1e3
             self._k_q = array((gains.k_q_mvar_per_pu_s * self._dt_s * band / reach_mw).astype(np.float32))
@@ -175,7 +175,7 @@ class PolicyInterface:
         """What ``channels`` are taken to be where a policy says nothing of them: clocks of data centres, which come
         first in a joint action, and reactive power."""
         if self.kind == "joint":
-            counts = {"datacenter": self.scenario.n_datacenters, "inverter": self.scenario.n_inverters}
+            counts = {"datacenter": self.scenario.datacenters.count, "inverter": self.scenario.inverters.count}
             return {"joint": tuple(name for kind, n in counts.items() for name in n * PLAIN_CHANNELS[kind])}
         return {kind: PLAIN_CHANNELS.get(kind, own) for kind, own in self.channels.items()}
 

@@ -95,8 +95,10 @@ class LawStep:
         """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
         (placement, n_agent, node)."""
         self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
-        self._dc = {name: array(np.asarray(getattr(s.datacenter, name))) for name in ("p_idle_kw", "p_dynamic_kw")}
-        self._n_dc = s.n_datacenters
+        self._dc = {
+            name: array(np.asarray(getattr(s.datacenters.parameters, name))) for name in ("p_idle_kw", "p_dynamic_kw")
+        }
+        self._n_dc = s.datacenters.count
 
     def __call__(self, now: Own, past: Past) -> Step:
         """The law's decisions for what is seen now, which ``past`` then holds too."""
@@ -104,20 +106,20 @@ class LawStep:
         idle_kw, all_kw, ceiling_kw = self._work(now)
         p_kw = _joined((idle_kw + all_kw, now.p_kw[:, n_dc:]))
         rest_kvar = resting(site, self._known, _host(p_kw))
-        then_kw, then_kvar = past.when_measured(now, self.scenario.measurement_delay)
+        then_kw, then_kvar = past.when_measured(now, self.scenario.sensing.delay_steps)
         # All begin without reactive power, and go on as if they stood at u*, as in the law.
-        if past.steps <= self.scenario.measurement_delay:
+        if past.steps <= self.scenario.sensing.delay_steps:
             start_pu = by_sun(site, self._known.start_pu, self._known.rest_at, _host(then_kw))
             now, then_kvar = now._replace(v_pu=now.v_pu + like(start_pu)), like(rest_kvar)
         if past.steps == 0:
             now = now._replace(q_kvar=like(rest_kvar))
         past.steps += 1
-        if self.scenario.voltage_noise_pu:
+        if self.scenario.sensing.noise_pu:
             e_own = own_error(known, now.v_pu, then_kw, then_kvar)
             now = now._replace(v_pu=now.v_pu + past.average(known, e_own) - e_own)
         then = _host(then_kw), _host(then_kvar)
         v_host, kvar, p_host = _host(now.v_pu), _host(now.q_kvar), _host(p_kw)
-        slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
+        slowest = self.scenario.datacenters.f_min_mhz / self.scenario.datacenters.f_max_mhz
         span_kw = _host(all_kw) - np.minimum(_host(ceiling_kw) * slowest, _host(all_kw))
         best = decide(site, self._known, Seen(v_host, then[0], then[1], kvar, p_host, span_kw, rest_kvar))
         base, own_base, gain, inverse, by_all = self._at_level(v_host, *then)
@@ -143,7 +145,7 @@ class LawStep:
 
     def clock(self, step: Step, served_kw: Any) -> Any:
         """Clock that serves so much, in [-1, 1] where there is one, (row, n_dc)."""
-        slowest = self.scenario.f_min_mhz / self.scenario.f_max_mhz
+        slowest = self.scenario.datacenters.f_min_mhz / self.scenario.datacenters.f_max_mhz
         return 2.0 * (served_kw / step.ceiling_kw - slowest) / ((1.0 - slowest) or 1.0) - 1.0
 
     def _like(self, values: np.ndarray) -> Any:
@@ -157,7 +159,7 @@ class LawStep:
         """Idle floor, dynamic power that serves all work that is there, and that of the top clock, kW, (row, n_dc)."""
         s, xp, idle = self.scenario, _namespace(now.v_pu), self._dc["p_idle_kw"]
         p_ref_kw = now.p_ref_next_kw
-        if not s.preview:
+        if not s.sensing.preview:
             p_ref_kw = xp.maximum(self.known.mean_kw[:, : self._n_dc], idle) + 0.0 * now.backlog_kws
         arrives_kw = (p_ref_kw - idle).clip(0.0, None)
         ceiling_kw = xp.maximum(self._dc["p_dynamic_kw"], arrives_kw)
@@ -220,9 +222,12 @@ class Columns:
             )
             for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
         }
-        self.band_pu = scenario.band_pu or 1.0
+        self.band_pu = scenario.cost.band_pu or 1.0
         self._p_scale = array(np.concatenate([device.p_scale_kw for device in scenario.devices]))
-        self._q_scale, self._rated_kw = array(scenario.q_scale_kvar), array(np.asarray(scenario.datacenter.p_rated_kw))
+        self._q_scale, self._rated_kw = (
+            array(scenario.q_scale_kvar),
+            array(np.asarray(scenario.datacenters.parameters.p_rated_kw)),
+        )
 
     def of(self, joint: Any) -> Mapping[str, Any]:
         """Fields by name, as observed, of the agents that have them."""

@@ -150,14 +150,21 @@ class Policy:
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""
-        if env_info.observe != self.observe:
-            raise PolicyError(f"{self.source}: trained with observe={self.observe!r}, given {env_info.observe!r}")
+        if env_info.sensing.observe != self.observe:
+            raise PolicyError(
+                f"{self.source}: trained with observe={self.observe!r}, given {env_info.sensing.observe!r}"
+            )
         self._equipment = EquipmentAgents(env_info)
         self._begin(self._equipment.others)
 
     def _begin(self, env_info: Scenario) -> None:
         """Begin episodes, regulators and capacitor banks under their own control."""
-        chosen = {"preview": self.preview, "act": self.acts, "nameplate": self.nameplate, "outputs": self.outputs}
+        chosen = {
+            "preview": self.preview,
+            "act": self.acts,
+            "nameplate": self.nameplate,
+            "outputs": self.outputs,
+        }
         chosen["gains"] = self.gains
         self._interface = PolicyInterface(env_info, self.kind, **chosen)
         for name in self._interface.widths:
@@ -180,8 +187,8 @@ class Policy:
         if (network.n_in, network.n_out) != widths:
             raise PolicyError(
                 f"{self.source}: network {name} takes {network.n_in} figures and gives {network.n_out}, on "
-                f"{scenario.name} ({counts}, {scenario.observe} observation) it must be {widths[0]} and {widths[1]}; "
-                f"{trained}"
+                f"{scenario.name} ({counts}, {scenario.sensing.observe} observation) it must be {widths[0]} and "
+                f"{widths[1]}; {trained}"
             )
         own = self.channels.get(name, view.plain_channels[name])
         if own != channels:

@@ -38,12 +38,17 @@ def slope_bounds(scenario: Scenario, n: int = PLACEMENTS) -> tuple[float, float]
     largest = _eigenvalue if isinstance(scenario.feeder, Feeder) else _singular_value
     q_mvar = scenario.q_scale_kvar / 1e3
     # Half the range of actions moves half the power between the slowest clock and the top.
-    p_mw = 0.5 * (1.0 - scenario.f_min_mhz / scenario.f_max_mhz) * scenario.datacenter.p_dynamic_kw / 1e3
-    late = np.sin(np.pi / (2 * (2 * scenario.measurement_delay + 1)))
+    p_mw = (
+        0.5
+        * (1.0 - scenario.datacenters.f_min_mhz / scenario.datacenters.f_max_mhz)
+        * scenario.datacenters.parameters.p_dynamic_kw
+        / 1e3
+    )
+    late = np.sin(np.pi / (2 * (2 * scenario.sensing.delay_steps + 1)))
     slopes = []
     for buses in placements(scenario, n):
         at = np.array([[index(bus) for bus in buses]])
-        r, x = (by[0] / (scenario.band_pu or 1.0) for by in sensitivity_between_agents(scenario, at))
+        r, x = (by[0] / (scenario.cost.band_pu or 1.0) for by in sensitivity_between_agents(scenario, at))
         x_scaled = np.sqrt(q_mvar)[:, None] * x * np.sqrt(q_mvar)
         r_scaled = np.sqrt(p_mw)[:, None] * r[np.ix_(sites, sites)] * np.sqrt(p_mw)
         of_clock = 0.5 / largest(r_scaled) if len(sites) else np.inf

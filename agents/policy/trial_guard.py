@@ -3,7 +3,7 @@
 At ``place`` the policy and the law alone are driven through episodes of the training split, on the feeder's model with
 all agents at their places. Where the policy costs less in the mean it acts, else the law does. The trial uses what the
 law is commissioned with, a model and the statistics of load, work and sun, and nothing that is measured later. A model
-that is said to be wrong (``r_model_share``, ``x_model_share``) is no judge: there the law acts.
+that is said to be wrong (``sensing.r_model_share``) is no judge: there the law acts.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np
     places
         Positions in ``bus_ids`` of the agents' buses, (m, n_agent).
     """
-    if not scenario.r_model_share == scenario.x_model_share == 1.0:
+    if not scenario.sensing.r_model_share == scenario.sensing.x_model_share == 1.0:
         return np.zeros(len(places), bool)
     trial = as_driven(scenario.replace(split="train", horizon=min(scenario.horizon, STEPS)), policy)
     lanes = 2 * EPISODES * len(places)

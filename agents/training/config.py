@@ -28,7 +28,7 @@ class Training:
     """What to train on: a preset, or one of your own, path/to/file.toml, or path/to/file.py:function or
     package.module:function that makes it; for analytic and safe also several, separated by commas."""
     set: tuple[str, ...] = ()
-    """Fields of the scenario that are to be otherwise, FIELD=VALUE, for instance --set horizon=60 load_sigma=0.1."""
+    """Fields of the scenario to change, FIELD=VALUE, for instance --set horizon=60 background.load_sigma=0.1."""
     view: Literal["shared", "centralised"] = "shared"
     """One policy for all agents on their own observations, or one that observes and drives all of them."""
     seed: int = 0

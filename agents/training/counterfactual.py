@@ -42,10 +42,10 @@ def require_one_step(who: str, scenario: Scenario) -> None:
                 )
         if isinstance(device, DataCenters) and work_classes_of(device.clock_law) != 1:
             raise ValueError(f"{who} takes clock laws of one work class; scenario {scenario.name!r} has one of two")
-    if scenario.voltage_cost != "l1":
-        raise ValueError(f"{who}: voltage_cost is {scenario.voltage_cost!r}; make the scenario with 'l1'")
-    for name in scenario.weights.unmodelled:
-        weight = getattr(scenario.weights, name)
+    if scenario.cost.voltage != "l1":
+        raise ValueError(f"{who}: cost.voltage is {scenario.cost.voltage!r}; make the scenario with 'l1'")
+    for name in scenario.cost.weights.unmodelled:
+        weight = getattr(scenario.cost.weights, name)
         raise ValueError(f"{who} does not know what weights.{name} = {weight:g} charges; set it to 0, or train ppo")
 
 
@@ -61,10 +61,13 @@ class Counterfactual:
     def __init__(self, scenario: Scenario):
         require_one_step("a counterfactual advantage", scenario)
         self.scenario = scenario
-        layout, w = action_layout(scenario), scenario.weights
+        layout, w = action_layout(scenario), scenario.cost.weights
         self._is_clock, self._is_q = layout.is_channel("clock"), layout.is_channel("q")
-        self._site: Any = scenario.part("datacenter")
-        n_node, rated_kw = len(scenario.feeder.load_nodes), float(scenario.datacenter.p_rated_kw.sum()) or 1.0
+        self._site: Any = scenario.datacenters
+        n_node, rated_kw = (
+            len(scenario.feeder.load_nodes),
+            float(scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0,
+        )
         self._voltage, self._violation = w.voltage / n_node, w.violation / n_node
         converters_kva = np.concatenate([device.converter_kva for device in scenario.devices])
         self._effort = w.effort / scenario.n_agents / converters_kva
@@ -95,7 +98,7 @@ class Counterfactual:
         """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (row, n_agent, n_node)."""
         if not np.array_equal(buses, self._buses):
             by_p, by_q = sensitivity_to_agents(self.scenario, buses)
-            judged, n_dc = self.scenario.feeder.load_slice, self.scenario.n_datacenters
+            judged, n_dc = self.scenario.feeder.load_slice, self.scenario.datacenters.count
             self._by_p, self._by_q = by_p[:, :n_dc, judged] / 1e3, by_q[..., judged] / 1e3
             self._buses = buses
 
@@ -111,7 +114,9 @@ class Counterfactual:
         (own, p_kw), (own_mean, p_mean) = (
             site.step(params, before.state.devices[0], (_mhz(params, each),), work, dt_s) for each in (clock, mean)
         )
-        connected = after.p_kw[:, : self.scenario.n_datacenters] > 0.0  # a site that a fault has taken draws nothing
+        connected = (
+            after.p_kw[:, : self.scenario.datacenters.count] > 0.0
+        )  # a site that a fault has taken draws nothing
         waiting = self._work * (own_mean.backlog_kws - own.backlog_kws)
         return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
 
@@ -126,7 +131,7 @@ class Counterfactual:
     def _cost(self, v_pu: np.ndarray) -> np.ndarray:
         """Cost of voltages, (..., n_node), summed over the nodes."""
         deviation = np.abs(v_pu - 1.0)
-        beyond = np.maximum(deviation - self.scenario.band_pu, 0.0)
+        beyond = np.maximum(deviation - self.scenario.cost.band_pu, 0.0)
         return self._voltage * deviation.sum(-1) + self._violation * beyond.sum(-1)
 
 

@@ -37,17 +37,21 @@ def drawn_scenario(split: str, i: int) -> Scenario:
     return make_scenario("ieee33").replace(
         name=f"drawn-{split}-{i}",
         feeder=feeder,
-        v0_pu=float(rng.uniform(1.0, 1.05)),
+        source_voltage_pu=float(rng.uniform(1.0, 1.05)),
         n_datacenters=n_dc,
-        datacenter_buses=tuple(feeder.bus_ids[at] for at in buses[:n_dc]),
-        p_rated_kw=tuple(sites_kw),
-        s_rated_share=float(rng.uniform(1.02, 1.1)),
-        inverter_buses=tuple(feeder.bus_ids[at] for at in buses[n_dc:]),
-        inverter_s_kva=tuple(kva),
-        inverter_trace="pv" if sun else None,
+        datacenters={
+            "buses": tuple(feeder.bus_ids[at] for at in buses[:n_dc]),
+            "p_rated_kw": tuple(sites_kw),
+            "s_rated_share": float(rng.uniform(1.02, 1.1)),
+        },
+        inverters={
+            "buses": tuple(feeder.bus_ids[at] for at in buses[n_dc:]),
+            "s_rated_kva": tuple(kva),
+            "injection": "pv" if sun else None,
+        },
         trace=str(rng.choice(list(_TRACES), p=list(_TRACES.values()))),
-        site_correlation=float(rng.random() < 0.15),
-        load_sigma=float(rng.uniform(0.02, 0.08)),
+        workload={"site_correlation": float(rng.random() < 0.15)},
+        background={"load_sigma": float(rng.uniform(0.02, 0.08))},
         split=split,
     )
 

@@ -106,7 +106,9 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None 
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)
     scenario = under_own_control(spec.make("train", observe=cfg.observe))
-    scenario = for_training(scenario.replace(preview=scenario.preview and cfg.preview), cfg.gamma, cfg.wait)
+    scenario = for_training(
+        scenario.replace(sensing={"preview": scenario.sensing.preview and cfg.preview}), cfg.gamma, cfg.wait
+    )
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
         vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs, gains)
@@ -130,7 +132,7 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
     What else an episode's end charges, as energy that is missing in storages, is charged by the lanes as it arises
     (``JointVecEnv.end_as_it_arises``).
     """
-    w = scenario.weights
+    w = scenario.cost.weights
     raised = wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
     return scenario.replace(
         weights=w._replace(backlog=raised * (w.backlog + w.leftover / scenario.horizon), leftover=0.0)

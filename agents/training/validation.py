@@ -40,7 +40,7 @@ class Validation:
 
     def _run(self, scenario: Scenario, controller: object) -> list[dict[str, float]]:
         metrics_by_episode = rollout(scenario, controller, self.seeds).metrics()  # pyright: ignore[reportArgumentType]
-        weight = scenario.weights.violation or 1.0
+        weight = scenario.cost.weights.violation or 1.0
         return [metrics | {"excess_mean_pu": metrics["cost_violation"] / weight} for metrics in metrics_by_episode]
 
     @staticmethod

@@ -27,20 +27,26 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     """
     if isinstance(scenario.feeder, RandomFeeders):
         raise ValueError(f"vary: {scenario.name} has another feeder in each batch by itself; leave vary out")
-    feeder, n_inv = scenario.feeder, scenario.n_inverters
+    feeder, n_inv = scenario.feeder, scenario.inverters.count
     load_kw = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
     loaded = [bus for i, bus in enumerate(feeder.bus_ids) if load_kw[i] > 0 and _has_phases(scenario, i)][1:]
     at = rng.choice(len(loaded), n_inv, replace=False)
     return scenario.replace(
-        datacenter_buses=None,
-        p_rated_kw=tuple(scenario.datacenter.p_rated_kw * rng.uniform(0.5, 1.1, scenario.n_datacenters)),
-        inverter_buses=tuple(loaded[i] for i in sorted(at)),
-        inverter_s_kva=tuple(scenario.inverter.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
-        v0_pu=float(scenario.v0_pu + rng.uniform(-0.01, 0.01)),
+        datacenters={
+            "buses": None,
+            "p_rated_kw": tuple(
+                scenario.datacenters.parameters.p_rated_kw * rng.uniform(0.5, 1.1, scenario.datacenters.count)
+            ),
+        },
+        inverters={
+            "buses": tuple(loaded[i] for i in sorted(at)),
+            "s_rated_kva": tuple(scenario.inverters.parameters.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
+        },
+        source_voltage_pu=float(scenario.source_voltage_pu + rng.uniform(-0.01, 0.01)),
     )
 
 
 def _has_phases(scenario: Scenario, position: int) -> bool:
     """Whether the bus at a position has all phases that inverters of the scenario are connected to."""
-    needed = {phase for phases in scenario.inverter_phases or () for phase in phases}
+    needed = {phase for phases in scenario.inverters.phases or () for phase in phases}
     return not needed or needed <= set(scenario.feeder.bus_phases[position])

@@ -66,7 +66,7 @@ class Drawn:
 
 def draw(sheet: Sheet) -> Drawn:
     """The figures of a scenario."""
-    band_pu = sheet.worst.case.scenario().band_pu
+    band_pu = sheet.worst.case.scenario().cost.band_pu
     return Drawn(png(scenario_figure(sheet.summary, sheet.voltages, band_pu)), replay(sheet.worst))
 
 

@@ -153,7 +153,7 @@ def _failure(unit: Unit, text: str) -> dict[str, Any]:
 
 def observed(controller: Controller, scenario: Scenario) -> str:
     """What a controller is shown, in words."""
-    scope = getattr(controller, "observe", scenario.observe)
+    scope = getattr(controller, "observe", scenario.sensing.observe)
     knows = getattr(controller, "scope", "feeder's model" if isinstance(controller, NeedsPlacement) else "")
     return f"{scope}, {knows}" if knows else scope
 

@@ -25,7 +25,7 @@ class AddedSite:
         self.study = study
         self.exempt = np.zeros(study.scenario.feeder.n_node, bool) if exempt is None else exempt
         """Nodes whose branch does not count as overloaded, since it is so without any site."""
-        self.slot = study.scenario.n_datacenters if study.others else 0
+        self.slot = study.scenario.datacenters.count if study.others else 0
         """Which of the data centres it is."""
         self.scenario = lru_cache(maxsize=512)(self._scenario)
         """The scenario with a site of so many steps of size; 0 for none."""
@@ -52,20 +52,20 @@ class AddedSite:
         kw = 1000.0 * self.mw(size) if size else _NOTHING_KW
         changed: dict[str, Any] = {
             "horizon": study.horizon,
-            "start_hour": "random" if study.load == "day" else None,
-            "full_load_s": study.full_load_s,
+            "background.start_hour": "random" if study.load == "day" else None,
+            "workload.full_load_s": study.full_load_s,
             "n_datacenters": self.slot + 1,
-            "datacenter_buses": self._datacenter_buses(),
-            "p_rated_kw": (*(base.datacenter.p_rated_kw.tolist() if study.others else ()), kw),
+            "datacenters.buses": self._datacenter_buses(),
+            "datacenters.p_rated_kw": (*(base.datacenters.parameters.p_rated_kw.tolist() if study.others else ()), kw),
         }
         if not study.others:
-            changed |= {"inverter_buses": (), "inverter_s_kva": 0.0}
+            changed |= {"inverters.buses": (), "inverters.s_rated_kva": 0.0}
         return base.replace(**changed)
 
     def _datacenter_buses(self) -> tuple[str, ...] | None:
         """Where the scenario has its sites; the added one anywhere free, as each lane says where it really is."""
         scenario, others = self.study.scenario, self.study.others
-        there = scenario.datacenter_buses if others else ()
+        there = scenario.datacenters.buses if others else ()
         if there is None:
             return None
         taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}

@@ -88,8 +88,8 @@ def record(found: Capacities) -> dict[str, Any]:
             "scenario": study.scenario.name,
             "scenario_hash": scenario_hash(study.scenario),
             "split": study.scenario.split,
-            "trace": study.scenario.trace if isinstance(study.scenario.trace, str) else "recordings",
-            "trace_scale": study.scenario.trace_scale,
+            "trace": study.scenario.workload.trace if isinstance(study.scenario.workload.trace, str) else "recordings",
+            "trace_scale": study.scenario.workload.trace_scale,
             "tolerance_mw": study.step_mw,
             "max_mw": study.largest_mw,
             "buses": list(found.buses),
@@ -144,7 +144,8 @@ def _notes(found: Capacities) -> Iterator[str]:
     for name in found.controllers:
         broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
         if len(broken) == len(found.buses):
-            yield f"{name}: limits are broken without any site: {broken[0].limit}; --set v0_pu may help, or --limits."
+            remedy = "--set source_voltage_pu may help, or --limits."
+            yield f"{name}: limits are broken without any site: {broken[0].limit}; {remedy}"
     for capacity in _all(found):
         if capacity.smaller_fails_mw:
             sizes = ", ".join(f"{mw:g}" for mw in capacity.smaller_fails_mw)

@@ -180,7 +180,7 @@ def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
     """
     dt_s = float(study.scenario.dt_s)
     full = PowerTrace([0.0, 60.0 * dt_s], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
-    still = study.scenario.replace(trace=(full,), load_sigma=0.0, site_correlation=0.0)
+    still = study.scenario.replace(trace=(full,), background={"load_sigma": 0.0}, workload={"site_correlation": 0.0})
     moment = dataclasses.replace(
         study, scenario=still, samples=1, load="peak", window_s=2.0 * dt_s, settle_s=0.0, allowed_pct=0.0,
         tolerance_mw=study.step_mw, max_mw=study.largest_mw,

@@ -52,7 +52,7 @@ class DeadbandDroop(LocalController):
         target = -np.clip(self.k_share_per_pu * beyond(local.v_pu - 1.0, self.deadband_pu), -1.0, 1.0) * self._q_scale
         reach = self.ramp_share_per_s * self.scenario.dt_s * self._q_scale
         q = local.q_kvar + np.clip(target - local.q_kvar, -reach, reach)
-        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), q
+        return np.full_like(local.p_ref_next_kw, self.scenario.datacenters.f_max_mhz), q
 
 
 def beyond(deviation: np.ndarray, deadband: float) -> np.ndarray:

@@ -9,7 +9,7 @@ be negative and forgets.
 The paper says in words that alpha may be larger where the backlog is large, without a formula. The form here is ours,
 alpha_t = alpha (1 + g max(S, 0) / p_rated): at 1/g seconds of work at the rating alpha has doubled; g = 0 disables it.
 The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.
-Where the scenario hides p_ref (``preview=False``) the rating stands in its place: below 1 p.u. the site is capped.
+Where the scenario hides p_ref (``sensing.preview``) the rating stands in its place: below 1 p.u. the site is capped.
 Inverters run the second law alone.
 """
 
@@ -67,23 +67,28 @@ class Droop(LocalController):
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError where the one-step memory needs a p_ref that the scenario hides."""
-        if self.memory == "one_step" and self.datacenters and env_info.n_datacenters and not env_info.preview:
-            raise ValueError("droop with the one-step memory needs p_ref; make the scenario with preview=True")
+        if (
+            self.memory == "one_step"
+            and self.datacenters
+            and env_info.datacenters.count
+            and not env_info.sensing.preview
+        ):
+            raise ValueError("droop with the one-step memory needs p_ref; make the scenario with sensing.preview")
         super().reset(env_info)
         self._asked_kw: np.ndarray | None = None
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        s, dc = self.scenario, self.scenario.datacenter
-        n_dc = s.n_datacenters
+        s, dc = self.scenario, self.scenario.datacenters.parameters
+        n_dc = s.datacenters.count
         q = local.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * (local.v_pu - 1.0) * s.dt_s
         q = np.clip(q, -self._q_scale, self._q_scale)
         if not self.datacenters:
             q[..., :n_dc] = 0.0
-            return np.full_like(local.p_ref_next_kw, s.f_max_mhz), q
+            return np.full_like(local.p_ref_next_kw, s.datacenters.f_max_mhz), q
         waiting = local.backlog_kws if self.memory == "cumulative" else self._last_shortfall(local)
         p = (
-            (local.p_ref_next_kw if s.preview else dc.p_rated_kw)
+            (local.p_ref_next_kw if s.sensing.preview else dc.p_rated_kw)
             + 1000.0 * self.k_p_mw_per_pu * (local.v_pu[..., :n_dc] - 1.0)
             + self._alpha_per_s(waiting) * waiting
         )
@@ -94,7 +99,7 @@ class Droop(LocalController):
         """Share of the backlog added to the power asked for, per second, now."""
         if not self.alpha_growth_per_s:
             return self.alpha_per_s
-        waiting_s = np.maximum(waiting_kws, 0.0) / self.scenario.datacenter.p_rated_kw
+        waiting_s = np.maximum(waiting_kws, 0.0) / self.scenario.datacenters.parameters.p_rated_kw
         return self.alpha_per_s * (1.0 + self.alpha_growth_per_s * waiting_s)
 
     def _last_shortfall(self, local: Local) -> np.ndarray:
@@ -102,4 +107,4 @@ class Droop(LocalController):
         asked, self._asked_kw = self._asked_kw, local.p_ref_next_kw
         if asked is None:
             return np.zeros_like(local.p_ref_next_kw)
-        return (asked - local.p_kw[..., : self.scenario.n_datacenters]) * self.scenario.dt_s
+        return (asked - local.p_kw[..., : self.scenario.datacenters.count]) * self.scenario.dt_s

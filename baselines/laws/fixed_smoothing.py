@@ -70,18 +70,19 @@ class FixedSmoothing(Droop):
 
 def has_smoothing_channels(scenario: Scenario) -> bool:
     """Whether the agents of a scenario's sites decide over floor and ramps."""
-    settings = getattr(scenario.part("datacenter"), "smoothing", None)
+    settings = scenario.datacenters.smoothing
     return settings is not None and settings.control == "agent"
 
 
 def smoothing_of(scenario: Scenario) -> PowerSmoothing:
     """The settings of a scenario whose agents decide over floor and ramps; ValueError for another."""
-    if not has_smoothing_channels(scenario):
+    settings = scenario.datacenters.smoothing
+    if settings is None or not has_smoothing_channels(scenario):
         raise ValueError(
             f"smoothing: the sites of scenario {scenario.name!r} have no channels 'floor' and 'ramp_up'; give it "
-            "datacenter_smoothing={'control': 'agent'}, or use the law 'droop'"
+            "datacenters={'smoothing': {'control': 'agent'}}, or use the law 'droop'"
         )
-    return scenario.part("datacenter").smoothing
+    return settings
 
 
 def ramp_action(share: float, slowest_share: float) -> float:

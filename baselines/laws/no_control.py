@@ -16,4 +16,4 @@ class NoControl(LocalController):
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), np.zeros_like(local.v_pu)
+        return np.full_like(local.p_ref_next_kw, self.scenario.datacenters.f_max_mhz), np.zeros_like(local.v_pu)

@@ -49,7 +49,7 @@ class PeakShaving(Droop):
                 f"peak-shaving: scenario {env_info.name!r} has no storage; give it devices=(.., Storages(..)), or use "
                 "the law 'droop'"
             )
-        self._figures = env_info.part("storage").parameters
+        self._figures = env_info.group("storage").parameters
 
     def draw(self, local: Local) -> np.ndarray:
         """See :class:`LocalController`."""

@@ -44,15 +44,15 @@ class RouteToStrongest(Droop):
         if not has_routing(env_info):
             raise ValueError(
                 f"route-to-strongest: the sites of scenario {env_info.name!r} have no channel 'route'; give it "
-                "datacenter_routing={}, or use the law 'droop'"
+                "datacenters={'routing': {}}, or use the law 'droop'"
             )
         self._route_at = np.flatnonzero(action_layout(self.scenario).is_channel("route"))
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
         actions = super()._act(joint)
-        local, sites = self._local(joint), slice(self.scenario.n_datacenters)
+        local, sites = self._local(joint), slice(self.scenario.datacenters.count)
         strength = local.v_pu[..., sites]
-        if self.scenario.preview:
+        if self.scenario.sensing.preview:
             more_mw = (local.p_ref_next_kw - local.p_kw[..., sites]) / 1000.0
             strength = strength - self.look_ahead * local.r_pu_per_mw[..., sites] * more_mw
         apart = strength - strength.mean(axis=-1, keepdims=True)
@@ -62,5 +62,5 @@ class RouteToStrongest(Droop):
 
 def has_routing(scenario: Scenario) -> bool:
     """Whether work can be moved between the sites of a scenario."""
-    sites = scenario.part("datacenter")
+    sites = scenario.datacenters
     return sites.count > 0 and sites.routing is not None

@@ -52,7 +52,7 @@ class ReturnByHand(Droop):
         far as this law waits.
         """
         super().reset(env_info)
-        rule, slots = return_rule(env_info), env_info.n_datacenters
+        rule, slots = return_rule(env_info), env_info.datacenters.count
         later = self._later_s(rule) * np.arange(slots)
         delay_s = rule.return_delay_s if self.return_delay_s is None else self.return_delay_s
         release_s = rule.by_hand_s if self.release_s is None else self.release_s
@@ -109,15 +109,16 @@ class StaggeredReturn(ReturnByHand):
 
 def has_return_channel(scenario: Scenario) -> bool:
     """Whether the agents of a scenario's sites decide over their return."""
-    rule = getattr(scenario.part("datacenter"), "ride_through", None)
+    rule = scenario.datacenters.ride_through
     return rule is not None and rule.release == "agent"
 
 
 def return_rule(scenario: Scenario) -> UpsRideThrough:
     """The rule of a scenario whose agents decide over the return; ValueError for another."""
-    if not has_return_channel(scenario):
+    rule = scenario.datacenters.ride_through
+    if rule is None or not has_return_channel(scenario):
         raise ValueError(
             f"return rules: the sites of scenario {scenario.name!r} have no channel 'return'; give it "
-            "datacenter_ride_through={'curve': .., 'release': 'agent'}"
+            "datacenters={'ride_through': {'curve': .., 'release': 'agent'}}"
         )
-    return scenario.part("datacenter").ride_through
+    return rule

@@ -76,14 +76,14 @@ def spectral_radius(
         raise ValueError(f"stability: {len(buses)} buses; {scenario.name} has {scenario.n_agents} agents")
     r, x = _at(scenario, [buses], datacenters)
     gains = (k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s)
-    return float(_radii(r, x, scenario.n_datacenters if datacenters else 0, scenario.dt_s, *gains).max())
+    return float(_radii(r, x, scenario.datacenters.count if datacenters else 0, scenario.dt_s, *gains).max())
 
 
 def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: bool) -> tuple[np.ndarray, np.ndarray]:
     """R and X between the agents that act, for each placement, (placement, n, n)."""
     index = scenario.feeder.index
     acting = np.flatnonzero(action_layout(scenario).reactive >= 0)  # equipment of the feeder gives no reactive power
-    acting = acting[0 if datacenters else scenario.n_datacenters :]
+    acting = acting[0 if datacenters else scenario.datacenters.count :]
     at = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
     r, x = sensitivity_between_agents(scenario, at)
     return r[:, acting[:, None], acting], x[:, acting[:, None], acting]
@@ -109,7 +109,7 @@ def _radii(
 
 def placements(scenario: Scenario, n: int = PLACEMENTS) -> list[tuple[int | str, ...]]:
     """Buses of the agents in the episodes of seeds 0 .. n - 1 of the scenario's split; one where none are drawn."""
-    lanes = 1 if scenario.datacenter_buses is not None or not scenario.n_datacenters else n
+    lanes = 1 if scenario.datacenters.buses is not None or not scenario.datacenters.count else n
     env = DcgridVectorEnv(lanes, scenario)
     _, info = env.reset(seed=list(range(lanes)))
     env.close()
@@ -136,9 +136,9 @@ class ClosedLoops:
         gains = (droop.k_p_mw_per_pu, droop.k_q_mvar_per_pu_s, droop.alpha_per_s)
         radii = []
         for scenario, r, x in self._loops:
-            left_out = 0 if droop.datacenters else scenario.n_datacenters
+            left_out = 0 if droop.datacenters else scenario.datacenters.count
             acting = np.s_[:, left_out:, left_out:]
-            n_dc = scenario.n_datacenters - left_out
+            n_dc = scenario.datacenters.count - left_out
             radii.append(_radii(r[acting], x[acting], n_dc, scenario.dt_s, *gains).max())
         return float(max(radii))
 
@@ -177,7 +177,7 @@ def largest_stable(
     given = {"k_p_mw_per_pu": k_p_mw_per_pu, "k_q_mvar_per_pu_s": k_q_mvar_per_pu_s, "alpha_per_s": alpha_per_s}
     require_non_negative("stability", **{name: value for name, value in given.items() if value is not None})
     r, x = _at(scenario, placements(scenario, n), datacenters)
-    n_dc = scenario.n_datacenters if datacenters else 0
+    n_dc = scenario.datacenters.count if datacenters else 0
 
     def stable(gain: float) -> bool:
         k_p = gain if k_p_mw_per_pu is None else k_p_mw_per_pu

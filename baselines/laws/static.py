@@ -58,7 +58,7 @@ class ConstantQ(LocalController):
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
         share = np.asarray(self.q_share) + np.zeros_like(local.v_pu)
-        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), share * self._q_scale
+        return np.full_like(local.p_ref_next_kw, self.scenario.datacenters.f_max_mhz), share * self._q_scale
 
 
 @dataclass
@@ -90,4 +90,6 @@ class PlacementRule(LocalController):
         share = (
             self.at_substation + self.per_r_mw_per_pu * local.r_pu_per_mw + self.per_x_mvar_per_pu * local.x_pu_per_mvar
         )
-        return np.full_like(local.p_ref_next_kw, self.scenario.f_max_mhz), np.clip(share, -1.0, 1.0) * self._q_scale
+        return np.full_like(local.p_ref_next_kw, self.scenario.datacenters.f_max_mhz), np.clip(
+            share, -1.0, 1.0
+        ) * self._q_scale

@@ -79,4 +79,4 @@ class SwitchingReference(LocalController):
         reference = 1.0 + np.where(local.v_pu > 1.0, amplitude, -amplitude)
         error = beyond(local.v_pu - reference, self.deadband_pu)
         q = local.q_kvar - 1000.0 * self.k_q_mvar_per_pu_s * error * s.dt_s
-        return np.full_like(local.p_ref_next_kw, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
+        return np.full_like(local.p_ref_next_kw, s.datacenters.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)

@@ -57,4 +57,4 @@ class VoltVar(LocalController):
         target = self._rated_kva * np.interp(local.v_pu, self.v_pu, self.q_share)
         target = np.clip(target, -self._q_scale, self._q_scale)
         remains = 10.0 ** (-s.dt_s / self.response_s) if self.response_s else 0.0  # exp(-dt / tau)
-        return np.full_like(local.p_ref_next_kw, s.f_max_mhz), target + remains * (local.q_kvar - target)
+        return np.full_like(local.p_ref_next_kw, s.datacenters.f_max_mhz), target + remains * (local.q_kvar - target)

@@ -79,7 +79,7 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
 def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     """What agents know of one placement, (n_agent,), with a leading 1."""
     s, points, law = site.scenario, site.points, site.law
-    n_dc, scale, draw = s.n_datacenters, site.share_of_kvar, points.p_agent_kw
+    n_dc, scale, draw = s.datacenters.count, site.share_of_kvar, points.p_agent_kw
     by_p, by_q = (slope[0][:, s.feeder.load_slice] / 1000.0 for slope in sensitivity_to_agents(s, buses[None]))
     levels, limit = _levels(site), site.limit_kvar(draw)
     flow = MomentFlow(site, buses)
@@ -105,12 +105,12 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     if points.later is not None:
         v_later = MomentFlow(site._replace(points=points.later), buses).at(rest_all)
         change = (v_later - v_rest) @ flow.seen.T + (points.later.p_agent_kw - draw) * own_by_draw
-        newest = weight_of_newest(s.voltage_noise_pu, change)[None]
+        newest = weight_of_newest(s.sensing.noise_pu, change)[None]
     start = rest_kvar @ (by_q @ flow.seen.T)
     still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
     # A model that is said to be wrong tells too little of the optimum and of the others' answers.
-    trusted = float(s.r_model_share == s.x_model_share == 1.0)
-    hold = trusted * law.hold * s.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
+    trusted = float(s.sensing.r_model_share == s.sensing.x_model_share == 1.0)
+    hold = trusted * law.hold * s.cost.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
     alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
     fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, newest, alike, waiting]
     known = Commissioned(*fields)

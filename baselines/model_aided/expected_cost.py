@@ -31,8 +31,8 @@ class VoltagePrice(NamedTuple):
     @classmethod
     def of(cls, scenario: Scenario) -> VoltagePrice:
         """The prices of a scenario, the mean over its buses taken apart."""
-        w, n = scenario.weights, len(scenario.feeder.load_nodes)
-        return cls(w.voltage / n, w.violation / n, scenario.band_pu)
+        w, n = scenario.cost.weights, len(scenario.feeder.load_nodes)
+        return cls(w.voltage / n, w.violation / n, scenario.cost.band_pu)
 
     def slope(self, v_pu: np.ndarray, s_pu: np.ndarray) -> np.ndarray:
         """Derivative of the expected cost by the expected voltage, per p.u., in the shape of both."""

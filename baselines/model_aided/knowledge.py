@@ -62,7 +62,7 @@ class Site(NamedTuple):
     def scheduled(self) -> np.ndarray:
         """Which agents read the sun from their own injection, bool, (n,)."""
         at = np.arange(self.scenario.n_agents)
-        return (at >= self.scenario.n_datacenters) & (self.scenario.schedule is not None)
+        return (at >= self.scenario.datacenters.count) & (self.scenario.schedule is not None)
 
     @property
     def q_scale_kvar(self) -> np.ndarray:
@@ -82,23 +82,23 @@ class Site(NamedTuple):
     @property
     def effort(self) -> np.ndarray:
         """Price of a whole limit of reactive power, (n,)."""
-        return self.scenario.weights.effort / self.scenario.n_agents / self.s_rated_kva * self.q_scale_kvar
+        return self.scenario.cost.weights.effort / self.scenario.n_agents / self.s_rated_kva * self.q_scale_kvar
 
     @property
     def waiting(self) -> float:
         """Price of letting a kW of work wait, that of MPC: charged as if it were left at the end."""
         s = self.scenario
-        return self.law.price * (s.weights.backlog + s.weights.leftover) * self._per_kw
+        return self.law.price * (s.cost.weights.backlog + s.cost.weights.leftover) * self._per_kw
 
     @property
     def never(self) -> float:
         """Price of a kW that is not served to the end, in the mean over the steps that it may be put off at."""
         s = self.scenario
-        return (s.weights.backlog * s.horizon / 2.0 + s.weights.leftover) * self._per_kw
+        return (s.cost.weights.backlog * s.horizon / 2.0 + s.cost.weights.leftover) * self._per_kw
 
     @property
     def _per_kw(self) -> float:
-        return self.scenario.dt_s / (self.scenario.datacenter.p_rated_kw.sum() or 1.0)
+        return self.scenario.dt_s / (self.scenario.datacenters.parameters.p_rated_kw.sum() or 1.0)
 
     def limit_kvar(self, p_kw: np.ndarray) -> np.ndarray:
         """Reactive limit at a draw, of the draw's shape (.., n)."""
@@ -181,7 +181,7 @@ def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> 
     out = lanes.mean(axis=1)
     kva, rows = site.scenario.scheduled_kva, np.arange(len(p_kw))
     for j in np.flatnonzero(site.scheduled):
-        share = p_kw[:, j] / (kva[j - site.scenario.n_datacenters] or 1.0)
+        share = p_kw[:, j] / (kva[j - site.scenario.datacenters.count] or 1.0)
         low, weight = between(share[:, None], at[:, None])
         a, b = (lanes[rows, low[:, 0] + more, j] for more in (0, 1))
         out[:, j] = a + weight[:, 0] * (b - a)

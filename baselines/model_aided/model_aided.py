@@ -93,7 +93,7 @@ class ModelAided(Law, LocalController):
                 "with the agents' positions in bus_ids, (lane, n_agent)"
             )
         lead = local.v_pu.shape[:-1]
-        n_lane, n_dc = int(np.prod(lead)), s.n_datacenters
+        n_lane, n_dc = int(np.prod(lead)), s.datacenters.count
         flat = Local(*(field.reshape(n_lane, field.shape[-1]) for field in local))
         work = self._work(flat, known)
         p_kw = flat.p_kw.copy()
@@ -102,35 +102,37 @@ class ModelAided(Law, LocalController):
         then_kw, then_kvar = self._when_measured(flat)
         v_pu, kvar = flat.v_pu, flat.q_kvar
         # All begin without reactive power, and know it: they go on as if they stood at u*.
-        if self._steps <= s.measurement_delay:
+        if self._steps <= s.sensing.delay_steps:
             v_pu, then_kvar = v_pu + by_sun(site, known.start_pu, known.rest_at, then_kw), rest_kvar
         if self._steps == 0:
             kvar = rest_kvar
         self._steps += 1
-        if s.voltage_noise_pu:
+        if s.sensing.noise_pu:
             e_own = own_error(known, v_pu, then_kw, then_kvar)
             v_pu = v_pu + self._average(known, e_own) - e_own
         seen = Seen(v_pu, then_kw, then_kvar, kvar, p_kw, work.all_kw - work.least_kw, rest_kvar)
         best = decide(site, known, seen)
         # Where all work is to be served the clock may as well be at its top.
-        f_mhz = np.where(best.cut_kw > 0.0, (work.all_kw - best.cut_kw) / work.ceiling_kw, 1.0) * s.f_max_mhz
+        f_mhz = (
+            np.where(best.cut_kw > 0.0, (work.all_kw - best.cut_kw) / work.ceiling_kw, 1.0) * s.datacenters.f_max_mhz
+        )
         q_kvar = best.share * site.q_scale_kvar
         q_kvar = q_kvar + self.pull * site.scheduled * (rest_kvar - q_kvar)
-        f_mhz = np.clip(f_mhz, s.f_min_mhz, s.f_max_mhz)
+        f_mhz = np.clip(f_mhz, s.datacenters.f_min_mhz, s.datacenters.f_max_mhz)
         return f_mhz.reshape(*lead, n_dc), q_kvar.reshape(*lead, q_kvar.shape[-1])
 
     def _when_measured(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """Own powers at the time that the measured voltage is of, kW and kvar."""
-        self._past = [*self._past, (local.p_kw, local.q_kvar)][-(self.scenario.measurement_delay + 1) :]
+        self._past = [*self._past, (local.p_kw, local.q_kvar)][-(self.scenario.sensing.delay_steps + 1) :]
         return self._past[0]
 
     def _work(self, local: Local, known: Commissioned) -> _Work:
-        s, n_dc = self.scenario, self.scenario.n_datacenters
-        dc, p_ref_kw = s.datacenter, local.p_ref_next_kw
-        if not s.preview:
+        s, n_dc = self.scenario, self.scenario.datacenters.count
+        dc, p_ref_kw = s.datacenters.parameters, local.p_ref_next_kw
+        if not s.sensing.preview:
             p_ref_kw = np.broadcast_to(np.maximum(known.mean_kw[:, :n_dc], dc.p_idle_kw), p_ref_kw.shape)
         arrives_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
         ceiling_kw = np.maximum(dc.p_dynamic_kw, arrives_kw)
         all_kw = np.minimum(ceiling_kw, arrives_kw + local.backlog_kws / s.dt_s)
-        least_kw = np.minimum(ceiling_kw * s.f_min_mhz / s.f_max_mhz, all_kw)
+        least_kw = np.minimum(ceiling_kw * s.datacenters.f_min_mhz / s.datacenters.f_max_mhz, all_kw)
         return _Work(np.minimum(p_ref_kw, dc.p_idle_kw), ceiling_kw, all_kw, least_kw)

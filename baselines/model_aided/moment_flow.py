@@ -20,7 +20,7 @@ class MomentFlow:
     def __init__(self, site: Site, buses: np.ndarray) -> None:
         s = self.scenario = site.scenario
         self.points, self.feeder = site.points, s.model
-        wrong_r, wrong_x = abs(1.0 - s.r_model_share), abs(1.0 - s.x_model_share)
+        wrong_r, wrong_x = abs(1.0 - s.sensing.r_model_share), abs(1.0 - s.sensing.x_model_share)
         signs = ((1, 1), (1, -1), (-1, 1), (-1, -1)) if wrong_r or wrong_x else ()
         self.feeders = [s.model.scaled(1 + a * wrong_r, 1 + b * wrong_x) for a, b in signs] or [self.feeder]
         nodes = nodes_by_bus(s)[np.arange(s.n_agents), buses]

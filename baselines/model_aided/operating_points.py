@@ -49,7 +49,7 @@ class OperatingPoints(NamedTuple):
         at = loaded[np.arange(here.n_bus) % len(loaded)]
         at[loaded] = loaded
         share = self.p_load_kw[:, at] / here.p_load_kw[at]
-        fixed_kvar = there.capacitor_kvar if scenario.capacitors else 0.0
+        fixed_kvar = there.capacitor_kvar if scenario.background.capacitors else 0.0
         p_kw, q_kvar = share * there.p_load_kw, share * there.q_load_kvar - fixed_kvar
         later = None if self.later is None else self.later.on(scenario)
         return OperatingPoints(scenario, p_kw, q_kvar, self.p_agent_kw, later)
@@ -77,5 +77,5 @@ def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
         for part, at in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
             part.append(tuple(values[at] for values in series))
     (p_kw, q_kvar, drawn_kw), later = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in parts)
-    after = OperatingPoints(scenario, later[0], later[1], later[2]) if scenario.voltage_noise_pu else None
+    after = OperatingPoints(scenario, later[0], later[1], later[2]) if scenario.sensing.noise_pu else None
     return OperatingPoints(scenario, p_kw, q_kvar, drawn_kw, after)

@@ -52,7 +52,7 @@ def regressed(site: Site, known: Commissioned, v: np.ndarray, own_v: np.ndarray,
     c = within[..., None]
     with_own = v_own - c[o, q] * x + c[o, p] * d
     variance = var_v + c[q, q] * x * x + c[p, p] * d * d - 2.0 * (v_q * x - v_p * d + c[q, p] * x * d)
-    noise = (s.voltage_noise_pu**2 * known.newest[0] + (0.1 * law.floor_pu) ** 2)[:, None, None]
+    noise = (s.sensing.noise_pu**2 * known.newest[0] + (0.1 * law.floor_pu) ** 2)[:, None, None]
     gain = with_own / (c[o, o] + noise)
     left = np.maximum(variance - with_own * gain, 0.0)
     own_base = mean[o] + own_centre[:, None]

@@ -39,7 +39,7 @@ def static_optimum(
     """
     from dcgrid_env.baselines.model_aided.smoothed_cost import smoothed_cost  # which brings the compiler with it
 
-    w, band = scenario.weights, scenario.band_pu
+    w, band = scenario.cost.weights, scenario.cost.band_pu
     scale = np.where(q_scale_kvar > 0.0, q_scale_kvar, 1.0)
     bounds = [(-limit, limit) for limit in limit_kvar / scale]
     q_kvar = np.zeros(len(scale))

@@ -49,7 +49,7 @@ class EpisodeProgram(Trajectory):
 
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, same_taps: bool = False) -> None:
         super().__init__(scenario, episode)
-        s, n_dc, self.keep_band = scenario, scenario.n_datacenters, keep_band
+        s, n_dc, self.keep_band = scenario, scenario.datacenters.count, keep_band
         n_bus, self.storage_rows = len(s.feeder.load_nodes), StorageRows(s, episode.available)
         widths = {"d": n_dc + self.n_storages, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
@@ -67,7 +67,7 @@ class EpisodeProgram(Trajectory):
         s, self._before = self.scenario, self._done
         solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
-        voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.band_pu)
+        voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.cost.band_pu)
         limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._same_taps(solution))]
         prices = self._prices()
         price = self._part(prices, "e")[0]
@@ -78,9 +78,9 @@ class EpisodeProgram(Trajectory):
         if result.status != 0:
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
         d, q = (self._part(result.x, name).reshape(s.horizon, -1) for name in "dq")
-        received, sent = (self._part(result.x, name).reshape(-1, s.n_datacenters) for name in "yo")
+        received, sent = (self._part(result.x, name).reshape(-1, s.datacenters.count) for name in "yo")
         moved = received - sent if len(received) else self.moved_kw
-        self._solution = self._done = (d[:, : s.n_datacenters], d[:, s.n_datacenters :], q, moved)
+        self._solution = self._done = (d[:, : s.datacenters.count], d[:, s.datacenters.count :], q, moved)
         return float(result.fun + price * voltages.at_zero), self.actions()
 
     def go(self, share: float) -> np.ndarray:
@@ -155,9 +155,9 @@ class EpisodeProgram(Trajectory):
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""
-        s, w = self.scenario, self.scenario.weights
-        rated_kw = s.datacenter.p_rated_kw.sum() or 1.0
-        backlog = np.full((s.horizon, s.n_datacenters), w.backlog / rated_kw)
+        s, w = self.scenario, self.scenario.cost.weights
+        rated_kw = s.datacenters.parameters.p_rated_kw.sum() or 1.0
+        backlog = np.full((s.horizon, s.datacenters.count), w.backlog / rated_kw)
         backlog[-1] += w.leftover / rated_kw
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
         n_bus = len(s.feeder.load_nodes)
@@ -171,7 +171,7 @@ class EpisodeProgram(Trajectory):
     def _ranges(self, inf_w: bool) -> np.ndarray:
         """Least and largest value of each unknown, (n, 2)."""
         # What arrives above the rating may be served at once, as in the environment.
-        dc = self.scenario.datacenter
+        dc = self.scenario.datacenters.parameters
         top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         # At its lowest clock a site serves this much of what arrives. It serves as much of a backlog too, which no
         # linear constraint says: there the program may do less than the environment.
@@ -200,7 +200,7 @@ class EpisodeProgram(Trajectory):
 
     def _conservation(self) -> tuple[Sparse, np.ndarray]:
         """b_t - b_{t-1} + d_t dt = a_t dt with what is moved, and the rows of ``storage_rows`` and ``work_rows``."""
-        n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.n_datacenters
+        n, dt_s, n_dc = self.sizes["b"], self.scenario.dt_s, self.scenario.datacenters.count
         step = sparse.identity(n, format="csr") - sparse.eye(n, k=-n_dc, format="csr")
         queue = {"d": dt_s * self._in_d(0, n_dc), "b": step, **self.work_rows.moved()}
         parts = [(queue, self.arrived_kw.ravel() * dt_s), *self.work_rows.equalities()]
@@ -210,7 +210,7 @@ class EpisodeProgram(Trajectory):
 
     def _in_d(self, first: int, count: int) -> Sparse:
         """What picks so many unknowns d of each step, from the first on."""
-        width = self.scenario.n_datacenters + self.n_storages
+        width = self.scenario.datacenters.count + self.n_storages
         return sparse.kron(sparse.identity(self.scenario.horizon), sparse.eye(count, width, k=first), format="csr")
 
     def _magnitude(self, sign: float) -> tuple[Sparse, np.ndarray]:
@@ -224,8 +224,8 @@ class EpisodeProgram(Trajectory):
         Above its rating, where a boost may take it, a converter gives no reactive power, which no linear constraint
         says: there the circle is as large as the draw.
         """
-        s, n_dc = self.scenario, self.scenario.n_datacenters
-        most_kw = self.base_kw + np.maximum(s.datacenter.p_dynamic_kw, self.arrived_kw)
+        s, n_dc = self.scenario, self.scenario.datacenters.count
+        most_kw = self.base_kw + np.maximum(s.datacenters.parameters.p_dynamic_kw, self.arrived_kw)
         s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], most_kw)
         one = self._in_d(0, n_dc)
         theirs = sparse.kron(sparse.identity(s.horizon), sparse.eye(n_dc, s.n_agents), format="csr")

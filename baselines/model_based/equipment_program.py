@@ -69,7 +69,7 @@ class EquipmentProgram(Trajectory):
     def solve(self, tolerance: float = TOLERANCE) -> tuple[float, np.ndarray]:
         """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
-        n_dc, n_u, steps = s.n_datacenters, self.n_further, s.horizon
+        n_dc, n_u, steps = s.datacenters.count, self.n_further, s.horizon
         at, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
         k = dense.shape[-1]
         one, shift = sparse.identity(steps), sparse.eye(steps, k=-1)
@@ -139,12 +139,12 @@ class EquipmentProgram(Trajectory):
 
     def _linear_costs(self, at: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
         """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
-        s, w, n_dc = self.scenario, self.scenario.weights, self.scenario.n_datacenters
+        s, w, n_dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.count
         price = w.voltage / at.size
         c = (quantities.T @ (-price * dense.sum(axis=1)).ravel()).reshape(s.horizon, -1)
         backlog = np.full(s.horizon, w.backlog)
         backlog[-1] += w.leftover
-        c[:, :n_dc] += backlog[:, None] / (s.datacenter.p_rated_kw.sum() or 1.0) / s.horizon
+        c[:, :n_dc] += backlog[:, None] / (s.datacenters.parameters.p_rated_kw.sum() or 1.0) / s.horizon
         c[:, n_dc : n_dc + self.n] += self._effort()
         constant = price * float((1.0 - at).sum())
         if self.n_further:
@@ -155,26 +155,26 @@ class EquipmentProgram(Trajectory):
 
     def _effort(self) -> np.ndarray:
         """Price of a kvar of each agent in a step."""
-        return self.scenario.weights.effort / self.n / self.s_rated_kva / self.scenario.horizon
+        return self.scenario.cost.weights.effort / self.n / self.s_rated_kva / self.scenario.horizon
 
     def _switching(self) -> float:
         """Price of a tap or a switching."""
-        return self.scenario.weights.switching / len(self.rest) / self.scenario.horizon
+        return self.scenario.cost.weights.switching / len(self.rest) / self.scenario.horizon
 
     def _of_voltages(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Prices and limits of the voltages' hinges: above 1 p.u., above the band, below it."""
-        w, band = self.scenario.weights, self.scenario.band_pu
+        w, band = self.scenario.cost.weights, self.scenario.cost.band_pu
         beyond = np.inf if self.keep_band else max(w.violation / at.size, 1e-12)
         h = np.repeat([max(2.0 * w.voltage / at.size, 1e-12), beyond, beyond], at.size)
         return h, np.concatenate(((1.0 - at).ravel(), (1.0 + band - at).ravel(), (at - 1.0 + band).ravel()))
 
     def _of_steps(self, quantities: Any, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
         """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""
-        s, n_dc, n_u, steps = self.scenario, self.scenario.n_datacenters, self.n_further, self.scenario.horizon
+        s, n_dc, n_u, steps = self.scenario, self.scenario.datacenters.count, self.n_further, self.scenario.horizon
         identity: Any = sparse.identity(steps * k, format="csr")
         columns = np.arange(steps * k).reshape(steps, k)
         b, q, u = (columns[:, part].ravel() for part in np.split(np.arange(k), [n_dc, n_dc + self.n]))
-        dc = s.datacenter
+        dc = s.datacenters.parameters
         top_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         least_kw = np.minimum(top_kw * (dc.f_min_mhz / dc.f_max_mhz), self.arrived_kw)  # as in EpisodeProgram
         limit, work = np.maximum(self.q_limit_kvar, _NARROWEST).ravel(), quantities[b]
@@ -187,7 +187,7 @@ class EquipmentProgram(Trajectory):
             *self._capability(work, identity[columns[:, n_dc : 2 * n_dc].ravel()], top_kw),
         ]
         effort = np.tile(2.0 * self._effort(), steps)
-        if s.weights.effort:
+        if s.cost.weights.effort:
             parts.append((-identity[q], effort, np.zeros(q.size)))
         if n_u:
             parts += self._moves(identity, u)
@@ -216,7 +216,7 @@ class EquipmentProgram(Trajectory):
 
     def _capability(self, work: Any, q: Any, top_kw: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
         """The tangents of ``EpisodeProgram`` of the data centres' circles, those that power can come near."""
-        n_dc, parts = self.scenario.n_datacenters, []
+        n_dc, parts = self.scenario.datacenters.count, []
         s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], self.base_kw + top_kw)
         most_kvar = self.q_limit_kvar[:, :n_dc]
         for theta in 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS:

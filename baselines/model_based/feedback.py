@@ -71,7 +71,7 @@ class FeedbackOptimisation(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = self.scenario, self.scenario.weights, self.scenario.datacenter
+        s, w, dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.parameters
         n_node = len(s.feeder.load_nodes)
         self._weights = w.voltage / n_node, w.violation / n_node
         self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_node / self.width_pu
@@ -82,9 +82,9 @@ class FeedbackOptimisation(ModelController):
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`ModelController`."""
-        s, dc, local = self.scenario, self.scenario.datacenter, now.local
-        n_dc = s.n_datacenters
-        p_ref_kw = local.p_ref_next_kw if s.preview else now.p_ref_kw
+        s, dc, local = self.scenario, self.scenario.datacenters.parameters, now.local
+        n_dc = s.datacenters.count
+        p_ref_kw = local.p_ref_next_kw if s.sensing.preview else now.p_ref_kw
         arrived_kw, arrives_kw = (np.maximum(p - dc.p_idle_kw, 0.0) for p in (now.p_ref_kw, p_ref_kw))
         served_kw = local.p_kw[:, :n_dc] - np.minimum(now.p_ref_kw, dc.p_idle_kw)
         by_p = now.by_p[:, :n_dc]
@@ -99,12 +99,14 @@ class FeedbackOptimisation(ModelController):
         share = np.where(d >= at_hand_kw, 1.0, d / np.maximum(dc.p_dynamic_kw, arrives_kw))
         q = local.q_kvar - step[:, n_dc:] * pull[:, n_dc:]
         q = np.copysign(np.maximum(np.abs(q) - step[:, n_dc:] * self._effort_price, 0.0), q)
-        return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), np.clip(q, -self._q_scale, self._q_scale)
+        return np.clip(share * s.datacenters.f_max_mhz, s.datacenters.f_min_mhz, s.datacenters.f_max_mhz), np.clip(
+            q, -self._q_scale, self._q_scale
+        )
 
     def _dual(self, e: np.ndarray) -> np.ndarray:
         """Move the multipliers on; what a rise of each bus's voltage costs by them, (row, n_load_node)."""
         voltage, violation = self._weights
-        keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.band_pu
+        keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.cost.band_pu
         apart, above, below = self._multipliers or (np.zeros_like(e),) * 3
         apart = np.clip(keep * apart + by * e, -voltage, voltage)
         above = np.clip(keep * above + by * (e - band), 0.0, violation)

@@ -68,7 +68,7 @@ class Effort(NamedTuple):
 
 def effort_of(scenario: Scenario) -> Effort:
     """How far episodes of this scenario are solved unless something else is asked for."""
-    if scenario.part("datacenter").routing is not None:
+    if scenario.datacenters.routing is not None:
         return Effort(ROUNDS_ROUTED, GAP_ROUTED)
     return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
@@ -228,7 +228,7 @@ def _shortened(
 def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
     """Play actions (T, n_action) in the episode of a seed; stops early where the power flow has no solution."""
     scenario = scenario.member(seed)
-    env = DcgridVectorEnv(1, scenario if scenario.reward == "shared" else scenario.replace(reward="shared"))
+    env = DcgridVectorEnv(1, scenario if scenario.cost.reward == "shared" else scenario.replace(reward="shared"))
     env.reset(seed=[seed])
     recorder = Recorder(scenario, env.transition)
     for action in actions:
@@ -257,7 +257,7 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
-    sites: Any = scenario.part("datacenter")
+    sites: Any = scenario.datacenters
     if sites.batching is not None:
         raise ValueError(
             f"hindsight plans no batch sizes, whose energy is no linear function; scenario {scenario.name!r} has "
@@ -266,17 +266,21 @@ def _check(scenario: Scenario) -> None:
     if planned and (sites.routing is not None or sites.service is not None):
         raise ValueError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
     if sites.routing is not None and sites.boost_share > 1.0:
-        raise ValueError("hindsight plans routing for sites that stay within their rating; set boost_share to 1")
+        raise ValueError(
+            "hindsight plans routing for sites that stay within their rating; set datacenters.boost_share to 1"
+        )
     if any(getattr(device, "storage", None) is not None for device in scenario.devices):
         raise ValueError(
             f"hindsight plans storages that are agents; scenario {scenario.name!r} has them behind its data centres: "
-            "give Storages at their buses instead, or leave datacenter_storage out"
+            "give Storages at their buses instead, or leave datacenters.storage out"
         )
-    if not isinstance(scenario.dvfs, LinearDvfs):
-        raise ValueError(f"hindsight knows the linear clock law only, not {type(scenario.dvfs).__name__}")
-    if scenario.voltage_cost != "l1":
-        raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.voltage_cost!r}")
-    weights, alone = scenario.weights, planned and not _acts_by_itself(scenario)
+    if not isinstance(scenario.datacenters.clock_law, LinearDvfs):
+        raise ValueError(
+            f"hindsight knows the linear clock law only, not {type(scenario.datacenters.clock_law).__name__}"
+        )
+    if scenario.cost.voltage != "l1":
+        raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.cost.voltage!r}")
+    weights, alone = scenario.cost.weights, planned and not _acts_by_itself(scenario)
     priced = [name for name in weights.unmodelled if not (name == "switching" and alone)]
     if priced == ["switching"] and planned:
         raise ValueError(

@@ -98,19 +98,19 @@ class ModelController(LocalController):
         s = under_own_control(env_info)
         require_known_devices(self.name, s)
         require_draws_of_work(self.name, s)
-        if s.observe != "feeder":
-            raise ValueError(f"{self.name}: observe is {s.observe!r}; make the scenario with observe='feeder'")
-        if not isinstance(s.dvfs, LinearDvfs):
+        if s.sensing.observe != "feeder":
+            raise ValueError(f"{self.name}: observe is {s.sensing.observe!r}; make the scenario with observe='feeder'")
+        if not isinstance(s.datacenters.clock_law, LinearDvfs):
             raise ValueError(
-                f"{self.name}: dvfs is {type(s.dvfs).__name__}, under which power is not the work served; make the "
-                "scenario with LinearDvfs()"
+                f"{self.name}: datacenters.clock_law is {type(s.datacenters.clock_law).__name__}, under which power is "
+                "not the work served; make the scenario with LinearDvfs()"
             )
-        if s.voltage_cost != "l1":
-            raise ValueError(f"{self.name}: voltage_cost is {s.voltage_cost!r}; make the scenario with 'l1'")
+        if s.cost.voltage != "l1":
+            raise ValueError(f"{self.name}: cost.voltage is {s.cost.voltage!r}; make the scenario with 'l1'")
         # Who moves no equipment has nothing to weigh its moves against.
-        priced = [name for name in s.weights.unmodelled if name != "switching" or s is env_info]
+        priced = [name for name in s.cost.weights.unmodelled if name != "switching" or s is env_info]
         if priced:
-            weight = getattr(s.weights, priced[0])
+            weight = getattr(s.cost.weights, priced[0])
             raise ValueError(f"{self.name}: weights.{priced[0]} is {weight:g}, which it does not minimise; set it to 0")
         super().reset(env_info)
         names = field_names(s)
@@ -118,8 +118,8 @@ class ModelController(LocalController):
         self._limit_at = np.cumsum([0, *widths])[:-1] + names[s.agents[0]].index("q_limit")
         self._bus_at = np.arange(widths[0] - len(s.feeder.load_nodes), widths[0])
         self._slopes: Slopes | None = None
-        if s.datacenter_buses is not None or not s.n_datacenters:
-            fixed = (*(s.datacenter_buses or ()), *s.inverter_buses)
+        if s.datacenters.buses is not None or not s.datacenters.count:
+            fixed = (*(s.datacenters.buses or ()), *s.inverters.buses)
             self._slopes = slopes(s, np.array([[s.feeder.index(bus) for bus in fixed]]))
         self._gain = _gain(s)
         self._past: list[np.ndarray] = []
@@ -144,7 +144,7 @@ class ModelController(LocalController):
     def _local(self, joint: np.ndarray) -> Local:
         # What these see beside the local fields is kept for ``control``, which is given the local ones alone.
         flat = joint.reshape(-1, joint.shape[-1]).astype(np.float64)
-        self._v_measured_pu = 1.0 + (self.scenario.band_pu or 1.0) * flat[:, self._bus_at]
+        self._v_measured_pu = 1.0 + (self.scenario.cost.band_pu or 1.0) * flat[:, self._bus_at]
         self._q_limit_kvar = flat[:, self._limit_at] * self._q_scale
         return super()._local(joint)
 
@@ -158,14 +158,14 @@ class ModelController(LocalController):
             by_p, by_q = (np.broadcast_to(by, (len(v), *by.shape[1:])) for by in (by_p, by_q))
         powers = np.stack((local.p_kw, local.q_kvar))
         # Powers from the step before the measured one until now.
-        past = [*(self._past or [powers] * (s.measurement_delay + 1)), powers]
+        past = [*(self._past or [powers] * (s.sensing.delay_steps + 1)), powers]
         if self._v_smooth_pu is not None:
             expected = self._v_smooth_pu + _moved(by_p, by_q, past[1] - past[0])
             v = expected + self._gain * (v - expected)
         self._v_smooth_pu, self._past = v, past[1:]
         before = 0.0 * local.backlog_kws if self._backlog_kws is None else self._backlog_kws
         self._backlog_kws = local.backlog_kws
-        p_ref = np.maximum(local.p_kw[:, : s.n_datacenters] + (local.backlog_kws - before) / s.dt_s, 0.0)
+        p_ref = np.maximum(local.p_kw[:, : s.datacenters.count] + (local.backlog_kws - before) / s.dt_s, 0.0)
         return Estimate(local, v + _moved(by_p, by_q, powers - past[1]), self._q_limit_kvar, by_p, by_q, p_ref)
 
     def _placed_slopes(self, n_lanes: int) -> Slopes:
@@ -190,12 +190,12 @@ def _moved(by_p: np.ndarray, by_q: np.ndarray, change: np.ndarray) -> np.ndarray
 
 def _gain(scenario: Scenario) -> float:
     """How much of what a new measurement says beyond the expected is believed, 0 .. 1."""
-    s, sigma_v = scenario, scenario.voltage_noise_pu
+    s, sigma_v = scenario, scenario.sensing.noise_pu
     if sigma_v == 0.0:
         return 1.0
     r, x = believed_sensitivity(s)
     p_kw, q_kvar = (np.bincount(s.feeder.leg_node, load) for load in (s.feeder.p_load_kw, s.feeder.q_load_kvar))
     drop = (r * p_kw + x * q_kvar)[s.feeder.load_slice] / 1000.0
-    step = 2.0 * (1.0 - s.load_rho**s.dt_s) * s.load_sigma**2
+    step = 2.0 * (1.0 - s.background.load_rho**s.dt_s) * s.background.load_sigma**2
     ratio = step * (drop**2).sum(axis=1).mean() / sigma_v**2
     return max(float(0.5 * (np.sqrt(ratio * ratio + 4.0 * ratio) - ratio)), _GAIN_LEAST)

@@ -67,9 +67,9 @@ class Mpc(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = self.scenario, self.scenario.weights, self.scenario.datacenter
+        s, w, dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.parameters
         # Powers are shares of these in the program.
-        self._size = np.concatenate((dc.p_dynamic_kw, s.inverter.s_rated_kva))
+        self._size = np.concatenate((dc.p_dynamic_kw, s.inverters.parameters.s_rated_kva))
         price = np.full((self.horizon, 1), w.backlog)
         price[-1] += w.leftover
         self._price = price * dc.p_dynamic_kw * s.dt_s / (dc.p_rated_kw.sum() or 1.0)
@@ -80,7 +80,7 @@ class Mpc(ModelController):
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`ModelController`."""
-        s, dc, n_dc = self.scenario, self.scenario.datacenter, self.scenario.n_datacenters
+        s, dc, n_dc = self.scenario, self.scenario.datacenters.parameters, self.scenario.datacenters.count
         p_ref_kw = self._forecast(now)
         program = self._program(now, p_ref_kw)
         start = None if self._solution is None else moved_on(self._solution)
@@ -90,23 +90,25 @@ class Mpc(ModelController):
         # Where all work is to be served the clock may as well be at its top: more may come than was forecast.
         served = first[:, :n_dc]
         share = np.where(served >= program.work[:, 0] - _SETTLED, 1.0, served / ceiling)
-        return np.clip(share * s.f_max_mhz, s.f_min_mhz, s.f_max_mhz), first[:, n_dc:] * self._size
+        return np.clip(share * s.datacenters.f_max_mhz, s.datacenters.f_min_mhz, s.datacenters.f_max_mhz), first[
+            :, n_dc:
+        ] * self._size
 
     def _forecast(self, now: Estimate) -> np.ndarray:
         """p_ref of the steps ahead, kW, (row, step, n_dc)."""
         s, next_kw = self.scenario, now.p_ref_kw
         self._drawn_kw, self._drawn_steps = self._drawn_kw + now.p_ref_kw, self._drawn_steps + 1
         total_kw, count = self._drawn_kw, self._drawn_steps
-        if s.preview:
+        if s.sensing.preview:
             next_kw = now.local.p_ref_next_kw
             total_kw, count = total_kw + next_kw, count + 1
         mean_kw = total_kw / count
-        ahead_s = s.dt_s * (np.arange(self.horizon) + (0 if s.preview else 1))
+        ahead_s = s.dt_s * (np.arange(self.horizon) + (0 if s.sensing.preview else 1))
         return mean_kw[:, None] + np.exp(-ahead_s / self.forecast_s)[:, None] * (next_kw - mean_kw)[:, None]
 
     def _program(self, now: Estimate, p_ref_kw: np.ndarray) -> Program:
         s, local = self.scenario, now.local
-        w, dc, n_dc = s.weights, s.datacenter, s.n_datacenters
+        w, dc, n_dc = s.cost.weights, s.datacenters.parameters, s.datacenters.count
         base_kw = np.minimum(p_ref_kw, dc.p_idle_kw)
         arrives_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
         waits_kw = local.backlog_kws / s.dt_s
@@ -121,7 +123,7 @@ class Mpc(ModelController):
             offset=now.v_pu[:, None] - 1.0 + idle_pu,
             slopes=np.concatenate((by_p * size[:, None], now.by_q * self._size[:, None]), axis=1),
             base=base_kw / size,
-            low=np.minimum(ceiling_kw * (s.f_min_mhz / s.f_max_mhz), at_hand_kw) / size,
+            low=np.minimum(ceiling_kw * (s.datacenters.f_min_mhz / s.datacenters.f_max_mhz), at_hand_kw) / size,
             high=high_kw / size,
             # Above its rating, where a boost may take it, a converter gives no reactive power, and the clock may stay.
             s_rated=np.maximum(self._rated_kva[:n_dc], base_kw + high_kw) / size,
@@ -131,7 +133,7 @@ class Mpc(ModelController):
             voltage=w.voltage / n_node,
             violation=w.violation / n_node,
             effort=self._effort,
-            band_pu=s.band_pu,
+            band_pu=s.cost.band_pu,
         )
 
     def _limit_kvar(self, now: Estimate) -> np.ndarray:
@@ -139,7 +141,7 @@ class Mpc(ModelController):
 
         A site without one though its draw leaves room is out of order.
         """
-        n_dc = self.scenario.n_datacenters
+        n_dc = self.scenario.datacenters.count
         limit = now.q_limit_kvar.copy()
         out = (limit[:, :n_dc] <= 0.0) & (now.local.p_kw[:, :n_dc] < 0.99 * self._rated_kva[:n_dc])
         limit[:, :n_dc] = np.where(out, 0.0, self._q_scale[:n_dc])

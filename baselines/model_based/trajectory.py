@@ -27,14 +27,14 @@ class Trajectory:
     """Whether taps change by themselves, as what is done makes them."""
 
     def __init__(self, scenario: Scenario, episode: Forecast) -> None:
-        s, dc, n_dc = scenario, scenario.datacenter, scenario.n_datacenters
+        s, dc, n_dc = scenario, scenario.datacenters.parameters, scenario.datacenters.count
         self.scenario, self.episode = s, episode
         self.base_kw = np.minimum(episode.p_ref_kw, dc.p_idle_kw)
         self.arrived_kw = np.maximum(episode.p_ref_kw - dc.p_idle_kw, 0.0)
         group = storages_of(s)
         self.n_storages = 0 if group is None else group.count
         converters = np.zeros(0) if group is None else group.converter_kva
-        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverter.s_rated_kva, converters))
+        self.s_rated_kva = np.concatenate((dc.s_rated_kva, s.inverters.parameters.s_rated_kva, converters))
         self.n = len(self.s_rated_kva)
         self.is_active = np.arange(self.n) < n_dc
         """Which agents have an unknown d, (n,)."""
@@ -82,7 +82,7 @@ class Trajectory:
         by_p = np.concatenate((none, active, 0.0 * moved, still))[:, None]
         by_q = np.concatenate((none, 0.0 * active, moved, still))[:, None]
         loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
-        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.v0_pu, self._control(len(by_p)))
+        solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.source_voltage_pu, self._control(len(by_p)))
         unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))
         if unsolved.size:
             raise ValueError(
@@ -93,7 +93,7 @@ class Trajectory:
 
     def _linear(self, values: np.ndarray) -> Linear:
         """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q."""
-        s, n_d = self.scenario, self.scenario.n_datacenters + self.n_storages
+        s, n_d = self.scenario, self.scenario.datacenters.count + self.n_storages
         values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
         seen = self.episode.available[:, : self.n][:, self.is_active]
@@ -128,7 +128,7 @@ class Trajectory:
 
     def actions(self) -> np.ndarray:
         """(T, n_action) in [-1, 1]: clocks whose ceiling is the work served, draws of storages, reactive shares."""
-        s, dc = self.scenario, self.scenario.datacenter
+        s, dc = self.scenario, self.scenario.datacenters.parameters
         ceiling_kw = np.maximum(dc.p_dynamic_kw, self.arrived_kw)
         f_mhz = np.clip(self.served_kw / ceiling_kw * dc.f_max_mhz, dc.f_min_mhz, dc.f_max_mhz)
         span = np.where(dc.f_max_mhz > dc.f_min_mhz, dc.f_max_mhz - dc.f_min_mhz, 1.0)

@@ -43,18 +43,18 @@ class WorkRows:
     """
 
     def __init__(self, scenario: Scenario, arrived_kw: np.ndarray, available: np.ndarray) -> None:
-        group = scenario.part("datacenter")
+        group = scenario.datacenters
         self.routing = getattr(group, "routing", None) if group.count else None
         self.service: Any = getattr(group, "service", None) if group.count else None
         self.steps, self.n = arrived_kw.shape
         self.dt_s, self.arrived_kw = scenario.dt_s, arrived_kw
-        self.rated_kw = float(scenario.datacenter.p_rated_kw.sum()) or 1.0
+        self.rated_kw = float(scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0
         size = self.steps * self.n
         moved, served = size * (self.routing is not None), size * (self.service is not None)
         split = served if self.service is not None and self.service.order == "edf" else 0
         self.sizes = {"y": moved, "o": moved, "i": split, "h": split, "l": served, "k": served}
         """Number of unknowns of each name."""
-        self.room_kw = scenario.datacenter.p_dynamic_kw * available[:, : self.n]
+        self.room_kw = scenario.datacenters.parameters.p_dynamic_kw * available[:, : self.n]
         movable = self.routing.movable_share if self.routing is not None else 0.0
         self.movable_kw = movable * arrived_kw
         """Most that each site may send, kW, (T, n_dc)."""

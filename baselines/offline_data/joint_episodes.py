@@ -78,11 +78,11 @@ def joint_episodes(
     ControllerError
         See ``rollout``.
     """
-    needed = as_driven(scenario, controller).observe
-    if needed != scenario.observe:
+    needed = as_driven(scenario, controller).sensing.observe
+    if needed != scenario.sensing.observe:
         raise ValueError(
             f"controller {name or type(controller).__name__!r} observes {needed!r}, and the episodes would hold "
-            f"{scenario.observe!r}; set the scenario's field observe to {needed!r}"
+            f"{scenario.sensing.observe!r}; set the scenario's field observe to {needed!r}"
         )
     episodes: dict[int, JointEpisode] = {}
     for member, lanes in scenario.members(seeds):

@@ -58,7 +58,7 @@ def _run(runs: Runs, scenario: Scenario, name: str) -> dict[str, float]:
 
 def _leaves_band_kw(scenario: Scenario, load_kw: Callable[[float], Mapping[int, float]]) -> float | None:
     """Draw at bus 13 from which its lowest voltage is below the band at base load, kW, to 1 kW; None if it never is."""
-    at, edge = nodes_of(scenario, BUS), 1.0 - scenario.band_pu
+    at, edge = nodes_of(scenario, BUS), 1.0 - scenario.cost.band_pu
 
     def below(kw: float) -> bool:
         v = settled(scenario, load_kw(kw))[at].min()

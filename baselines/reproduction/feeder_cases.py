@@ -26,7 +26,7 @@ class Case(NamedTuple):
 
 def cases() -> dict[str, Case]:
     """The forms by name, in the order in which each adds one thing to the one before."""
-    fixed = {"regulators": "fixed"}
+    fixed = {"grid_control.regulators": "fixed"}
     return {
         "balanced": Case("balanced", f"`{BALANCED}`, the balanced single-phase equivalent", BALANCED, {}),
         "phases": Case(

@@ -51,9 +51,9 @@ def map_figure(runs: Runs) -> Figure:
     figure = Figure(figsize=(10.0, 7.6))
     new = figure.add_axes((0.01, 0.11, 0.98, 0.86))
     at = [feeder.index(bus) for bus in PUBLISHED_BUSES]
-    inverters = [feeder.index(bus) for bus in scenario.inverter_buses]
+    inverters = [feeder.index(bus) for bus in scenario.inverters.buses]
     v = settled(scenario, dict.fromkeys(PUBLISHED_BUSES, 280.0))
-    drawn = draw_feeder(new, feeder, positions(feeder), v, at, inverters, band_pu=scenario.band_pu)
+    drawn = draw_feeder(new, feeder, positions(feeder), v, at, inverters, band_pu=scenario.cost.band_pu)
     bar = figure.colorbar(drawn.dots, cax=figure.add_axes((0.06, 0.07, 0.4, 0.018)), orientation="horizontal")
     bar.set_label("voltage (p.u.), no control; ringed: outside the band")
     look: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "white"}
@@ -67,7 +67,7 @@ def map_figure(runs: Runs) -> Figure:
     ]
     figure.legend(handles=handles, loc=(0.52, 0.035), ncols=3, frameon=False)
     names = [*(f"dc_{i} {bus}" for i, bus in enumerate(PUBLISHED_BUSES))]
-    names += [f"inv_{i} {bus}" for i, bus in enumerate(scenario.inverter_buses)]
+    names += [f"inv_{i} {bus}" for i, bus in enumerate(scenario.inverters.buses)]
     half = (len(names) + 1) // 2
     figure.text(0.53, 0.005, "buses: " + ", ".join(names[:half]) + ",\n" + ", ".join(names[half:]), fontsize=7.5)
     return figure
@@ -96,7 +96,7 @@ def against_number(runs: Runs) -> Figure:
 
 def figure_six(runs: Runs) -> Scenario:
     """The scenario of Fig. 6."""
-    return runs.setting.pinned(FIGURE_6_SITES, inverter_buses=FIGURE_6_INVERTERS)
+    return runs.setting.pinned(FIGURE_6_SITES, inverters={"buses": FIGURE_6_INVERTERS})
 
 
 def four_buses(runs: Runs, seed: int) -> Figure:
@@ -110,7 +110,7 @@ def four_buses(runs: Runs, seed: int) -> Figure:
         for ax, bus in zip(axes.ravel(), BUSES, strict=True):
             ax.plot(t, series.v_pu[:, scenario.feeder.index(bus)], label=LABELS[name], **line(name))
     for ax, (bus, what) in zip(axes.ravel(), BUSES.items(), strict=True):
-        band(ax, scenario.band_pu)
+        band(ax, scenario.cost.band_pu)
         say(ax, "", "", f"bus {bus}, {what}")
     for ax in axes[1]:
         ax.set_xlabel("time (s)")

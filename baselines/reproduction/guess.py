@@ -100,11 +100,10 @@ def scenario_of(runs: Runs, guess: Guess, n: int) -> Scenario:
     return runs.setting.scenario(
         n,
         feeder=feeder,
-        v0_pu=guess.v0_pu,
-        capacitors=guess.capacitors,
-        p_rated_kw=guess.site_kw,
-        q_max_share=guess.q_max_share,
-        inverter_s_kva=guess.inverter_kva,
+        source_voltage_pu=guess.v0_pu,
+        background={"capacitors": guess.capacitors},
+        datacenters={"p_rated_kw": guess.site_kw, "q_max_share": guess.q_max_share},
+        inverters={"s_rated_kva": guess.inverter_kva},
     )
 
 

@@ -36,13 +36,13 @@ def settled(
     """
     feeder = scenario.feeder
     p, q = feeder.p_load_kw.copy(), feeder.q_load_kvar.copy()
-    if isinstance(feeder, Feeder) and scenario.capacitors:
+    if isinstance(feeder, Feeder) and scenario.background.capacitors:
         q -= feeder.capacitor_kvar
     for power, drawn in ((p, p_kw or {}), (q, {bus: -more for bus, more in (q_kvar or {}).items()})):
         for bus, more in drawn.items():
             nodes = nodes_of(scenario, bus)
             power[feeder.first_device_leg + np.array(nodes)] += more / len(nodes)
-    solution = solver_for(feeder, scenario.power_flow)(feeder, p, q, scenario.v0_pu)
+    solution = solver_for(feeder, scenario.power_flow)(feeder, p, q, scenario.source_voltage_pu)
     return solution.v_pu if solution.converged else np.full(feeder.n_node, np.nan)
 
 
@@ -57,7 +57,7 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
         scenario = runs.setting.pinned((site,))
         feeder, full = scenario.feeder, {site: 280.0}
         x = sensitivity(feeder).by_q_pu_per_mvar[nodes_of(scenario, site)].mean(axis=0)
-        shared = {bus: float(x[nodes_of(scenario, bus)].mean()) for bus in scenario.inverter_buses}
+        shared = {bus: float(x[nodes_of(scenario, bus)].mean()) for bus in scenario.inverters.buses}
         ends = {"near": max(shared, key=shared.__getitem__), "far": min(shared, key=shared.__getitem__)}
         before = settled(scenario, full)
         record: dict[str, Any] = {"site": site}
@@ -65,10 +65,10 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
             rise = settled(scenario, full, {bus: 1000.0}) - before
             record |= {f"{name}_bus": int(bus), f"{name}_x_pu_per_mvar": float(x[nodes_of(scenario, bus)].mean())}
             record[f"{name}_rise_pu_per_mvar"] = float(rise[nodes_of(scenario, site)].mean())
-        alone = runs.setting.pinned((site,), inverter_buses=(ends["near"],), inverter_s_kva=350.0)
+        alone = runs.setting.pinned((site,), inverters={"buses": (ends["near"],), "s_rated_kva": 350.0})
         record["none_site_deviation_pu"] = runs.of(alone, NONE).mean("first_site_deviation_pu")
         for name, bus in ends.items():
-            one = runs.setting.pinned((site,), inverter_buses=(bus,), inverter_s_kva=350.0)
+            one = runs.setting.pinned((site,), inverters={"buses": (bus,), "s_rated_kva": 350.0})
             record[f"{name}_site_deviation_pu"] = runs.of(one, INVERTERS).mean("first_site_deviation_pu")
         records.append(record)
     return records
@@ -109,11 +109,11 @@ _AXES = {"none": NONE, "active": ACTIVE, "reactive": REACTIVE, "both": BOTH._rep
 
 def _own_slopes(scenario: Scenario) -> dict[str, float]:
     """Means over the sites, all at their rating: r/x of the way to the substation, and the rise for 0.1 MW or Mvar."""
-    feeder, buses = scenario.feeder, scenario.datacenter_buses
+    feeder, buses = scenario.feeder, scenario.datacenters.buses
     assert buses is not None
     r, x = sensitivity(feeder)
     at = [feeder.index(bus) for bus in buses]
-    full = dict(zip(buses, scenario.datacenter.p_rated_kw.tolist(), strict=True))
+    full = dict(zip(buses, scenario.datacenters.parameters.p_rated_kw.tolist(), strict=True))
     before = settled(scenario, full)
     shed = [10.0 * (settled(scenario, full | {b: full[b] - 100.0}) - before)[i] for b, i in zip(buses, at, strict=True)]
     given = [10.0 * (settled(scenario, full, {b: 100.0}) - before)[i] for b, i in zip(buses, at, strict=True)]

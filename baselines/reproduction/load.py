@@ -57,6 +57,6 @@ def choose_load(choice: str) -> Load:
 def _recorded(trace: PowerTrace) -> Load:
     # Nothing is learned or tuned here, so no part of the recording has to be kept back. Given out by recording, three
     # of them leave one to the split, and that whole.
-    fields = {"trace": (trace,) * 3, "recording_split": "recording", "split": "train"}
+    fields = {"trace": (trace,) * 3, "workload.recording_split": "recording", "split": "train"}
     provenance = trace.provenance
     return Load("recorded", f"recording {provenance}, the whole {trace.duration_s:.1f} s", fields)

@@ -61,8 +61,8 @@ def all_sites(runs: Runs) -> Scenario:
 
 def episode_with_a_burst(runs: Runs, scenario: Scenario, bus: int) -> int:
     """Seed of the scenario in whose episode the load of the data centre at ``bus`` moves most."""
-    assert scenario.datacenter_buses is not None
-    site = scenario.datacenter_buses.index(str(bus))
+    assert scenario.datacenters.buses is not None
+    site = scenario.datacenters.buses.index(str(bus))
     spread = [forecast(scenario, seed).p_ref_kw[:, site].std() for seed in range(runs.setting.episodes)]
     return int(np.argmax(spread))
 

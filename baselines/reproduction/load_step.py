@@ -22,9 +22,9 @@ def step_scenario(change: str) -> Scenario:
     scenario = make_scenario("toy6", split="test")
     if change == "comes":
         return scenario
-    idle = float(scenario.datacenter.p_idle_kw[0] / scenario.datacenter.p_rated_kw[0])
+    idle = float(scenario.datacenters.parameters.p_idle_kw[0] / scenario.datacenters.parameters.p_rated_kw[0])
     gone = PowerTrace([0.0, STEP_AT, 1000.0], [1.0, idle, idle], "a load that goes", rated_kw=1.0)
-    return make_scenario("toy6", trace=(gone,) * 3, recording_split="recording", split="train")
+    return make_scenario("toy6", trace=(gone,) * 3, workload={"recording_split": "recording"}, split="train")
 
 
 def step_series(runs: Runs, change: str) -> dict[str, Series]:
@@ -45,9 +45,9 @@ def step_response(runs: Runs) -> dict[str, Any]:
             before, after, end = (float(v[a:b].mean()) for a, b in ((10, 20), (21, 31), (-10, None)))
             records.append({"change": change, "law": name, "before_pu": before, "after_pu": after, "end_pu": end})
     scenario = step_scenario("comes")
-    v = settled(scenario, {SITE: -float(scenario.datacenter.p_rated_kw[0])})
+    v = settled(scenario, {SITE: -float(scenario.datacenters.parameters.p_rated_kw[0])})
     return {
         "runs": records,
         "site_pu": float(v[scenario.feeder.index(SITE)]),
-        "substation_pu": scenario.v0_pu,
+        "substation_pu": scenario.source_voltage_pu,
     }

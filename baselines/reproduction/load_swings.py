@@ -76,12 +76,11 @@ def dips(runs: Runs) -> list[dict[str, float]]:
         load = PowerTrace(times, shares, f"dip of {dip_s:g} s", rated_kw=1.0)
         scenario = make_scenario(
             DIP_FEEDER,
-            datacenter_buses=DIP_SITES,
+            datacenters={"buses": DIP_SITES},
             trace=(load,) * 3,
-            recording_split="recording",
+            workload={"recording_split": "recording", "window": "start"},
             split="train",
-            trace_window="start",
-            load_sigma=0.0,
+            background={"load_sigma": 0.0},
             dt_s=DIP_STEP_S,
             horizon=round(DIP_END_S / DIP_STEP_S),
         )

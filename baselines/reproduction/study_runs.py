@@ -90,13 +90,13 @@ class Setting:
 
     def pinned(self, buses: tuple[int, ...], **overrides: Any) -> Scenario:
         """The scenario with the data centres at ``buses``."""
-        fields = {"n_datacenters": len(buses), "datacenter_buses": buses, **self.load.fields}
+        fields = {"n_datacenters": len(buses), "datacenters.buses": buses, **self.load.fields}
         return make_scenario(self.base, **{**fields, **self.fields, **overrides})
 
     def with_head_at_1pu(self, n: int) -> Scenario:
         """Data centres at the first ``n`` of ``sites``, and 1 p.u. behind the substation regulator's published tap."""
         scenario = self.published(n)
-        return make_scenario(scenario, v0_pu=scenario.v0_pu / HEAD_PU)
+        return make_scenario(scenario, source_voltage_pu=scenario.source_voltage_pu / HEAD_PU)
 
 
 class Run(NamedTuple):
@@ -168,13 +168,13 @@ def _more(lane: Series) -> dict[str, float]:
     figures = {
         "squared_deviation_mean_pu": float(squared.mean()),
         "squared_deviation_std_pu": float(squared.std()),
-        "squared_outside_buses_pct": float(100.0 * (squared > s.band_pu).any(axis=0).mean()),
+        "squared_outside_buses_pct": float(100.0 * (squared > s.cost.band_pu).any(axis=0).mean()),
         "above_1pu_pct": float(100.0 * (v > 1.0).mean()),
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
     }
-    if s.datacenter_buses:
-        site = lane.v_pu[1:, nodes_of(s, s.datacenter_buses[0])]
+    if s.datacenters.buses:
+        site = lane.v_pu[1:, nodes_of(s, s.datacenters.buses[0])]
         figures["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
         figures["first_site_min_pu"] = float(site.min())
-        figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.band_pu).any(axis=1).mean())
+        figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.cost.band_pu).any(axis=1).mean())
     return figures

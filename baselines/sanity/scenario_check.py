@@ -130,10 +130,10 @@ def check_scenario(
         seeds = seeds[: reached[HINDSIGHT].n]
     except ValueError as error:
         refused = str(error)
-    has_clock, until_s = scenario.n_datacenters > 0, began_s + _OF_PINNED * seconds
+    has_clock, until_s = scenario.datacenters.count > 0, began_s + _OF_PINNED * seconds
     if HINDSIGHT in reached and has_clock and time.monotonic() < until_s:
         on_stage(PINNED)
-        pinned = scenario.replace(f_min_mhz=scenario.f_max_mhz)
+        pinned = scenario.replace(datacenters={"f_min_mhz": scenario.datacenters.f_max_mhz})
         reached[PINNED] = _hindsight(pinned, seeds[:_PINNED], until_s, place)
     on_stage(NONE)
     recorder = rollout(scenario, NoControl(), seeds, name=NONE)
@@ -143,8 +143,8 @@ def check_scenario(
     reached[DROOP] = _fitted("droop", scenario, seeds, began_s + _OF_DROOP * seconds)
     on_stage(CONSTANT)
     reached[CONSTANT] = _fitted("constant-q", scenario, seeds, began_s + seconds)
-    if scenario.n_datacenters:
-        bare = scenario.replace(p_rated_kw=_NEXT_TO_NOTHING_KW)
+    if scenario.datacenters.count:
+        bare = scenario.replace(datacenters={"p_rated_kw": _NEXT_TO_NOTHING_KW})
         reached[BARE] = Reached.of(rollout(bare, NoControl(), seeds, name=BARE).metrics())
     bound = min(_largest_k_q(member) for member in {scenario.member(seed): None for seed in seeds})
     figures = Figures(reached, lowest_bus, refused, bound, episodes)

@@ -149,7 +149,7 @@ def _reach(one: Reached) -> tuple[float, float]:
 
 def _centre(scenario: Scenario, low: float, high: float) -> str:
     """What brings voltages into the band: another source voltage where that is room for, else less load."""
-    top, bottom = 1.0 + scenario.band_pu, 1.0 - scenario.band_pu
+    top, bottom = 1.0 + scenario.cost.band_pu, 1.0 - scenario.cost.band_pu
     taps = int((top - high) / TAP_PU + 1e-9) if low < bottom else -int((low - bottom) / TAP_PU + 1e-9)
     if taps and acting_relays(scenario) is None:
         way = "raise" if taps > 0 else "lower"
@@ -159,14 +159,15 @@ def _centre(scenario: Scenario, low: float, high: float) -> str:
 
 
 def _lower(scenario: Scenario) -> str:
-    rated = scenario.datacenter.p_rated_kw
+    rated = scenario.datacenters.parameters.p_rated_kw
     if not len(rated):
         return f"give inverters more than their {_kvar(scenario)} kvar"
-    return f"lower the data centres' rating (p_rated_kw, now {rated.sum():g} kW in all) or give inverters more kvar"
+    lower = f"lower the data centres' rating (datacenters.p_rated_kw, now {rated.sum():g} kW in all)"
+    return f"{lower} or give inverters more kvar"
 
 
 def _kvar(scenario: Scenario) -> str:
-    return f"{scenario.q_scale_kvar[scenario.n_datacenters :].sum():g}"
+    return f"{scenario.q_scale_kvar[scenario.datacenters.count :].sum():g}"
 
 
 def _droop(largest_k_q: float) -> list[Verdict]:
@@ -188,7 +189,7 @@ def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
     worth, delay_s = max(0.0, 1.0 - free_j / max(pinned_j, 1e-12)), reached[HINDSIGHT].mean("delay_mean_s", pinned.n)
     said = f"{100 * worth:.1f} % of J to hindsight (work then waits {delay_s:.1f} s on average)"
     if worth < CLOCK_SHARE:
-        remedy = "train with --act q, or raise p_rated_kw if the clock is what you study"
+        remedy = "train with --act q, or raise datacenters.p_rated_kw if the clock is what you study"
         return [Verdict(f"the clock hardly matters: it is worth {said}", remedy)]
     return [Verdict(f"the clock matters: it is worth {said}")]
 
@@ -213,8 +214,12 @@ def _to_gain(scenario: Scenario, reached: Mapping[str, Reached], best: Reached) 
 
 def _harder(scenario: Scenario) -> str:
     """What makes control matter more."""
-    rated = scenario.datacenter.p_rated_kw
-    raised = f"raise the data centres' rating (p_rated_kw, now {rated.sum():g} kW in all), " if len(rated) else ""
+    rated = scenario.datacenters.parameters.p_rated_kw
+    raised = (
+        f"raise the data centres' rating (datacenters.p_rated_kw, now {rated.sum():g} kW in all), "
+        if len(rated)
+        else ""
+    )
     return f"{raised}put devices at the ends, or give inverters more than {_kvar(scenario)} kvar"
 
 

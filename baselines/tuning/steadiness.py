@@ -48,8 +48,10 @@ def has_limit_cycle(scenario: Scenario, droop: Droop, episodes: int) -> bool:
     reactive = np.where(held.q_scale_kvar > 0.0, 2.0 * held.q_scale_kvar, np.inf)
     for series in map(recorder.lane, range(episodes)):
         settings = [series.q_kvar[:, : len(reactive)] / reactive]
-        if held.n_datacenters:
-            settings.append(series.f_mhz / (held.datacenter.f_max_mhz - held.datacenter.f_min_mhz))
+        if held.datacenters.count:
+            settings.append(
+                series.f_mhz / (held.datacenters.parameters.f_max_mhz - held.datacenters.parameters.f_min_mhz)
+            )
         late = np.concatenate(settings, axis=1)[STEPS // 2 :]
         swing, path = np.ptp(late, axis=0), np.abs(np.diff(late, axis=0)).sum(axis=0)
         if ((swing > SWING) & (path > TURNS * swing)).any():
@@ -62,8 +64,8 @@ def with_held_inputs(scenario: Scenario) -> Scenario:
     n = 8 * STEPS  # each split has a fifth at least
     time_s = scenario.dt_s * np.arange(n)
     demand = tuple(PowerTrace(time_s, np.full(n, share), f"held at {share:g}", rated_kw=1.0) for share in DEMAND_SHARES)
-    held = {"trace": demand, "trace_window": "start", "site_correlation": 0.0, "load_sigma": 0.0}
-    silent = {"voltage_noise_pu": 0.0, "faults": (), "sags": (), "inverter_trace": None}
+    held = {"trace": demand, "workload.window": "start", "workload.site_correlation": 0.0, "background.load_sigma": 0.0}
+    silent = {"sensing.noise_pu": 0.0, "faults": (), "sags": (), "inverters.injection": None}
     return scenario.replace(**held, **silent, horizon=STEPS)
 
 

@@ -83,8 +83,8 @@ def _constant_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]
     if len(scenarios) > 1:
         return [(-1.0, 1.0)]
     scenario, n = scenarios[0], int(_gives_reactive_power(scenarios[0]).sum())
-    drawn = scenario.datacenter_buses is None and scenario.n_datacenters > 0
-    return [(-1.0, 1.0)] * (n - scenario.n_datacenters + 1 if drawn else n)
+    drawn = scenario.datacenters.buses is None and scenario.datacenters.count > 0
+    return [(-1.0, 1.0)] * (n - scenario.datacenters.count + 1 if drawn else n)
 
 
 def _gives_reactive_power(scenario: Scenario) -> np.ndarray:
@@ -122,7 +122,7 @@ def _distances(scenario: Scenario) -> np.ndarray:
 
 def _by_hand(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     """k_p and k_q of the droop, both times as shares of what ``ups_wait`` counts to, and the pace."""
-    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
+    longest_s = min(return_rule(s).longest_wait_s(s.datacenters.count) for s in scenarios)
     times = {"return_delay_s": _rounded(x[2] * longest_s), "release_s": _rounded(x[3] * longest_s)}
     return {"k_p_mw_per_pu": _rounded(x[0]), "k_q_mvar_per_pu_s": _power(x[1]), **times, "pace": _rounded(x[4])}
 
@@ -131,8 +131,8 @@ def _staggered(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     """The same, and how far apart sites return as a share of what is left of that time."""
     first = _by_hand(x, scenarios)
     latest_s = max(*(return_rule(s).return_delay_s for s in scenarios), first["return_delay_s"], first["release_s"])
-    longest_s = min(return_rule(s).longest_wait_s(s.n_datacenters) for s in scenarios)
-    apart = max(1, *(s.n_datacenters - 1 for s in scenarios))
+    longest_s = min(return_rule(s).longest_wait_s(s.datacenters.count) for s in scenarios)
+    apart = max(1, *(s.datacenters.count - 1 for s in scenarios))
     return first | {"stagger_s": _rounded(0.999 * x[5] * (longest_s - latest_s) / apart)}
 
 

@@ -11,6 +11,7 @@ import dataclasses
 import json
 from functools import cache
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,14 +35,13 @@ CARRIED = "tuned parameters"
 SUFFIX = "-tuned"
 OWN = Path("results/tuned.json")
 """Where ``dcgrid tune`` writes by default, in the working directory."""
-NUMBERS = (
-    "v0_pu", "idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share", "dt_s",
-)  # fmt: skip
+_OF_SITES = ("idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share")
+NUMBERS = ("source_voltage_pu", *(f"datacenters.{name}" for name in _OF_SITES), "dt_s")
 GRID = (
-    "feeder", "capacitors", "n_datacenters", "datacenter_buses", "p_rated_kw", "dvfs", "inverter_buses",
-    "inverter_s_kva", *NUMBERS,
+    "feeder", "background.capacitors", "datacenters.count", "datacenters.buses", "datacenters.p_rated_kw",
+    "datacenters.clock_law", "inverters.buses", "inverters.s_rated_kva", *NUMBERS,
 )  # fmt: skip
-"""Fields of a scenario that a law's gains depend on."""
+"""Paths of the fields of a scenario that a law's gains depend on."""
 
 
 class TunedParameters(NamedTuple):
@@ -146,12 +146,15 @@ def _grid(scenario: Scenario) -> Scenario:
     """A scenario with the same grid and all else as by default; a number is a float, a rating one for each device."""
     plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
     parts: dict[str, Any] = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
-    parts["background"] = Background(capacitors=scenario.capacitors)
+    parts["background"] = Background(capacitors=scenario.background.capacitors)
     if scenario.power_flow == "sweep":
         parts["power_flow"] = "sweep"
-    numbers = {name: float(getattr(scenario, name)) for name in NUMBERS}
-    p_rated_kw, s_kva = (tuple(of.tolist()) for of in (scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
-    ratings = {"p_rated_kw": p_rated_kw, "inverter_s_kva": s_kva, "inverter_trace": None}
+    numbers = {name: float(attrgetter(name)(scenario)) for name in NUMBERS}
+    p_rated_kw, s_kva = (
+        tuple(of.tolist())
+        for of in (scenario.datacenters.parameters.p_rated_kw, scenario.inverters.parameters.s_rated_kva)
+    )
+    ratings = {"datacenters.p_rated_kw": p_rated_kw, "inverters.s_rated_kva": s_kva, "inverters.injection": None}
     return scenario.replace(name="grid", **(plain | parts | ratings | numbers))
 
 

@@ -38,7 +38,7 @@ class Benchmark(OverWorkers):
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""
     set: Overrides = ()
-    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 sensing.noise_pu=0.005."""
     controllers: str = "local"
     """Controllers separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, in quotes with
     arguments, as 'file.py:Class(gain=0.5)', training runs' folders or policies' files (.safetensors); local (made by

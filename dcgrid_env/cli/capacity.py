@@ -41,13 +41,13 @@ class Capacity(OverWorkers):
 
     feeder: str | None = None
     """The feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. The added site
-    is alone on it, at a source voltage that centres the band unless --set v0_pu says which, if --scenario does not say
-    what else is there. Without it the feeder is that of the scenario."""
+    is alone on it, at a source voltage that centres the band unless --set source_voltage_pu says which, if --scenario
+    does not say what else is there. Without it the feeder is that of the scenario."""
     scenario: str | None = None
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function, whose devices stand beside the
     added site, and whose trace and kind of site it has."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set v0_pu=1.05 s_rated_share=1.1."""
+    """Fields of the scenario to change, for instance --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1."""
     controllers: Controllers = "none,droop-tuned"
     """Controllers separated by commas, as dcgrid run takes them. A tuned law without gains for the scenario has its
     defaults; a policy acts on what the site observes."""

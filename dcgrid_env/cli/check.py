@@ -24,7 +24,7 @@ class Check(OverWorkers):
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set p_rated_kw=800 source_voltage_pu=1.05."""
+    """Fields of the scenario to change, for instance --set datacenters.p_rated_kw=800 source_voltage_pu=1.05."""
     episodes: int = 8
     """Number of episodes: those of seeds 0, 1, .."""
     split: str = "validation"

@@ -42,7 +42,7 @@ class Dataset(OverWorkers):
     """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
     controller: str = DROOP
     """What acts: a controller or policy (dcgrid list), a class of your own (file.py:Class), a training run's folder or
     a policy's file (.safetensors), random for actions drawn evenly, or hindsight for the plan of perfect foresight of

@@ -50,7 +50,7 @@ class Evaluate(OverWorkers):
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own; the one that the policy was trained on unless given."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
     split: str = "test"
     """Which episodes the seeds mean: train, validation, test or ood."""
     episodes: int = 100

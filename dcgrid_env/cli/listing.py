@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -77,17 +78,16 @@ def tables(kind: str) -> dict[str, dict[str, str]]:
 
 
 def scenario_fields() -> dict[str, str]:
-    """What each field of a scenario is, and each field of a part that has a flat name."""
+    """What each field of a scenario, of its parts and of its groups of devices is, by path."""
     from dcgrid_env import Scenario
     from dcgrid_env.devices import device_kind
-    from dcgrid_env.scenario.assembly import PARTS
-    from dcgrid_env.scenario.flat_names import FLAT
+    from dcgrid_env.scenario.assembly import GROUPS, PARTS
+    from dcgrid_env.scenario.field_names import ALIASES
 
-    rows = {name: helps(Scenario).get(name, "") for name in Scenario.__dataclass_fields__}
-    rows |= {name: f"a part with the fields {', '.join(part.__dataclass_fields__)}" for name, part in PARTS.items()}
-    for name, (part, field) in FLAT.items():
-        rows[name] = helps(PARTS.get(part) or device_kind(part))[field] if part else rows[field]
-    return rows
+    rows = {name: text for name, text in helps(Scenario).items() if name not in PARTS}
+    for name, kind in (PARTS | {name: device_kind(kind) for name, kind in GROUPS.items()}).items():
+        rows |= {f"{name}.{field.name}": helps(kind)[field.name] for field in dataclasses.fields(kind)}
+    return rows | {name: f"short for {path}" for name, path in ALIASES.items()}
 
 
 def described(registry: Registry) -> dict[str, str]:

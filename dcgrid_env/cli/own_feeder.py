@@ -51,7 +51,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     made = _feeder(feeder)
     if scenario is None:
         on_it = varied(scenario_on(made, asked.datacenters, asked.inverters), overrides, split, chosen)
-        if {"source_voltage_pu", "v0_pu"} & set(given):
+        if "source_voltage_pu" in given:
             return on_it
         return on_it.replace(source_voltage_pu=centred_voltage(on_it).v_pu)
     for option in ("datacenters", "inverters"):
@@ -82,13 +82,16 @@ def _feeder(named: str) -> Any:
 
 def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
     """ValueError where devices of the scenario stand at buses that the feeder lacks, unless they are given anew."""
+    from dcgrid_env.scenario.placement import path_of
+
     if "devices" in given:
         return
     there = set(feeder.bus_ids)
     for device in base.devices:
-        field = f"{device.kind}_buses"
+        path = path_of(device)
+        field = f"{path}.buses"
         lacking = [bus for bus in device.buses or () if bus not in there]
-        if lacking and field not in given and "buses" not in (given.get(device.kind) or {}):
+        if lacking and field not in given and "buses" not in (given.get(path) or {}):
             raise ValueError(
                 f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); leave "
                 f"out --scenario, and devices are chosen for the feeder, or give --set '{field}=[..]' of its buses"

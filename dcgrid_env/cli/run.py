@@ -46,7 +46,7 @@ class Run(Command):
     save_scenario: Path | None = None
     """File to write what stands on --feeder to, instead of scenario.toml in the folder of --out."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
     horizon: int | None = None
     """Steps of an episode instead of the scenario's own, as --set horizon=N has it; 86400 are a day of steps of 1 s."""
     controllers: str = "none,inverters,droop"
@@ -154,7 +154,7 @@ def scenario_of(cfg: Run) -> Scenario:
 
     chosen: dict[str, Any] = {}
     if cfg.dvfs is not None:
-        chosen["dvfs"] = PrefillDecodeDvfs() if cfg.dvfs == "prefill-decode" else LinearDvfs()
+        chosen["datacenters.clock_law"] = PrefillDecodeDvfs() if cfg.dvfs == "prefill-decode" else LinearDvfs()
     if cfg.trace in TRACE_SOURCES:
         chosen["trace"] = cfg.trace
     elif cfg.trace is not None:

@@ -33,7 +33,7 @@ class ExportSb3(Command):
     package.module:function that makes your own. Its observation and action must be those of gymnasium.make, or of
     sb3_vec_env in the joint or the shared view."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
     out: Path = Path("policy.safetensors")
     """File of the policy; its card is written beside it, ending in .json."""
     normalize: Path | None = None

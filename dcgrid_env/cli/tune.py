@@ -50,7 +50,7 @@ class Tune(OverWorkers):
     """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function that makes your own; or all of those that ship."""
     set: Overrides = ()
-    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 sensing.noise_pu=0.005."""
     episodes: int = 20
     """Number of validation episodes of each scenario: seeds 0, 1, .."""
     together: bool = False

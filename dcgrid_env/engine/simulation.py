@@ -168,7 +168,7 @@ class Simulation:
         costs = reward.team_costs(s, state, solution, last, figures)
         costs = costs if solved else reward.charged(s, costs, step, solution.converged)
         cost_j = reward.total(costs)
-        if s.reward == "shared":
+        if s.cost.reward == "shared":
             paid = -cost_j
         else:
             own = reward.local_costs(s, state, solution, last)
@@ -193,4 +193,4 @@ class Simulation:
 
 def _figures(scenario: Scenario, state: State) -> VoltageFigures:
     v_pu = np.ascontiguousarray(state.v_pu, np.float64)
-    return voltage_figures(v_pu, scenario.feeder.load_slice.start, scenario.band_pu)
+    return voltage_figures(v_pu, scenario.feeder.load_slice.start, scenario.cost.band_pu)

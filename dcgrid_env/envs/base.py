@@ -86,9 +86,9 @@ class BaseEnvironment:
         self._drawn_on: Scenario | None = None  # what the viewer shows
         if render_mode is not None and lanes > 1 and isinstance(self.scenario.feeder, RandomFeeders):
             raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")
-        if joint and self.scenario.reward == "local":
+        if joint and self.scenario.cost.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
-        if self.scenario.observe == "feeder":
+        if self.scenario.sensing.observe == "feeder":
             what = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
             warn_if_huge(self.scenario, what, "'local' or 'neighbours' does not grow with the feeder")
         self.render_mode, self.info_level = render_mode, info

@@ -124,17 +124,17 @@ Values outside of [-1, 1] are cut to it. ``ActionError`` is raised for a value t
 not finite.""",
     "observations": f"""\
 Each agent observes its own fields, in this order. ``field_names(scenario)`` lists
-all. The band is ``band_pu``, 0.05 p.u. by default, and R and X are those that agents
-believe (``r_model_share``, ``x_model_share``).
+all. The band is ``cost.band_pu``, 0.05 p.u. by default, and R and X are those that
+agents believe (``sensing.r_model_share``, ``sensing.x_model_share``).
 
 {table(("field", "agents", "range", "meaning"), FIELDS, (11, 11, 18, 42))}
 
-(a) on a three-phase feeder, (b) with ``observe_loading=True``.
+(a) on a three-phase feeder, (b) with ``sensing.loading``.
 
 ``observe="neighbours"`` adds v_deviation, p and q of the three electrically nearest
-agents. ``observe="feeder"`` adds v_deviation of every bus. ``preview=False`` sets
-p_ref_next to 0. ``voltage_noise_pu`` and ``measurement_delay`` add noise and delay to
-measured voltages.
+agents. ``observe="feeder"`` adds v_deviation of every bus.
+``sensing={{"preview": False}}`` sets p_ref_next to 0. ``sensing.noise_pu`` and
+``sensing.delay_steps`` add noise and delay to measured voltages.
 
 Features of the scenario and further devices add channels, fields and cost terms:
 
@@ -145,7 +145,7 @@ The reward of a step is minus its cost, the sum of these terms times their weigh
 
 {table(("term", "weight", "charges"), COSTS, (19, 7, 54))}
 
-``voltage_cost`` replaces abs(V - 1) by another function of it. J, the cost of an
+``cost.voltage`` replaces abs(V - 1) by another function of it. J, the cost of an
 episode, is the sum of all terms over its steps, divided by ``horizon``.""",
     "start": """\
 ``reset(seed=n)`` begins the first episode of seed n, which is the same in all

@@ -40,5 +40,5 @@ def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any
         if begin_h.shape != (num_envs,) or not ((begin_h >= 0.0) & (begin_h < 24.0)).all():
             raise ValueError(f"begin_h must be hours from 0 to less than 24, of shape {(num_envs,)}")
         if not scenario.follows_day:
-            raise ValueError("begin_h is given, but the scenario does not follow the day; make it with start_hour")
+            raise ValueError("begin_h is given, but the scenario does not follow the day; give background.start_hour")
     return EpisodeOptions(buses, begin_h)

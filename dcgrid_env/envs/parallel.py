@@ -188,7 +188,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         params = parameters(s, now.state.p_kw)
         coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
         parts = [
-            (now.state.v_pu[0, s.feeder.load_slice] - 1.0) / (s.band_pu or 1.0),
+            (now.state.v_pu[0, s.feeder.load_slice] - 1.0) / (s.cost.band_pu or 1.0),
             now.state.p_kw[0] / params.p_scale_kw,
             now.state.q_kvar[0] * params.per_q_scale,
         ]

@@ -102,7 +102,14 @@ def _rows(scenario: Scenario, of: Envelope) -> list[_Row]:
     if n_sites:
         rows += [
             _lines("drawn by sites (kW)", "drawn_kw", ["#1A1A1A"], 1.5),
-            _lines("GPU clock (MHz)", "f_mhz", _colours(n_sites), 1.9, top=1.05 * scenario.f_max_mhz, prefix="dc"),
+            _lines(
+                "GPU clock (MHz)",
+                "f_mhz",
+                _colours(n_sites),
+                1.9,
+                top=1.05 * scenario.datacenters.f_max_mhz,
+                prefix="dc",
+            ),
             _lines("backlog (kW s)", "backlog_kws", _colours(n_sites), 1.9),
         ]
     return rows
@@ -121,14 +128,14 @@ def _voltages(scenario: Scenario, phase: str, height_in: float) -> _Row:
         lower, middle, upper = v.quartiles.T
         ax.fill_between(t, lower, upper, color="#0072B2", linewidth=0, alpha=0.40, label="middle half")
         ax.plot(t, middle, color="#003f63", linewidth=1.1, label="median")
-        for edge in (1.0 - scenario.band_pu, 1.0 + scenario.band_pu):
+        for edge in (1.0 - scenario.cost.band_pu, 1.0 + scenario.cost.band_pu):
             ax.axhline(edge, color="black", linestyle="--", linewidth=0.9)
         ax.axhline(1.0, color="black", linewidth=0.5, alpha=0.5)
 
     def limits(runs: list[Envelope]) -> tuple[float, float]:
         spreads = [run.spread(f"v{phase}") for run in runs]
         low, high = min(float(v.low.min()) for v in spreads), max(float(v.high.max()) for v in spreads)
-        band = scenario.band_pu
+        band = scenario.cost.band_pu
         return min(low, 1.0 - band) - 0.02, max(high, 1.0 + band) + 0.5 * band
 
     return _Row(f"phase {phase} (p.u.)" if phase else "voltage (p.u.)", height_in, draw, limits)

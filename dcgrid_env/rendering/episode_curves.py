@@ -138,18 +138,24 @@ class Curves:
     def _draw_heads(self) -> list[Artist]:
         """Draw what stands above the powers; the artists that move."""
         self._label(self.heads[0], "voltage\n(p.u.)", (0.9, 1.1), "{x:.3f}")
-        self.voltages = [Spread(self.heads[0], self.scenario.band_pu)]
+        self.voltages = [Spread(self.heads[0], self.scenario.cost.band_pu)]
         self.curves["v_pu"] = Bundle(self.heads[0], *self.agents, steps=False)
         return self.voltages[0].artists
 
     def _draw_datacenters(self) -> None:
         s, n = self.scenario, self.scenario.n_sites
-        p_rated = float(s.datacenter.p_rated_kw.max())
+        p_rated = float(s.datacenters.parameters.p_rated_kw.max())
         _, power, clock, backlog = self.rest
-        self._label(power, "p drawn\n(kW)", (0.0, 1.1 * s.boost_share * p_rated))
-        self._label(clock, "clock\n(MHz)", (0.0, 1.1 * s.f_max_mhz))
+        self._label(power, "p drawn\n(kW)", (0.0, 1.1 * s.datacenters.boost_share * p_rated))
+        self._label(clock, "clock\n(MHz)", (0.0, 1.1 * s.datacenters.f_max_mhz))
         self._label(backlog, "backlog\n(kW s)", (0.0, p_rated))
-        clock.set_yticks([s.f_min_mhz, 0.5 * (s.f_min_mhz + s.f_max_mhz), s.f_max_mhz])
+        clock.set_yticks(
+            [
+                s.datacenters.f_min_mhz,
+                0.5 * (s.datacenters.f_min_mhz + s.datacenters.f_max_mhz),
+                s.datacenters.f_max_mhz,
+            ]
+        )
         self.curves["p_ref_kw"] = Bundle(power, n, 0, steps=True, linewidths=3.0, alpha=0.35)
         self.curves["p_kw"] = Bundle(power, n, 0, steps=True)
         self.curves["f_mhz"] = Bundle(clock, n, 0, steps=True)
@@ -213,10 +219,10 @@ class Curves:
 
     def _settle(self, buses: np.ndarray, low: float, high: float, backlog: float) -> list[Panel]:
         """Fit the axes and the names of the data centres; the panels that this changes."""
-        s, unit = self.scenario, self.scenario.band_pu or 0.05
+        s, unit = self.scenario, self.scenario.cost.band_pu or 0.05
         below = min(-1.25, 0.5 * np.floor(2.0 * (low - 1.0) / unit))
         above = max(1.25, 0.5 * np.ceil(2.0 * (high - 1.0) / unit))
-        top = round_up(max(1.05 * backlog, *s.datacenter.p_rated_kw, 1.0))
+        top = round_up(max(1.05 * backlog, *s.datacenters.parameters.p_rated_kw, 1.0))
         settled = {"names": buses[: len(self.names)].tolist(), "voltage": (below, above), "backlog": top}
         changed = {name for name, value in settled.items() if self.settled.get(name) != value}
         self.settled = settled

@@ -57,7 +57,7 @@ class EquipmentLabels:
         self.banks, self.phases = banks_of(feeder), table.phases
         self.capacitors: list[str] = [str(name) for name in feeder.network.capacitor.name]
         self.agents = _agents(scenario)
-        self.connected = scenario.capacitors
+        self.connected = scenario.background.capacitors
         self._buses = [bank.bus for bank in self.banks]
         self._buses += [feeder.index(bus) for bus in feeder.network.capacitor.bus]
         colours = [bank.colour for bank in self.banks] + [CAPACITOR] * len(self.capacitors)

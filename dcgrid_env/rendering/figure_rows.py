@@ -48,7 +48,7 @@ def voltages(ax: Axes, scenario: Scenario, run: Series, t: np.ndarray, nodes: np
     worst = int(np.argmin(v.min(axis=0)))
     lowest = feeder.node_ids[nodes[worst]]
     ax.plot(t, v[:, worst], color="#D55E00", linewidth=1.2, label=f"lowest: {one} {lowest}")
-    for edge in (1.0 - scenario.band_pu, 1.0 + scenario.band_pu):
+    for edge in (1.0 - scenario.cost.band_pu, 1.0 + scenario.cost.band_pu):
         ax.axhline(edge, color="black", linestyle="--", linewidth=0.9)
     ax.axhline(1.0, color="black", linewidth=0.5, alpha=0.5)
 
@@ -56,7 +56,7 @@ def voltages(ax: Axes, scenario: Scenario, run: Series, t: np.ndarray, nodes: np
 def fit_voltages(ax: Axes, scenario: Scenario, runs: list[Series]) -> None:
     """Limits for all voltages of all episodes, with room for a legend."""
     lowest = min(float(run.v_pu.min()) for run in runs)
-    ax.set_ylim(min(lowest, 1.0 - scenario.band_pu) - 0.01, 1.0 + 1.9 * scenario.band_pu)
+    ax.set_ylim(min(lowest, 1.0 - scenario.cost.band_pu) - 0.01, 1.0 + 1.9 * scenario.cost.band_pu)
 
 
 def phase_rows(scenario: Scenario) -> list[Row]:
@@ -96,7 +96,7 @@ def _phase(scenario: Scenario, name: str, nodes: np.ndarray) -> Row:
     def finish(across: np.ndarray, runs: list[Series]) -> None:
         fit_voltages(across[0], scenario, runs)
         highest = max(float(run.v_pu.max()) for run in runs)
-        across[0].set_ylim(top=max(across[0].get_ylim()[1], highest + 0.6 * scenario.band_pu))
+        across[0].set_ylim(top=max(across[0].get_ylim()[1], highest + 0.6 * scenario.cost.band_pu))
         for ax in across:  # the lowest node differs
             ax.legend(loc="upper right", ncols=4, columnspacing=0.8, handlelength=1.2, handletextpad=0.4, **_SMALL)
 

@@ -54,12 +54,12 @@ class MapPart:
 
     def _map(self, ax: Axes, names: tuple[list[str], list[str]]) -> FeederMap:
         s = self.scenario
-        return FeederMap(ax, s.feeder, positions(s.feeder), s.band_pu, names)
+        return FeederMap(ax, s.feeder, positions(s.feeder), s.cost.band_pu, names)
 
     def _colour_bar(self, figure: Figure) -> Axes:
         ax = figure.add_axes((0.06, 0.105 + self.bottom, 0.42, 0.018))
         bar = figure.colorbar(self.feeder.dots, cax=ax, orientation="horizontal", extend="both")
-        band, norm = self.scenario.band_pu, voltage_norm(self.scenario.band_pu)
+        band, norm = self.scenario.cost.band_pu, voltage_norm(self.scenario.cost.band_pu)
         ticks = [norm.vmin, 1.0 - band, 1.0, 1.0 + band, norm.vmax]
         bar.set_ticks(ticks, labels=[f"{t:.3f}" for t in ticks])
         bar.set_label("voltage (p.u.); thick lines: limits", labelpad=2)
@@ -100,7 +100,7 @@ class MapPart:
             self.buses = history.buses.copy()
             self.feeder.place(self.buses[: s.n_sites], self.buses[s.n_sites :])
         v = history.v_pu[step]
-        dc = s.datacenter
+        dc = s.datacenters.parameters
         self.feeder.update(v, history.f_mhz[step] / dc.f_max_mhz, history.backlog_kws[step] / dc.p_rated_kw)
         scale, unit = self.time_unit
         t, end = step * s.dt_s / scale, s.horizon * s.dt_s / scale
@@ -136,7 +136,7 @@ def other_kinds(scenario: Scenario) -> list[str]:
 
 
 def _band(scenario: Scenario) -> str:
-    return f"{1.0 - scenario.band_pu:.4g} to {1.0 + scenario.band_pu:.4g}"
+    return f"{1.0 - scenario.cost.band_pu:.4g} to {1.0 + scenario.cost.band_pu:.4g}"
 
 
 def time_unit(scenario: Scenario) -> tuple[float, str]:

@@ -66,7 +66,7 @@ class PhaseCurves(Curves):
         for name in self.nodes:
             ax = next(axes)
             self._label(ax, f"voltage {name}\n(p.u.)", (0.9, 1.1), "{x:.3f}")
-            self.voltages.append(Spread(ax, s.band_pu))
+            self.voltages.append(Spread(ax, s.cost.band_pu))
             self.by_phase[name] = Bundle(ax, *self.agents, steps=False, linewidths=1.2)
         moving: list[Artist] = [artist for spread in self.voltages for artist in spread.artists]
         moving += [lines for bundle in self.by_phase.values() for lines in bundle.lines]

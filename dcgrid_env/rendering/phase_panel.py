@@ -53,7 +53,7 @@ class PhaseMapPart(MapPart):
 
     def _map(self, ax: Axes, names: tuple[list[str], list[str]]) -> PhaseMap:
         s = self.scenario
-        drawn = PhaseMap(ax, s.feeder, positions(s.feeder), s.band_pu, names)
+        drawn = PhaseMap(ax, s.feeder, positions(s.feeder), s.cost.band_pu, names)
         self.equipment = EquipmentLabels(ax, s)
         drawn.label_equipment(self.equipment)
         return drawn

@@ -43,7 +43,7 @@ def course(run: Series) -> dict[str, Any]:
     if phases is not None:
         taps, banks = phases.equipment.regulators.tap, phases.equipment.banks.on
         lost = _lost(run)[:, run.scenario.n_agents :]
-        on = np.where(lost, -1.0, (banks > 0.5) & run.scenario.capacitors)
+        on = np.where(lost, -1.0, (banks > 0.5) & run.scenario.background.capacitors)
         equipment = {
             "tap": [packed(of_one, 0) for of_one in taps.T],
             "on": [packed(of_one, 0) for of_one in on.T],

@@ -73,13 +73,13 @@ def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str
     _check(runs)
     first = next(iter(runs.values()))
     s = first.scenario
-    norm = voltage_norm(s.band_pu)
+    norm = voltage_norm(s.cost.band_pu)
     data = {
         "title": title or f"{s.name}, {s.split} split",
         "time": [s.dt_s / time_unit(s)[0], time_unit(s)[1]],
         "dt_s": s.dt_s,
         "horizon": s.horizon,
-        "band_pu": s.band_pu,
+        "band_pu": s.cost.band_pu,
         "colours": _colours(),
         "range_pu": [norm.vmin, norm.vmax],
         "shown": {name: list(figure) for name, figure in SHOWN.items()},

@@ -50,7 +50,7 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
             colour = agent_colour(i)
             clock.step(t[1:], run.f_mhz[:, i], where="pre", color=colour, linewidth=1.2, label=f"dc_{i}")
             backlog.plot(t, run.backlog_kws[:, i], color=colour, linewidth=1.2)
-        clock.set_ylim(0.0, 1.05 * scenario.f_max_mhz)
+        clock.set_ylim(0.0, 1.05 * scenario.datacenters.f_max_mhz)
         backlog.set_xlabel("time (s)")
         for ax in column:
             ax.grid(alpha=0.25, linewidth=0.6)

@@ -1,20 +1,21 @@
-"""A scenario's parts out of what it is given: objects, mappings of plain data, and fields by their flat names."""
+"""A scenario's parts out of what it is given: objects, mappings of plain data, and fields by their paths."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING
 from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.checked import FieldError, UnknownFieldError
 from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError, located
-from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
 from dcgrid_env.scenario.plain_sags import sags_from_plain
@@ -28,29 +29,28 @@ PARTS: dict[str, type[Any]] = {
     "cost": Cost,
     "grid_control": GridControl,
 }
+GROUPS = {"datacenters": DataCenters.kind, "inverters": Inverters.kind}
+"""Kinds of the groups of devices that every scenario has, by the attribute that holds each; in their order."""
 _PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain, "sags": sags_from_plain}
-FLAT_OF = {where: name for name, where in FLAT.items()}
-"""Flat name of a part's field, by part and field."""
 NO_DATA_CENTERS = DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0)
 """The group that stands in a scenario without data centres."""
 NO_INVERTERS = Inverters()
 """The group that stands in a scenario without inverters."""
-_ORDER = ("datacenter", "inverter")
-"""Kinds of devices that have flat names, in the order in which a scenario made of flat names has them."""
 
 
-def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
+def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a scenario: those of ``base`` (None for a new one) with what is given put in.
 
     Parameters
     ----------
     base
         A scenario, or None.
-    own
-        Names of a scenario's own fields.
+    scenario_fields
+        Names of the fields of a scenario.
     given
-        Values by the name of a field, of a part or of a part's field (``flat_names``). A mapping for a part changes
-        the fields that it names and leaves the others.
+        Values by the name of a field, of a part or of a group of devices, by a path such as ``sensing.noise_pu``, or
+        by a short name (``field_names``). A mapping for a part or group changes the fields that it names and leaves
+        the others.
 
     Raises
     ------
@@ -59,93 +59,110 @@ def assembled(base: Any, own: Iterable[str], given: Mapping[str, Any]) -> dict[s
     ScenarioError
         For an invalid value.
     """
-    own = list(own)
-    for key in given:
-        if key not in own and key not in FLAT:
-            how = unknown("scenario field", key, (*own, *FLAT), "`dcgrid list fields` lists all")
-            raise UnknownArgumentError(how, key)
-    fields = {} if base is None else {name: getattr(base, name) for name in own}
-    fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in own}
-    flat: dict[str, dict[str, tuple[str, Any]]] = {}
-    for key, value in given.items():
-        if key in FLAT:
-            part, field = FLAT[key]
-            flat.setdefault(part, {})[field] = (key, value)
+    names = list(scenario_fields)
+    fields = {} if base is None else {name: getattr(base, name) for name in names}
+    fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in names}
     name = fields.get("name")
-    for field, (key, value) in flat.pop("", {}).items():
-        if field in given:
-            raise ScenarioError(f"scenario {name!r}: {field} and {key} are one field; give one of them")
-        fields[field] = value
-    for part in (*PARTS, "devices"):
+    by_path: dict[str, dict[str, Any]] = {}
+    for key, value in given.items():
+        if key in names or key in GROUPS:
+            continue
+        part, field = _part_and_field(key, names)
+        if field in by_path.setdefault(part, {}):
+            raise ScenarioError(f"scenario {name!r}: {part}.{field} is given twice; give it once")
+        by_path[part][field] = value
+    for part in (*PARTS, *GROUPS, "devices"):
         if part in given and given[part] is None:
             raise ScenarioError(f"scenario {name!r}: {part} is None; leave it out, or give what it is to be")
     for part, kind in PARTS.items():
-        if part in given or part in flat or part not in fields:
+        if part in given or part in by_path or part not in fields:
             start = getattr(base, part, None)
-            fields[part] = _part(name, part, kind, start, given.get(part), flat.get(part, {}))
-    if base is None and "devices" not in given and not any(kind in flat for kind in _ORDER):
+            fields[part] = _part(name, part, kind, start, given.get(part), by_path.get(part, {}))
+    changes = {group: (given.get(group), by_path.get(group, {})) for group in GROUPS if {group} & {*given, *by_path}}
+    if base is None and "devices" not in given and not changes:
         raise ScenarioError(f"scenario {name!r}: devices is missing; give it, a list of groups of devices")
-    by_kind = {kind: flat[kind] for kind in _ORDER if kind in flat}
-    fields["devices"] = _devices(name, base, given.get("devices"), by_kind)
+    fields["devices"] = _devices(name, base, given.get("devices"), changes)
     return fields
 
 
-def _part(
-    scenario: Any, path: str, kind: type[Any], start: Any, given: Any, flat: Mapping[str, tuple[str, Any]]
-) -> Any:
-    """One part: ``start`` changed by what is given, or a new one."""
-    changes = {field: value for field, (_, value) in flat.items()}
-    names = {field: name for field, (name, _) in flat.items()}
-    if isinstance(given, Mapping):
-        given = {key: value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
-        from dcgrid_env.scenario.plain_parts import checked_mapping  # brings the library of types, so not on import
+def _part_and_field(key: str, names: list[str]) -> tuple[str, str]:
+    """The part or group of devices, and the field of it, that a path or a short name means."""
+    part, _, field = ALIASES.get(key, key).partition(".")
+    if field and part in (*PARTS, *GROUPS):
+        return part, field
+    if key in FORMER:
+        raise UnknownArgumentError(f"no scenario field {key!r}: it is {FORMER[key]} now", key)
+    known = (*names, *GROUPS, *ALIASES, *(f"{of}.{field}" for of, kind in _kinds() for field in _fields(kind)))
+    raise UnknownArgumentError(unknown("scenario field", key, known, "`dcgrid list fields` lists all"), key)
 
-        by_path = checked_mapping(scenario, path, kind, given)
-        for field in by_path:
+
+def _kinds() -> Iterator[tuple[str, type[Any]]]:
+    """Classes of the parts and of the groups of devices, by attribute."""
+    yield from PARTS.items()
+    yield from ((group, device_kind(kind)) for group, kind in GROUPS.items())
+
+
+def _fields(kind: type[Any]) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_path: Mapping[str, Any]) -> Any:
+    """One part or group of devices: ``start`` changed by what is given, or a new one."""
+    changes = dict(by_path)
+    if isinstance(given, Mapping):
+        for field, value in given.items():
             if field in changes:
-                raise ScenarioError(f"scenario {scenario!r}: {path}.{field} and {names[field]} are one field; give one")
-        changes |= by_path
+                raise ScenarioError(f"scenario {scenario!r}: {path}.{field} is given twice; give it once")
+            changes[field] = value
     elif given is not None:
         if not isinstance(given, kind):
             raise ScenarioError(
                 f"scenario {scenario!r}: {path} is {given!r}; give {kind.__name__}(...) or a mapping of its fields"
             )
         start = given
-    if kind is DataCenters and "count" not in changes and isinstance(changes.get("buses"), list | tuple | np.ndarray):
-        changes["count"] = len(changes["buses"])
-    with located(scenario, path, names):
+    with located(scenario, path):
+        for field in changes:
+            if field not in _fields(kind):
+                raise UnknownFieldError(path, field, ..., _fields(kind))
+        if (
+            kind is DataCenters
+            and "count" not in changes
+            and isinstance(changes.get("buses"), list | tuple | np.ndarray)
+        ):
+            changes["count"] = len(changes["buses"])
         if start is not None and isinstance(changes.get("weights"), Mapping):
             changes["weights"] = changed_weights(start.weights, changes["weights"])
         if start is None:
             for field in dataclasses.fields(kind):
                 if field.default is MISSING and field.default_factory is MISSING and field.name not in changes:
-                    where = FLAT_OF.get((path, field.name), f"{path}.{field.name}")
-                    raise ScenarioError(f"scenario {scenario!r}: {where} is missing; give it")
+                    raise FieldError(path, field.name, ..., "is missing; give it")
             return kind(**changes)
         return dataclasses.replace(start, **changes) if changes else start
 
 
 def _devices(
-    scenario: Any, base: Any, given: Any, flat: Mapping[str, Mapping[str, tuple[str, Any]]]
+    scenario: Any, base: Any, given: Any, changes: Mapping[str, tuple[Any, Mapping[str, Any]]]
 ) -> tuple[Any, ...]:
-    """The groups of devices, those of flat names made or changed."""
+    """The groups of devices; those of data centres and of inverters made or changed."""
     if given is None:
         groups = [] if base is None else list(base.devices)
     else:
         listed = given if isinstance(given, list | tuple) else (given,)
         groups = [_device(scenario, f"devices[{i}]", device) for i, device in enumerate(listed)]
-    for place, kind in enumerate(_ORDER):
-        if kind not in flat and not (base is None and given is None):
+    for place, (name, kind) in enumerate(GROUPS.items()):
+        if name not in changes and not (base is None and given is None):
             continue
-        at = [i for i, device in enumerate(groups) if device.kind == kind]
-        if len(at) > 1:
-            name = next(iter(flat[kind].values()))[0]
+        there = [i for i, device in enumerate(groups) if device.kind == kind]
+        if len(there) > 1:
             raise ScenarioError(
-                f"scenario {scenario!r} has {len(at)} groups of kind {kind!r}; give devices, not {name}"
+                f"scenario {scenario!r} has {len(there)} groups of kind {kind!r}; give devices, not {name}"
             )
-        start = groups[at[0]] if at else None
-        group = _part(scenario, kind, device_kind(kind), start, None, flat.get(kind, {}))
-        groups[at[0] if at else min(place, len(groups)) : (at[0] + 1 if at else min(place, len(groups)))] = [group]
+        start = groups[there[0]] if there else None
+        group = _part(scenario, name, device_kind(kind), start, *changes.get(name, (None, {})))
+        if there:
+            groups[there[0]] = group
+        else:
+            groups.insert(place, group)
     return _with_both(groups)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,8 +14,8 @@ class ScenarioError(ValueError):
 
 
 @contextmanager
-def located(scenario: Any, part: str, flat: Mapping[str, str]) -> Iterator[None]:
-    """Turn the FieldError of a part into a ScenarioError that names the scenario and the field as it was given.
+def located(scenario: Any, part: str) -> Iterator[None]:
+    """Turn the FieldError of a part into a ScenarioError that names the scenario and the path of the field.
 
     Parameters
     ----------
@@ -23,15 +23,12 @@ def located(scenario: Any, part: str, flat: Mapping[str, str]) -> Iterator[None]
         The scenario's name.
     part
         What leads to the field, such as ``sensing``; "" for the scenario's own.
-    flat
-        Flat names by the fields that were given by them.
     """
     try:
         yield
     except FieldError as error:
-        field, dot, rest = str(error.name).partition(".")
-        path = flat.get(field) or (f"{part}.{field}" if part else field)
-        raise ScenarioError(f"scenario {scenario!r}: {error.said(f'{path}{dot}{rest}')}") from None
+        path = f"{part}.{error.name}" if part else str(error.name)
+        raise ScenarioError(f"scenario {scenario!r}: {error.said(path)}") from None
 
 
 class UnknownArgumentError(TypeError):

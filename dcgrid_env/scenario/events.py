@@ -47,7 +47,7 @@ def _check_sags(scenario: Any) -> None:
         )
     with_curve = [device for device in scenario.devices if may_leave(device)]
     if not any(device.count for device in with_curve):
-        remedy = "give datacenter_ride_through or inverter_ride_through"
+        remedy = "give datacenters.ride_through or inverters.ride_through"
         if with_curve:
             remedy = f"there is no {' and no '.join(device.kind for device in with_curve)}: give at least one"
         raise ScenarioError(

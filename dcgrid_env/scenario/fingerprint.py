@@ -15,6 +15,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
 from itertools import chain
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
@@ -40,9 +41,9 @@ from dcgrid_env.grid.network import (
     SwitchTable,
     TransformerTable,
 )
-from dcgrid_env.scenario.assembly import PARTS
+from dcgrid_env.scenario.assembly import GROUPS, PARTS
 from dcgrid_env.scenario.cost import CostWeights
-from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -63,7 +64,8 @@ _SCENARIO = """
     power_flow split
     weights band_pu voltage_cost reward observe preview r_model_share x_model_share
 """
-_OF_DEVICES = {name for name, (part, _) in FLAT.items() if part in (DataCenters.kind, Inverters.kind)}
+_PATHS = ALIASES | FORMER
+"""Paths of the scenario's fields by the names in the schema; a name without one is its own path."""
 _FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
 _PHASE_LINE = "name from_bus to_bus phases length_m r_ohm x_ohm b_us"
 _SWITCH = "name from_bus to_bus phases state r_ohm x_ohm"
@@ -161,27 +163,32 @@ def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
     """The fields that the schema lists; one marked with ? is left out where it is None."""
     for listed in kind.fields:
         name = listed.removesuffix("?")
-        if name in _OF_DEVICES and not _has_two_groups(value):
+        if isinstance(value, Scenario) and _path(name)[0] in GROUPS and not _has_two_groups(value):
             continue
         content = _hashed(value, name)
         if name == listed or content is not None:
             yield name if kind.with_names else "", content
 
 
+def _path(name: str) -> tuple[str, str]:
+    """Part or group of devices, "" for the scenario itself, and field that a name of the schema means."""
+    part, _, field = _PATHS.get(name, name).rpartition(".")
+    return part, field
+
+
 def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     """Fields of a scenario and its parts that are in no list, and not at their default."""
-    listed = {FLAT[name] for name in (field.removesuffix("?") for field in SCHEMA_1[Scenario].fields) if name in FLAT}
-    listed |= {("", name) for name in SCHEMA_1[Scenario].fields}
-    parts: dict[str, Any] = {"": scenario} | {name: scenario.part(name) for name in PARTS}
+    listed = {_path(field.removesuffix("?")) for field in SCHEMA_1[Scenario].fields}
+    parts: dict[str, Any] = {"": scenario} | {name: getattr(scenario, name) for name in PARTS}
     if _has_two_groups(scenario):
-        parts |= {device.kind: device for device in scenario.devices}
+        parts |= {name: getattr(scenario, name) for name in GROUPS}
     else:
         yield "devices", scenario.devices
     for path, part in parts.items():
         for name, default in _defaults(type(part)).items():
             is_part = not path and name in (*PARTS, "devices")
             if (path, name) not in listed and not is_part and _is_other(getattr(part, name), default):
-                yield f"{path}.{name}", getattr(part, name)
+                yield f"{GROUPS.get(path, path)}.{name}", getattr(part, name)
 
 
 def _is_other(value: Any, default: Any) -> bool:
@@ -189,17 +196,14 @@ def _is_other(value: Any, default: Any) -> bool:
     return value is not None if default is None else bool(value != default)
 
 
-def _has_two_groups(scenario: Any) -> bool:
+def _has_two_groups(scenario: Scenario) -> bool:
     """Whether the devices are data centres and inverters, a group of each, which the listed names speak of."""
-    return not isinstance(scenario, Scenario) or [device.kind for device in scenario.devices] == [
-        "datacenter",
-        "inverter",
-    ]
+    return [device.kind for device in scenario.devices] == list(GROUPS.values())
 
 
 def _hashed(value: Any, name: str) -> Any:
     """What is hashed of a field: its value, and numbers or texts for buses."""
-    given = getattr(value, name)
+    given = attrgetter(_PATHS.get(name, name))(value) if isinstance(value, Scenario) else getattr(value, name)
     if name not in _BUSES or given is None:
         return given
     feeder = value if isinstance(value, Feeder) else value.feeder

@@ -13,7 +13,7 @@ from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 def check_feeder_kind(scenario: Any) -> None:
     """Raise FieldError for a wrong type, another kind's power flow, or a cost term that the kind of feeder lacks."""
-    feeder, weights = scenario.feeder, scenario.weights
+    feeder, weights = scenario.feeder, scenario.cost.weights
     if not isinstance(feeder, AnyFeeder | RandomFeeders):
         raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder), or RandomFeeders")
     balanced = not isinstance(feeder, ThreePhaseFeeder)
@@ -25,7 +25,7 @@ def check_feeder_kind(scenario: Any) -> None:
         weight = getattr(weights, term.name)
         if balanced and weight and term.needs == "three phases":
             remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
-            raise FieldError("Cost", f"weights.{term.name}", weight, remedy)
+            raise FieldError("Scenario", f"cost.weights.{term.name}", weight, remedy)
 
 
 def check_ratings(scenario: Any) -> None:
@@ -36,10 +36,10 @@ def check_ratings(scenario: Any) -> None:
         f"feeder {scenario.feeder.name!r} knows the rating of no branch; give its branches rating_a, or leave it out"
     )
     for term in TERMS:
-        if term.needs == "ratings" and (weight := getattr(scenario.weights, term.name)):
-            raise FieldError("Cost", f"weights.{term.name}", weight, remedy)
-    if scenario.observe_loading:
-        raise FieldError("Sensing", "observe_loading", True, remedy)
+        if term.needs == "ratings" and (weight := getattr(scenario.cost.weights, term.name)):
+            raise FieldError("Scenario", f"cost.weights.{term.name}", weight, remedy)
+    if scenario.sensing.loading:
+        raise FieldError("Scenario", "sensing.loading", True, remedy)
 
 
 MOST_STEPS = 10_000
@@ -48,16 +48,16 @@ MOST_STEPS = 10_000
 
 def check_ramp_limit(scenario: Any) -> None:
     """Raise FieldError for a limit without a site, or a window that no whole number of steps makes up."""
-    if scenario.ramp_limit_kw_per_s is not None and not scenario.n_sites:
-        limit = scenario.ramp_limit_kw_per_s
-        raise FieldError("Cost", "ramp_limit_kw_per_s", limit, "leave it out: the scenario has no data centre")
-    window_s, dt_s = scenario.ramp_window_s, scenario.dt_s
+    if scenario.cost.ramp_limit_kw_per_s is not None and not scenario.n_sites:
+        limit = scenario.cost.ramp_limit_kw_per_s
+        raise FieldError("Scenario", "cost.ramp_limit_kw_per_s", limit, "leave it out: the scenario has no data centre")
+    window_s, dt_s = scenario.cost.ramp_window_s, scenario.dt_s
     if window_s is None:
         return
     steps = round(window_s / dt_s)
     if not 1 <= steps <= MOST_STEPS or abs(steps * dt_s - window_s) > 1e-6 * window_s:
         remedy = f"give a whole number of steps of {dt_s:g} s, {MOST_STEPS:,} of them at most"
-        raise FieldError("Cost", "ramp_window_s", window_s, remedy)
+        raise FieldError("Scenario", "cost.ramp_window_s", window_s, remedy)
 
 
 NAMES_OF_THE_GRID = (

@@ -80,7 +80,7 @@ def check_random_feeders(scenario: Any) -> None:
     """Raise ScenarioError for what a scenario on random feeders cannot be."""
     if not isinstance(scenario.feeder, RandomFeeders):
         return
-    if scenario.observe == "feeder":
+    if scenario.sensing.observe == "feeder":
         raise ScenarioError(
             f"scenario {scenario.name!r}: observe is 'feeder', but each of its random feeders has its buses elsewhere; "
             "choose 'local' or 'neighbours'"

@@ -64,12 +64,13 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
         source_voltage_pu=feeder.v0_pu,
         power_flow=power_flow_of(feeder),
         n_datacenters=n_sites,
-        datacenter_buses=site_buses if sites else None,
-        p_rated_kw=_ratings(sites),
-        s_rated_share=S_RATED_SHARE,
-        q_max_share=Q_MAX_SHARE,
-        inverter_buses=_placed(feeder, INVERTERS, fed, taken, kept),
-        inverter_s_kva=_ratings(fed),
+        datacenters={
+            "buses": site_buses if sites else None,
+            "p_rated_kw": _ratings(sites),
+            "s_rated_share": S_RATED_SHARE,
+            "q_max_share": Q_MAX_SHARE,
+        },
+        inverters={"buses": _placed(feeder, INVERTERS, fed, taken, kept), "s_rated_kva": _ratings(fed)},
     )
 
 

@@ -26,12 +26,15 @@ def _without_agents(scenario: Scenario) -> Scenario | None:
     if not any("agent" in of_kind for of_kind in deciders):
         return None
     other = scenario.replace(
-        regulators=_instead(control.regulators, "controlled"), capacitor_banks=_instead(control.capacitors, "fixed")
+        grid_control={
+            "regulators": _instead(control.regulators, "controlled"),
+            "capacitors": _instead(control.capacitors, "fixed"),
+        }
     )
     left = regulator_deciders(other.grid_control, feeder), capacitor_deciders(other.grid_control, feeder)
     # Switching is charged by the mean over what is not fixed, of which there may now be less.
-    switching = scenario.weights.switching * _n_moving(left) / _n_moving(deciders)
-    return other.replace(weights=other.weights._replace(switching=switching))
+    switching = scenario.cost.weights.switching * _n_moving(left) / _n_moving(deciders)
+    return other.replace(weights=other.cost.weights._replace(switching=switching))
 
 
 def _instead(decider: Decider | ByBank, of_agents: Decider) -> Decider | ByBank:

@@ -10,8 +10,8 @@ from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.assembly import GROUPS
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.flat_names import FLAT
 
 
 def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
@@ -42,13 +42,12 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
         if device.buses is None:
             drawn += device.count
             continue
-        count, buses = _words(device)
+        where = path_of(device)
         if not isinstance(device.buses, tuple) or len(device.buses) != device.count:
             raise ScenarioError(
-                f"scenario {name!r}: {count} is {device.count}, but {buses} is {device.buses!r}; give both, "
-                f"{count}={device.count} and as many {buses}, {buses} alone, or {buses}=None to have them drawn"
+                f"scenario {name!r}: {where}.count is {device.count}, but {where}.buses is {device.buses!r}; give "
+                "both, as many buses as the count, or buses alone, or buses None to have them drawn"
             )
-        where = next((name for name, of in FLAT.items() if of == (device.kind, "buses")), f"{device.kind}.buses")
         among = device.kind if getattr(device, "shares_bus", False) else ""
         fixed += ((among, where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
     taken: set[tuple[str, int]] = set()
@@ -60,15 +59,15 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
         taken.add((among, at))
     free = _least_free(feeder, devices) if isinstance(feeder, RandomFeeders) else len(free_load_buses(feeder, devices))
     if drawn > free:
-        count, buses = _words(next(device for device in devices if device.buses is None))
+        where = path_of(next(device for device in devices if device.buses is None))
         raise ScenarioError(
-            f"scenario {name!r}: {count} is {drawn}, but only {free} load buses have no device; ask for fewer or name "
-            f"{buses}"
+            f"scenario {name!r}: {where}.count is {drawn}, but only {free} load buses have no device; ask for fewer or "
+            f"name {where}.buses"
         )
     if not any(device.count for device in devices):
         raise ScenarioError(
-            f"scenario {name!r}: no data centre and no inverter, hence no agent; give n_datacenters, inverter_buses or "
-            "other devices"
+            f"scenario {name!r}: no data centre and no inverter, hence no agent; give datacenters.count, "
+            "inverters.buses or other devices"
         )
 
 
@@ -77,15 +76,17 @@ def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
     return max(0, feeders.least_loaded - len({bus for device in devices for bus in device.buses or ()}))
 
 
-def _words(device: Any) -> tuple[str, str]:
-    """What the number and the buses of a device are called where a scenario is made."""
-    return ("n_datacenters", "datacenter_buses") if device.kind == "datacenter" else ("count", "buses")
+def path_of(device: Any) -> str:
+    """What leads to a group of devices in paths of a scenario's fields."""
+    return next((path for path, kind in GROUPS.items() if kind == device.kind), device.kind)
 
 
 def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any, phases: str | None) -> int:
     """Position of a device's bus; ScenarioError for one that no device can have, or not of these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
-        raise ScenarioError(f"scenario {name!r}: {where} has {bus!r}, no number or text; give buses of the feeder")
+        raise ScenarioError(
+            f"scenario {name!r}: {where}.buses has {bus!r}, no number or text; give buses of the feeder"
+        )
     try:
         at = feeder.index(bus)
     except FeederError as error:
@@ -93,8 +94,7 @@ def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any
     try:
         feeder.nodes_at(at, phases)
     except FeederError as error:
-        field = where.replace("buses", "phases")
-        raise ScenarioError(f"scenario {name!r}: {field} has {phases!r}, but {error}") from None
+        raise ScenarioError(f"scenario {name!r}: {where}.phases has {phases!r}, but {error}") from None
     if at == 0:
         raise ScenarioError(
             f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"

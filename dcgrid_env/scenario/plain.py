@@ -6,7 +6,8 @@
 | feeder | a mapping of the fields of random feeders ``{"n_bus": 60, "style": "urban", ..}`` | RandomFeeders |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
-| regulators, capacitor_banks | one of their words, or a mapping from banks to words | pairs of a bank and a word |
+| datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
+| regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
 | capacitor_settings | a mapping of fields | CapacitorControl |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
@@ -14,9 +15,9 @@
 | ride_through | a curve's name, or a mapping of the rule's fields | UpsRideThrough of sites, RideThrough of inverters |
 | storage, smoothing, cooling of sites | a mapping of its fields | SiteStorage, PowerSmoothing, Cooling |
 | storage, routing, batching, service of sites | a mapping of their fields | SiteStorage, Routing, .. |
-| dvfs, clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
+| clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
-| inverter_trace, injection | "pv", a list of shares, or a recording's name or file | PowerTrace |
+| injection | "pv", a list of shares, or a recording's name or file | PowerTrace |
 | other sequences | a list | a tuple |
 """
 
@@ -137,6 +138,7 @@ def _fields_to_plain(part: Any) -> dict[str, Any]:
 
 def reads_files(name: str, value: Any) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
+    name = name.rpartition(".")[2]
     if isinstance(value, Mapping):
         return any(reads_files(key, item) for key, item in value.items())
     if name == "devices" and isinstance(value, list | tuple):
@@ -145,7 +147,7 @@ def reads_files(name: str, value: Any) -> bool:
         return isinstance(value, Path) or (isinstance(value, str) and value not in FEEDER_REGISTRY)
     if name == "trace":
         return isinstance(value, Path | list | tuple) or (isinstance(value, str) and value not in TRACE_SOURCES)
-    return name in ("inverter_trace", "injection") and isinstance(value, str | Path) and value != SUN
+    return name == "injection" and isinstance(value, str | Path) and value != SUN
 
 
 def feeder_from_plain(value: Any) -> Any:

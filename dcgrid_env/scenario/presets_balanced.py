@@ -15,17 +15,13 @@ def toy6() -> Scenario:
     return Scenario(
         name="toy6",
         feeder=load_feeder("toy6"),
-        v0_pu=1.0,
+        source_voltage_pu=1.0,
         n_datacenters=1,
-        datacenter_buses=(4,),
-        p_rated_kw=2500.0,
-        s_rated_share=1.1,
-        q_max_share=0.33,
-        inverter_buses=(3, 5),
-        inverter_s_kva=1000.0,
+        datacenters={"buses": (4,), "p_rated_kw": 2500.0, "s_rated_share": 1.1, "q_max_share": 0.33},
+        inverters={"buses": (3, 5), "s_rated_kva": 1000.0},
         trace="step",
-        trace_window="start",
-        load_sigma=0.02,
+        workload={"window": "start"},
+        background={"load_sigma": 0.02},
         horizon=100,
     )
 
@@ -35,13 +31,10 @@ def ieee123() -> Scenario:
     return Scenario(
         name="ieee123",
         feeder=load_feeder("ieee123"),
-        v0_pu=1.04375,
+        source_voltage_pu=1.04375,
         n_datacenters=5,
-        p_rated_kw=280.0,
-        s_rated_share=1.1,
-        q_max_share=0.33,
-        inverter_buses=(2, 11, 40, 54, 87, 92, 103),
-        inverter_s_kva=50.0,
+        datacenters={"p_rated_kw": 280.0, "s_rated_share": 1.1, "q_max_share": 0.33},
+        inverters={"buses": (2, 11, 40, 54, 87, 92, 103), "s_rated_kva": 50.0},
     )
 
 
@@ -50,14 +43,10 @@ def ieee33_weak() -> Scenario:
     return Scenario(
         name="ieee33-weak",
         feeder=load_feeder("ieee33"),
-        v0_pu=1.05,
+        source_voltage_pu=1.05,
         n_datacenters=3,
-        datacenter_buses=(18, 33, 25),
-        p_rated_kw=1000.0,
-        s_rated_share=1.02,
-        q_max_share=0.33,
-        inverter_buses=(7, 14, 20, 30),
-        inverter_s_kva=100.0,
+        datacenters={"buses": (18, 33, 25), "p_rated_kw": 1000.0, "s_rated_share": 1.02, "q_max_share": 0.33},
+        inverters={"buses": (7, 14, 20, 30), "s_rated_kva": 100.0},
     )
 
 
@@ -66,10 +55,8 @@ def ieee33() -> Scenario:
     return ieee33_weak().replace(
         name="ieee33",
         n_datacenters=4,
-        datacenter_buses=(18, 33, 25, 22),
-        p_rated_kw=600.0,
-        inverter_buses=(3, 7, 14, 20, 24, 30),
-        inverter_s_kva=500.0,
+        datacenters={"buses": (18, 33, 25, 22), "p_rated_kw": 600.0},
+        inverters={"buses": (3, 7, 14, 20, 24, 30), "s_rated_kva": 500.0},
     )
 
 
@@ -78,9 +65,8 @@ def das69() -> Scenario:
     return ieee33().replace(
         name="das69",
         feeder=load_feeder("das69"),
-        datacenter_buses=(27, 65, 35, 69),
-        p_rated_kw=1000.0,
-        inverter_buses=(5, 12, 21, 40, 50, 61),
+        datacenters={"buses": (27, 65, 35, 69), "p_rated_kw": 1000.0},
+        inverters={"buses": (5, 12, 21, 40, 50, 61)},
     )
 
 
@@ -89,10 +75,8 @@ def khodr141() -> Scenario:
     return ieee33().replace(
         name="khodr141",
         feeder=load_feeder("khodr141"),
-        datacenter_buses=(141, 32, 52, 87),
-        p_rated_kw=2500.0,
-        inverter_buses=(10, 40, 60, 75, 100, 120),
-        inverter_s_kva=600.0,
+        datacenters={"buses": (141, 32, 52, 87), "p_rated_kw": 2500.0},
+        inverters={"buses": (10, 40, 60, 75, 100, 120), "s_rated_kva": 600.0},
     )
 
 
@@ -105,45 +89,51 @@ def ieee33_weak_ups() -> Scenario:
     """Make the preset ``ieee33-weak-ups``."""
     # What a UPS of 1 MW and 5 min lends to the grid of its 83 kWh: 300 kW for a minute, half full.
     base = bursty()
-    assert base.datacenter_buses is not None
-    ups = Storages.ups(base.datacenter_buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
+    assert base.datacenters.buses is not None
+    ups = Storages.ups(base.datacenters.buses, p_rated_kw=300.0, minutes=1.0, initial_share=0.5)
     return base.replace(name="ieee33-weak-ups", devices=(*base.devices, ups))
 
 
 def sync() -> Scenario:
     """Make the preset ``sync``."""
-    return ieee33().replace(name="sync", p_rated_kw=1000.0, inverter_s_kva=300.0, site_correlation=1.0)
+    return ieee33().replace(
+        name="sync",
+        datacenters={"p_rated_kw": 1000.0},
+        inverters={"s_rated_kva": 300.0},
+        workload={"site_correlation": 1.0},
+    )
 
 
 def training() -> Scenario:
     """Make the preset ``training``."""
     # What is left costs as if it waited 30 s more, which is 300 steps here.
     return ieee33_weak().replace(
-        name="training", p_rated_kw=600.0, trace="training", dt_s=0.1, horizon=200, weights=CostWeights(leftover=90.0)
+        name="training",
+        datacenters={"p_rated_kw": 600.0},
+        trace="training",
+        dt_s=0.1,
+        horizon=200,
+        weights=CostWeights(leftover=90.0),
     )
 
 
 def mixed() -> Scenario:
     """Make the preset ``mixed``."""
-    return ieee33().replace(name="mixed", inverter_s_kva=1500.0, inverter_trace="pv", trace="mixed")
+    return ieee33().replace(name="mixed", inverters={"s_rated_kva": 1500.0, "injection": "pv"}, trace="mixed")
 
 
 def fault() -> Scenario:
     """Make the preset ``fault``."""
     lost = Fault(("inverter", "capacitor"), begin_s=(10.0, 60.0))
     tripped = Fault(("datacenter",), begin_s=(10.0, 60.0), duration_s=(20.0, 40.0))
-    return ieee123().replace(name="fault", inverter_s_kva=150.0, faults=(lost, tripped))
+    return ieee123().replace(name="fault", inverters={"s_rated_kva": 150.0}, faults=(lost, tripped))
 
 
 def robust() -> Scenario:
     """Make the preset ``robust``."""
     return ieee33().replace(
         name="robust",
-        voltage_noise_pu=0.005,
-        measurement_delay=2,
-        preview=False,
-        r_model_share=0.8,
-        x_model_share=1.2,
+        sensing={"noise_pu": 0.005, "delay_steps": 2, "preview": False, "r_model_share": 0.8, "x_model_share": 1.2},
     )
 
 
@@ -153,10 +143,8 @@ def zero_shot() -> Scenario:
     return ieee33().replace(
         name="zero-shot",
         feeder=RandomFeeders(n_bus=60, style="us-mv", load_kw=4000.0, ood="rural"),
-        datacenter_buses=None,
-        p_rated_kw=1000.0,
-        inverter_buses=(9, 19, 29, 39, 49, 59),
-        inverter_s_kva=400.0,
+        datacenters={"buses": None, "p_rated_kw": 1000.0},
+        inverters={"buses": (9, 19, 29, 39, 49, 59), "s_rated_kva": 400.0},
     )
 
 
@@ -166,8 +154,7 @@ def scale_32() -> Scenario:
     return khodr141().replace(
         name="scale-32",
         n_datacenters=32,
-        datacenter_buses=None,
-        p_rated_kw=500.0,
-        inverter_buses=(10, 32, 40, 52, 60, 75, 100, 120),
+        datacenters={"buses": None, "p_rated_kw": 500.0},
+        inverters={"buses": (10, 32, 40, 52, 60, 75, 100, 120)},
         horizon=60,
     )

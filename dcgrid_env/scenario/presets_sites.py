@@ -19,18 +19,18 @@ def smoothing() -> Scenario:
     return training().replace(
         name="smoothing",
         horizon=6000,
-        datacenter_smoothing=PowerSmoothing(
-            floor_share=0.9,
-            ramp_up_w_per_s=12_000.0,
-            ramp_down_w_per_s=12_000.0,
-            hysteresis_s=2.0,
-            control="agent",
-            change_every_s=10.0,
-            burnt_weight=3.0,
-        ),
-        ramp_limit_kw_per_s=60.0,
-        ramp_window_s=1.0,
-        voltage_step_limit_pu=0.01,
+        datacenters={
+            "smoothing": PowerSmoothing(
+                floor_share=0.9,
+                ramp_up_w_per_s=12_000.0,
+                ramp_down_w_per_s=12_000.0,
+                hysteresis_s=2.0,
+                control="agent",
+                change_every_s=10.0,
+                burnt_weight=3.0,
+            )
+        },
+        cost={"ramp_limit_kw_per_s": 60.0, "ramp_window_s": 1.0, "voltage_step_limit_pu": 0.01},
         weights=CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
     )
 
@@ -42,9 +42,11 @@ def routing() -> Scenario:
     return bursty().replace(
         name="routing",
         n_datacenters=4,
-        datacenter_buses=(18, 33, 25, 12),
-        datacenter_routing=Routing(movable_share=0.5, move_latency_s=0.1),
-        datacenter_service=ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
+        datacenters={
+            "buses": (18, 33, 25, 12),
+            "routing": Routing(movable_share=0.5, move_latency_s=0.1),
+            "service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
+        },
         horizon=60,
         weights=CostWeights(backlog=0.0),
     )

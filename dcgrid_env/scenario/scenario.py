@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,22 +14,21 @@ import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, settle
-from dcgrid_env.devices import DataCenterParams, DataCenters, Device, InverterParams
+from dcgrid_env.devices import DataCenters, Device, Inverters
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
-from dcgrid_env.scenario.assembly import PARTS, assembled
+from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
-from dcgrid_env.scenario.flat_names import FLAT, FlatNames
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.joint_checks import check_feeder_kind, check_groups, check_ramp_limit, check_ratings
 from dcgrid_env.scenario.members import check_random_feeders, member, members
-from dcgrid_env.scenario.placement import check_placement, free_load_buses
+from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.trace_scale import check_trace_scale
 from dcgrid_env.scenario.workload import Workload
@@ -38,11 +38,13 @@ PowerFlowName = Literal["distflow", "lindistflow", "sweep"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, init=False)
-class Scenario(PickledByFields, FlatNames):
+class Scenario(PickledByFields):
     """One feeder with its devices, load, sensing and cost. Any field can be overridden where an environment is made.
 
-    Fields of the parts can also be given, and are read, by one name each (``flat_names``): ``voltage_noise_pu=0.005``
-    is ``sensing={"noise_pu": 0.005}``. Every field also takes plain data, as JSON or TOML hold it: see ``plain``.
+    A part is given as an object, or as a mapping of fields that changes these and leaves the others:
+    ``sensing={"noise_pu": 0.005}``. ``datacenters`` and ``inverters`` are given in the same way. A path,
+    ``**{"sensing.noise_pu": 0.005}``, is the same; ``field_names`` has short names of common fields. Every field also
+    takes plain data, as JSON or TOML hold it: see ``plain``.
     """
 
     name: str
@@ -73,16 +75,16 @@ class Scenario(PickledByFields, FlatNames):
     """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
 
     def __init__(self, **given: Any):
-        self._fill(assembled(None, self.__dataclass_fields__, given), given)
+        self._fill(assembled(None, self.__dataclass_fields__, given))
 
-    def _fill(self, values: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    def _fill(self, values: Mapping[str, Any]) -> None:
         for field in dataclasses.fields(self):
             if field.name not in values and field.default is MISSING:
                 raise TypeError(f"Scenario() missing the keyword argument {field.name!r}")
             object.__setattr__(self, field.name, values.get(field.name, field.default))
         if not isinstance(self.name, str) or not self.name.strip():
             raise ScenarioError(f"scenario {self.name!r}: name is {self.name!r}; give a text that is not empty")
-        with located(self.name, "", {"source_voltage_pu": "v0_pu"} if "v0_pu" in given else {}):
+        with located(self.name, ""):
             settle(self)
             check_fields(self)
             self._check()
@@ -90,20 +92,17 @@ class Scenario(PickledByFields, FlatNames):
     def _check(self) -> None:
         check_feeder_kind(self)
         check_random_feeders(self)
-        with located(
-            self.name, "grid_control", {field: name for name, (part, field) in FLAT.items() if part == "grid_control"}
-        ):
-            check_grid_control(self.grid_control, self.feeder, self.capacitors)
+        with located(self.name, "grid_control"):
+            check_grid_control(self.grid_control, self.feeder, self.background.capacitors)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
         check_ratings(self)
-        with located(self.name, "workload", {"trace_scale": "trace_scale"}):
+        with located(self.name, "workload"):
             check_trace_scale(self)
         for device in self.devices:
-            names = {field: name for name, (part, field) in FLAT.items() if part == device.kind}
-            with located(self.name, device.kind, names):
+            with located(self.name, path_of(device)):
                 device.check_episode(self.horizon)
                 if isinstance(device, DataCenters):
                     device.check_step(self.dt_s)
@@ -125,7 +124,7 @@ class Scenario(PickledByFields, FlatNames):
             For an invalid value.
         """
         other = object.__new__(type(self))
-        other._fill(assembled(self, self.__dataclass_fields__, overrides), overrides)
+        other._fill(assembled(self, self.__dataclass_fields__, overrides))
         return other
 
     def member(self, seeds: int | Sequence[int] | np.ndarray) -> Scenario:
@@ -160,27 +159,32 @@ class Scenario(PickledByFields, FlatNames):
         """Name by which ``make_scenario`` gives this very object; None for a variant, or one out of a pickle."""
         return self.__dict__.get("_preset")
 
-    def part(self, name: str) -> Any:
-        """A part by its name, the group of devices of a kind by that kind, or the scenario itself for ""."""
-        if not name:
-            return self
-        if name in PARTS:
-            return getattr(self, name)
-        return next(device for device in self.devices if device.kind == name)
+    @cached_property
+    def datacenters(self) -> DataCenters:
+        """The group of data centres; an empty one where there are none."""
+        return self.group(DataCenters.kind)
+
+    @cached_property
+    def inverters(self) -> Inverters:
+        """The group of inverters; an empty one where there are none."""
+        return self.group(Inverters.kind)
+
+    def group(self, kind: str) -> Any:
+        """The group of devices of a kind."""
+        return next(device for device in self.devices if device.kind == kind)
 
     def difference(self, other: Scenario) -> str | None:
-        """Name of the first field in which two scenarios differ, None if there is none."""
-        names = [name for name in self.__dataclass_fields__ if name not in (*PARTS, "devices", "source_voltage_pu")]
-        if len(self.devices) == len(other.devices) == 2:
-            names += FLAT
-        else:
-            names += [*(name for name, (part, _) in FLAT.items() if part in ("", *PARTS)), "devices"]
-        return next((name for name in names if not alike(getattr(self, name), getattr(other, name))), None)
+        """Path of the first field in which two scenarios differ, None if there is none."""
+        alone = len(self.devices) == len(other.devices) == len(GROUPS)
+        parts = (*PARTS, *(GROUPS if alone else ()))
+        paths = [name for name in self.__dataclass_fields__ if name not in PARTS and not (alone and name == "devices")]
+        paths += (f"{part}.{field.name}" for part in parts for field in dataclasses.fields(getattr(self, part)))
+        return next((path for path in paths if not alike(attrgetter(path)(self), attrgetter(path)(other))), None)
 
     @cached_property
     def follows_day(self) -> bool:
         """Whether base load, generated PV and generated requests follow the course of a day."""
-        return self.start_hour is not None or self.horizon * self.dt_s > 3600.0
+        return self.background.start_hour is not None or self.horizon * self.dt_s > 3600.0
 
     @cached_property
     def agents(self) -> tuple[str, ...]:
@@ -196,25 +200,10 @@ class Scenario(PickledByFields, FlatNames):
         """Number of agents."""
         return len(self.agents)
 
-    @property
-    def n_inverters(self) -> int:
-        """Number of inverters."""
-        return self.part("inverter").count
-
     @cached_property
     def work_classes(self) -> int:
         """Number of work classes that the clock law tells apart; 1 without data centres."""
         return max(getattr(device, "work_classes", 1) for device in self.devices)
-
-    @property
-    def datacenter(self) -> DataCenterParams:
-        """Ratings of the data centres."""
-        return self.part("datacenter").parameters
-
-    @property
-    def inverter(self) -> InverterParams:
-        """Ratings of the inverters."""
-        return self.part("inverter").parameters
 
     @cached_property
     def n_sites(self) -> int:
@@ -254,10 +243,11 @@ class Scenario(PickledByFields, FlatNames):
 
         A three-phase feeder as it is: there the shares are those of its derivatives, see ``believed_sensitivity``.
         """
-        exact = self.r_model_share == 1.0 and self.x_model_share == 1.0
+        r_share, x_share = self.sensing.r_model_share, self.sensing.x_model_share
+        exact = r_share == 1.0 and x_share == 1.0
         if exact or not isinstance(self.feeder, Feeder):
             return self.feeder
-        return self.feeder.scaled(self.r_model_share, self.x_model_share)
+        return self.feeder.scaled(r_share, x_share)
 
     @cached_property
     def q_scale_kvar(self) -> np.ndarray:
@@ -269,7 +259,7 @@ class Scenario(PickledByFields, FlatNames):
         """1 where a capacitor is connected at t = 0, by bus, or by bank on a three-phase feeder; 0 elsewhere."""
         feeder = self.feeder
         there = feeder.base_capacitor_on if isinstance(feeder, ThreePhaseFeeder) else feeder.capacitor_kvar > 0
-        return read_only(np.where(self.capacitors, there, 0.0))
+        return read_only(np.where(self.background.capacitors, there, 0.0))
 
     @cached_property
     def fault_targets(self) -> tuple[np.ndarray, ...]:

@@ -15,7 +15,7 @@
     s_rated_share = 1.02
     q_max_share = 0.33
 
-Fields and parts are those of ``Scenario``; fields of parts may also stand at the top by their flat names.
+Fields and parts are those of ``Scenario``. ``[datacenters]`` and ``[inverters]`` change fields of these groups.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import Any
 from dcgrid_env.core.files import write_text
 from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
-from dcgrid_env.scenario.assembly import PARTS
+from dcgrid_env.scenario.assembly import GROUPS, PARTS
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import refuse_objects, to_plain
 
@@ -69,7 +69,7 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     if base is None and "feeder" not in given:
         has = f"has {', '.join(given)}, but neither" if given else "is empty: it has neither"
         raise ScenarioError(f"{path} {has} base nor feeder; give base, a preset's name, or all fields of a scenario")
-    tables = (*PARTS, "devices", "faults", "sags")  # a text where a table is to be is told as it stands
+    tables = (*PARTS, *GROUPS, "devices", "faults", "sags")  # a text where a table is to be is told as it stands
     given = {name: value if value == NONE and name in tables else _none_in(value) for name, value in given.items()}
     try:
         if base is None:
@@ -174,7 +174,7 @@ def _from_here(folder: Path, name: str, value: Any) -> Any:
         return [_from_here(folder, name, item) for item in value]
     if name == "feeder" and isinstance(value, str) and value in FEEDER_REGISTRY:
         return value
-    if isinstance(value, str) and name in ("feeder", "trace", "injection", "inverter_trace"):
+    if isinstance(value, str) and name in ("feeder", "trace", "injection"):
         there = folder / value
         return str(there) if there.exists() else value
     return value

@@ -194,7 +194,7 @@ def fields(scenario: Scenario) -> str:
 
 def cost(scenario: Scenario) -> str:
     """The terms of the cost of a step and their weights."""
-    weights = {name: weight for name, weight in scenario.weights._asdict().items() if weight}
+    weights = {name: weight for name, weight in scenario.cost.weights._asdict().items() if weight}
     for device in scenario.devices:
         for term in device.cost_terms(scenario.horizon, scenario.dt_s):
             if term.weight:

@@ -47,8 +47,11 @@ class Informed(Mpc):
             return program
         s, before = self.scenario, max(k - 2, 0)
         p, q, pv = ((a[:, before], a[:, k - 1], a[:, k]) for a in (self._p_kw, self._q_kvar, self._pv_kw))
-        mean_kw, mean_kvar = s.feeder.p_load_kw, s.feeder.q_load_kvar - s.capacitors * s.feeder.capacitor_kvar
-        kept = s.load_rho**s.dt_s
+        mean_kw, mean_kvar = (
+            s.feeder.p_load_kw,
+            s.feeder.q_load_kvar - s.background.capacitors * s.feeder.capacitor_kvar,
+        )
+        kept = s.background.load_rho**s.dt_s
         ahead = {
             "stay": (p[1], q[1]),
             "their mean course": (mean_kw + kept * (p[1] - mean_kw), mean_kvar + kept * (q[1] - mean_kvar)),
@@ -62,10 +65,10 @@ class Informed(Mpc):
         """Voltages at these loads and this PV, with sites and reactive power as they are, p.u., (lane, n_load_node)."""
         s, p, q = self.scenario, p_kw.copy(), q_kvar.copy()
         lanes = np.arange(len(p))[:, None]
-        drawn = np.concatenate((now.local.p_kw[:, : s.n_datacenters], -pv_kw), axis=1)
+        drawn = np.concatenate((now.local.p_kw[:, : s.datacenters.count], -pv_kw), axis=1)
         np.add.at(p, (lanes, self._buses), drawn)
         np.add.at(q, (lanes, self._buses), -now.local.q_kvar)
-        return np.asarray(distflow(s.feeder, p, q, s.v0_pu).v_pu)[:, s.feeder.load_slice]
+        return np.asarray(distflow(s.feeder, p, q, s.source_voltage_pu).v_pu)[:, s.feeder.load_slice]
 
 
 def main() -> None:
@@ -84,11 +87,10 @@ def main() -> None:
         droop = cost(scenario, make_controller("droop-tuned", scenario), seeds)
         sun = any(np.ptp(forecast(scenario, seed).p_inverter_kw) > 0.0 for seed in seeds[:3])
         cases = [(scenario, loads, pv) for loads in LOADS for pv in (PV if sun else PV[:1])]
-        for on, loads, pv in [(scenario.replace(preview=False), "stay", "stays"), *cases]:
+        for on, loads, pv in [(scenario.replace(sensing={"preview": False}), "stay", "stays"), *cases]:
             score = (droop - cost(on, Informed(loads, pv, seeds), seeds)) / (droop - np.mean(best))
-            print(
-                f"| `{name}` | {'seen' if on.preview else 'not seen'} | {loads} | {pv if sun else ''} | {score:.3f} |"
-            )
+            seen = "seen" if on.sensing.preview else "not seen"
+            print(f"| `{name}` | {seen} | {loads} | {pv if sun else ''} | {score:.3f} |")
 
 
 def cost(scenario: Scenario, controller: object, seeds: range) -> float:

@@ -107,9 +107,9 @@ def drawn(seed: int) -> Scenario:
     at = rng.permutation(np.flatnonzero(feeder.p_load_kw > 0.0))[: n_dc + n_inv]
     ids = tuple(feeder.bus_ids[i] for i in at)
     return make_scenario(
-        "ieee33", name=f"drawn-{seed}", feeder=feeder, v0_pu=rng.uniform(0.95, 1.07), n_datacenters=n_dc,
-        datacenter_buses=ids[:n_dc], p_rated_kw=p_rated_kw, inverter_buses=ids[n_dc:], inverter_s_kva=s_kva,
-        split="validation",
+        "ieee33", name=f"drawn-{seed}", feeder=feeder, source_voltage_pu=rng.uniform(0.95, 1.07), n_datacenters=n_dc,
+        datacenters={"buses": ids[:n_dc], "p_rated_kw": p_rated_kw},
+        inverters={"buses": ids[n_dc:], "s_rated_kva": s_kva}, split="validation",
     )  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def droops(scenario: Scenario) -> Iterator[Droop]:
     k_q = float(1.0 / np.mean(x[at]) / len(at))
     for share in (0.1, 0.3, 0.6, 1.0, 2.0):
         for k_p in (0.0, 5.0):
-            k_p_mw = k_p * scenario.datacenter.p_rated_kw.mean() / 1000.0
+            k_p_mw = k_p * scenario.datacenters.parameters.p_rated_kw.mean() / 1000.0
             yield Droop(k_q_mvar_per_pu_s=share * k_q, k_p_mw_per_pu=k_p_mw)
 
 
@@ -134,7 +134,7 @@ def feeders() -> None:
         droop = min(mean_cost(s, law, EPISODES) for law in droops(s))
         mpc, law = (mean_cost(s, c, EPISODES) for c in (make_controller("mpc-one-step"), ModelAided()))
         rows.append((droop, mpc, law))
-        place = f"{s.feeder.name} | {s.feeder.n_bus} | {s.v0_pu:.3f} | {s.n_datacenters}"
+        place = f"{s.feeder.name} | {s.feeder.n_bus} | {s.source_voltage_pu:.3f} | {s.datacenters.count}"
         print(f"| {place} | {droop:.3f} | {mpc:.3f} | {law:.3f} |", flush=True)
     j = np.array(rows)
     print("means:", j.mean(axis=0))

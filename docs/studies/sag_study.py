@@ -125,7 +125,7 @@ def sag_study(
     test = make_scenario(scenario, split=SPLIT)
     if not 0 <= seed < episodes:
         raise ValueError(f"seed is {seed}; give one of the {episodes} episodes, 0 to {episodes - 1}")
-    if not test.sags or getattr(test.part("datacenter"), "ride_through", None) is None:
+    if not test.sags or getattr(test.datacenters, "ride_through", None) is None:
         raise ValueError(f"scenario is {scenario!r}, which has no sags or no sites that leave; give ride-through")
     asked = [_Asked(scenario, name, episodes, seed) for name in (*names, *([None] if best else []))]
     units = [Unit(one.name or BEST_KNOWN, _drive, one) for one in asked]
@@ -144,7 +144,7 @@ def _drive(asked: _Asked) -> Driven:
 
 
 def _load_kw(test: Scenario) -> float:
-    return float(np.sum(test.feeder.p_load_kw) + test.datacenter.p_rated_kw.sum())
+    return float(np.sum(test.feeder.p_load_kw) + test.datacenters.parameters.p_rated_kw.sum())
 
 
 def _cost(one: Driven) -> float:
@@ -163,7 +163,7 @@ def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
 
 def _course(recorder: Recorder, lane: int) -> Course:
     own, scenario = recorder.lane(lane), recorder.scenario
-    n_dc, n_inv = scenario.n_datacenters, scenario.n_inverters
+    n_dc, n_inv = scenario.datacenters.count, scenario.inverters.count
     v = own.v_pu[1:, scenario.feeder.load_slice]
     return Course(
         time_s=scenario.dt_s * np.arange(1, len(v) + 1),
@@ -188,13 +188,13 @@ def table(study: SagStudy) -> Table:
 
 def markdown(study: SagStudy, made_by: str, image: str) -> str:
     """The page."""
-    s, sites_kw = study.scenario, study.scenario.datacenter.p_rated_kw
+    s, sites_kw = study.scenario, study.scenario.datacenters.parameters.p_rated_kw
     about = (
         f"Six dips within 82 s, each over in 42 to 66 ms with 0.25 to 0.40 p.u. left, as on 10 July 2024 in Virginia "
         f"(NERC), on a feeder of {study.load_kw:.0f} kW of which {sites_kw.sum():.0f} kW are {len(sites_kw)} sites "
-        f"behind UPS, with {s.inverter.s_rated_kva.sum():.0f} kVA of PV. No controller can stop a dip. What differs is "
-        "when and how fast the sites return, and what clocks and inverters do meanwhile. Figures and rules of the "
-        "model stand in [ride-through.md](ride-through.md)."
+        f"behind UPS, with {s.inverters.parameters.s_rated_kva.sum():.0f} kVA of PV. No controller can stop a dip. "
+        "What differs is when and how fast the sites return, and what clocks and inverters do meanwhile. Figures and "
+        "rules of the model stand in [ride-through.md](ride-through.md)."
     )
     scale = (
         "What of it is comparable with the 1,500 MW that left the grid on that day: the dips, the rule of three events "

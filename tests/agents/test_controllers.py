@@ -14,10 +14,14 @@ def toy6():
 
 
 def test_a_preset_of_another_grid_gets_no_policy_of_the_presets(toy6):
-    own = make_scenario("ieee33", p_rated_kw=900.0)
-    with pytest.raises(ValueError, match=r"'ppo': the policy that ships for 'ieee33' .* differs in p_rated_kw; train"):
+    own = make_scenario("ieee33", datacenters={"p_rated_kw": 900.0})
+    with pytest.raises(
+        ValueError, match=r"'ppo': the policy that ships for 'ieee33' .* differs in datacenters.p_rated_kw; train"
+    ):
         find_controller("ppo", own)
-    assert isinstance(find_controller("ppo", make_scenario("ieee33", horizon=60, load_sigma=0.1)), Policy)
+    assert isinstance(
+        find_controller("ppo", make_scenario("ieee33", horizon=60, background={"load_sigma": 0.1})), Policy
+    )
     assert isinstance(find_controller("ieee33-ppo", own), Policy)
 
 

@@ -19,7 +19,7 @@ from helpers.needs import NEEDING_A_DEVICE
 
 def seen(scenario, v_pu, q_kvar=0.0, p_kw=None, p_ref_kw=None, backlog_kws=0.0):
     """A local observation of toy6's three agents in physical units."""
-    n_dc, n = scenario.n_datacenters, scenario.n_agents
+    n_dc, n = scenario.datacenters.count, scenario.n_agents
     return Local(
         v_pu=np.full(n, v_pu),
         p_kw=np.zeros(n) if p_kw is None else np.array(p_kw),
@@ -100,7 +100,11 @@ LOCAL = [
 ]
 
 
-@pytest.mark.parametrize("law", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"])
+@pytest.mark.parametrize(
+    "law",
+    [{}, {"datacenters.clock_law": PrefillDecodeDvfs(), "datacenters.boost_share": 1.3}],
+    ids=["linear", "work_classes"],
+)
 @pytest.mark.parametrize("name", LOCAL)
 def test_one_object_drives_every_interface(name, law):
     """Joined, per agent and batched observations lead to the same course of the same episode."""
@@ -171,13 +175,13 @@ def test_bad_gains(arguments, message):
 
 def test_without_preview_the_droop_caps_at_the_rating():
     droop = Droop(k_p_mw_per_pu=10.0, alpha_per_s=0.3)
-    scenario = started(droop, preview=False)
+    scenario = started(droop, sensing={"preview": False})
     # P = 2500 + 10,000 (0.97 - 1) + 0.3 * 400 = 2320 kW, whatever is coming
     f, _ = droop.control(seen(scenario, 0.97, p_ref_kw=[0.0], backlog_kws=400.0))
     assert f == pytest.approx([clock_of(2320.0)])
-    with pytest.raises(ValueError, match="one-step memory needs p_ref; make the scenario with preview=True"):
-        Droop(memory="one_step").reset(make_scenario("ieee123", preview=False))
-    make_controller("inverters").reset(make_scenario("ieee123", preview=False))
+    with pytest.raises(ValueError, match=r"one-step memory needs p_ref; make the scenario with sensing\.preview"):
+        Droop(memory="one_step").reset(make_scenario("ieee123", sensing={"preview": False}))
+    make_controller("inverters").reset(make_scenario("ieee123", sensing={"preview": False}))
 
 
 def test_unknown_name_lists_what_exists():

@@ -155,7 +155,7 @@ def test_nobody_beats_the_bound_or_hindsight_by_more_than_its_gap(name):
     for controller in (*CONTROLLERS, *TUNED):
         if controller == "mpc" or not drives(controller, scenario):
             continue
-        if controller == "droop-one-step" and not scenario.preview:
+        if controller == "droop-one-step" and not scenario.sensing.preview:
             continue
         cost = rollout(scenario, make_controller(controller, scenario), seeds.tolist()).costs()
         assert (cost > values.bound[seeds] * (1.0 - LINEARISED)).all(), controller

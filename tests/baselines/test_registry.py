@@ -23,7 +23,7 @@ class Still:
     q: float = 0.25
 
     def reset(self, env_info):
-        self.n = 2 * env_info.n_datacenters + env_info.n_inverters
+        self.n = 2 * env_info.datacenters.count + env_info.inverters.count
 
     def act(self, observations):
         return np.full((*np.shape(observations)[:-1], self.n), self.q)

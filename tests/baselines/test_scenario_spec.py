@@ -79,11 +79,13 @@ def test_values(text, value):
     [
         (("horizon",), "set: 'horizon' is no field with its value; write FIELD=VALUE"),
         (("=60",), "is no field with its value"),
-        (("p_rated_kw=[1,",), r"set: p_rated_kw is '\[1,', which can be read neither as TOML nor as JSON; write"),
+        (
+            ("datacenters.p_rated_kw=[1,",),
+            r"set: datacenters.p_rated_kw is '\[1,', which can be read neither as TOML nor as JSON; write",
+        ),
         (("horizon=",), "set: horizon is ''"),
         (("horizon=60", "horizon=50"), "set: horizon is there twice, as 60 and as 50; give it once"),
-        (("sensing.noise_pu=0.1", "sensing.noise_pu=0.2"), "set: sensing.noise_pu is there twice, or beside sensing"),
-        (("sensing=3", "sensing.noise_pu=0.2"), "set: sensing.noise_pu is there twice, or beside sensing as a whole"),
+        (("sensing.noise_pu=0.1", "sensing.noise_pu=0.2"), "set: sensing.noise_pu is there twice, as 0.1 and as 0.2"),
     ],
 )
 def test_what_is_no_override(texts, message):
@@ -93,32 +95,41 @@ def test_what_is_no_override(texts, message):
 
 
 def test_a_preset_with_overrides(here):
-    spec = ScenarioSpec("ieee33", ("horizon=60", "p_rated_kw=[1, 2, 3, 4]", "feeder=ieee33"))
+    spec = ScenarioSpec("ieee33", ("horizon=60", "datacenters.p_rated_kw=[1, 2, 3, 4]", "feeder=ieee33"))
     found = spec.make("test", observe="feeder")
-    expected = make_scenario("ieee33", horizon=60, p_rated_kw=(1, 2, 3, 4), split="test", observe="feeder")
+    expected = make_scenario(
+        "ieee33", horizon=60, datacenters={"p_rated_kw": (1, 2, 3, 4)}, split="test", observe="feeder"
+    )
     assert scenario_hash(found) == scenario_hash(expected)
     assert spec.make("test", observe="feeder") is found
     assert spec_of(found) == spec
     assert not spec.is_preset
     assert ScenarioSpec("ieee33").is_preset
-    assert spec.options("--scenario") == "--scenario ieee33 --set horizon=60 'p_rated_kw=[1, 2, 3, 4]' feeder=ieee33"
+    assert (
+        spec.options("--scenario")
+        == "--scenario ieee33 --set horizon=60 'datacenters.p_rated_kw=[1, 2, 3, 4]' feeder=ieee33"
+    )
     assert options_of(expected, "--scenario") == "--scenario FILE.py:FUNCTION"
 
 
 def test_tables_become_weights_and_faults(here):
-    given = ("weights={backlog=1}", '[{among=["inverter"], begin_s=[1, 2]}]', "dvfs=prefill-decode")
+    given = ("weights={backlog=1}", '[{among=["inverter"], begin_s=[1, 2]}]', "datacenters.clock_law=prefill-decode")
     found = ScenarioSpec("ieee33", (given[0], f"faults={given[1]}", given[2])).make("test")
     fault = Fault(("inverter",), begin_s=(1, 2))
     expected = make_scenario(
-        "ieee33", weights=CostWeights(backlog=1), faults=(fault,), dvfs=PrefillDecodeDvfs(), split="test"
+        "ieee33",
+        weights=CostWeights(backlog=1),
+        faults=(fault,),
+        datacenters={"clock_law": PrefillDecodeDvfs()},
+        split="test",
     )
     assert scenario_hash(found) == scenario_hash(expected)
 
 
 def test_ones_own_from_a_file_and_a_module(here, capsys):
     for where in ("own.py:make", f"{here}/own.py:make", "own:make"):
-        found = ScenarioSpec(where, ("load_sigma=0.1",)).make("validation")
-        assert (found.name, found.horizon, found.load_sigma, found.split) == ("mine", 20, 0.1, "validation")
+        found = ScenarioSpec(where, ("background.load_sigma=0.1",)).make("validation")
+        assert (found.name, found.horizon, found.background.load_sigma, found.split) == ("mine", 20, 0.1, "validation")
     assert ScenarioSpec("own.py:here").make("test").name == "here"
     # Once as a file, once as a module.
     assert capsys.readouterr().out.split().count("imported") == 2
@@ -159,14 +170,14 @@ def test_another_process_makes_the_same(here):
         (
             "toy6",
             ("n_datacenters=99999999999999999999",),
-            r"n_datacenters is 9+; give a whole number of at least 0",
+            r"datacenters.count is 9+; give a whole number of at least 0",
         ),
         ("toy6", ("weights={backlg=1}",), r"weights.*backlg"),
         ("toy6", ("horizon=-1",), r"horizon is -1; give"),
         ("toy6", ("horizon=ten",), r"horizon is 'ten'; give"),
         ("toy6", ("feeder=none",), r"no feeder 'none'; "),
         ("toy6", ("split=test",), r"set: split is chosen by the command"),
-        ("toy6", ("observe=feeder",), r"set: observe is an option of its own here; give --observe"),
+        ("toy6", ("observe=feeder",), r"set: observe is chosen by an option of the command; leave one"),
     ],
 )
 def test_what_is_no_scenario_is_one_line(here, where, overrides, message):
@@ -177,5 +188,5 @@ def test_what_is_no_scenario_is_one_line(here, where, overrides, message):
 
 def test_a_field_of_a_part_is_set_by_its_path():
     changed = ScenarioSpec("ieee33", ("sensing.noise_pu=0.005", "sensing.delay_steps=1", "horizon=9")).make("test")
-    expected = make_scenario("ieee33", voltage_noise_pu=0.005, measurement_delay=1, horizon=9, split="test")
+    expected = make_scenario("ieee33", sensing={"noise_pu": 0.005, "delay_steps": 1}, horizon=9, split="test")
     assert scenario_hash(changed) == scenario_hash(expected)

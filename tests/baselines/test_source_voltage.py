@@ -32,5 +32,5 @@ def test_a_weak_feeder_gets_the_top_of_the_band_and_costs_less_there():
 def test_a_feeder_that_regulators_hold_keeps_its_own():
     scenario = scenario_on(load_feeder("ieee13-3ph"))
     assert centred_voltage(scenario, episodes=1).v_pu == scenario.source_voltage_pu
-    fixed = scenario.replace(regulators="fixed")
+    fixed = scenario.replace(grid_control={"regulators": "fixed"})
     assert not centred_voltage(fixed, episodes=1).is_own

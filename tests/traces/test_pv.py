@@ -47,11 +47,13 @@ def test_splits_share_no_sky():
 
 
 def test_an_episode_takes_one_window_for_all_inverters():
-    scenario = make_scenario("ieee33", inverter_trace="pv", inverter_s_kva=(500.0,) * 5 + (250.0,), split="test")
+    scenario = make_scenario(
+        "ieee33", inverters={"injection": "pv", "s_rated_kva": (500.0,) * 5 + (250.0,)}, split="test"
+    )
     rows = pv_rows("test", 1.0, 3600.0, 24)
     starts = set()
     for seed in range(4):
-        share = forecast(scenario, seed).p_inverter_kw / scenario.inverter.s_rated_kva
+        share = forecast(scenario, seed).p_inverter_kw / scenario.inverters.parameters.s_rated_kva
         np.testing.assert_allclose(share, share[:, :1] * np.ones(6))
         # Step k takes the k-th second after the window's first.
         windows = np.lib.stride_tricks.sliding_window_view(rows, 120, axis=1)

@@ -59,7 +59,9 @@ def test_a_recording_may_begin_at_any_time():
 
 
 def test_the_environment_tells_their_delays():
-    scenario = make_scenario("ieee33-weak", trace=(SERVED,), dvfs=PrefillDecodeDvfs(), split="test")
+    scenario = make_scenario(
+        "ieee33-weak", trace=(SERVED,), datacenters={"clock_law": PrefillDecodeDvfs()}, split="test"
+    )
     metrics = rollout(scenario, NoControl(), range(2)).metrics()[0]
     assert metrics["requests_sampled"] > 100
     assert metrics["delay_mean_s"] < 1e-9

@@ -3,7 +3,7 @@
 Flicker and swings are there where steps are of at most 0.1 s and an episode lasts at least 600 s. The time after the
 last full 600 s is left out; an episode that ended before the first counts as far as it went. A step of dt shows
 frequencies up to 1 / (2 dt), so with 0.1 s the band of swings ends at 5 Hz. Ramps are there where the scenario has
-``ramp_limit_kw_per_s``, voltage steps where it has ``voltage_step_limit_pu``; see ``utility_limits``.
+``cost.ramp_limit_kw_per_s``, voltage steps where it has ``cost.voltage_step_limit_pu``; see ``utility_limits``.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class StreamingFluctuation:
             self._flicker.add(v[1:])
             self._draws.append(own_kw[1:].copy())
         figures: dict[str, float] = {}
-        if s.ramp_limit_kw_per_s is not None:
+        if s.cost.ramp_limit_kw_per_s is not None:
             window = ramp_steps(s)
             if self._before is None:
                 self._before = np.repeat(own_kw[:1], window, axis=0)
@@ -143,8 +143,8 @@ class StreamingFluctuation:
             ramps = ramps_kw_per_s(s, own_kw[1:], course[:steps])
             self._before = course[-window:].copy()
             figures["ramp_max_kw_per_s"] = float(ramps.max())
-            figures["ramp_excess_pct"] = 100.0 * float(excess(ramps, s.ramp_limit_kw_per_s).mean())
-        if s.voltage_step_limit_pu is not None:
+            figures["ramp_excess_pct"] = 100.0 * float(excess(ramps, s.cost.ramp_limit_kw_per_s).mean())
+        if s.cost.voltage_step_limit_pu is not None:
             figures["voltage_step_max_pu"] = float(np.abs(np.diff(v, axis=0)).max())
             figures["voltage_step_excess_pct"] = 100.0 * float(voltage_step_excess(s, v[1:], v[:-1]).mean())
         self._combined.add(figures, steps)

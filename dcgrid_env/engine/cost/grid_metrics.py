@@ -122,7 +122,7 @@ def _grid_figures(series: Any) -> dict[str, Any]:
     s = series.scenario
     v = series.v_pu[1:, s.feeder.load_slice]
     deviation = np.abs(v - 1.0)
-    outside = deviation > s.band_pu
+    outside = deviation > s.cost.band_pu
     converters = [device for device in s.devices if not is_equipment(device)]  # which stand first
     ratings = np.concatenate([device.converter_kva for device in converters])
     return {

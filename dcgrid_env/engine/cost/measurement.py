@@ -13,12 +13,12 @@ from dcgrid_env.scenario.scenario import Scenario
 
 def measurement_noise(scenario: Scenario, key: np.ndarray, step: np.ndarray) -> np.ndarray | None:
     """Draw the noise of the measurements at ``step`` (row,), p.u., (row, n_measured); None without noise."""
-    if scenario.voltage_noise_pu == 0.0:
+    if scenario.sensing.noise_pu == 0.0:
         return None
     from dcgrid_env.core import random  # brings the compiler with it, so not on import
 
-    n = scenario.feeder.n_node if scenario.observe == "feeder" else scenario.n_agents
-    return scenario.voltage_noise_pu * random.standard(key, random.MEASUREMENT, step, n)
+    n = scenario.feeder.n_node if scenario.sensing.observe == "feeder" else scenario.n_agents
+    return scenario.sensing.noise_pu * random.standard(key, random.MEASUREMENT, step, n)
 
 
 def measure(scenario: Scenario, state: State, noise: Array | None) -> Array:
@@ -27,8 +27,8 @@ def measure(scenario: Scenario, state: State, noise: Array | None) -> Array:
     On a three-phase feeder the agents' means are followed by their lowest and their highest phases, which one meter
     measures with one error.
     """
-    true = state.v_pu if scenario.observe == "feeder" else state.v_agent_pu
-    if state.three_phase is not None and scenario.observe != "feeder":
+    true = state.v_pu if scenario.sensing.observe == "feeder" else state.v_agent_pu
+    if state.three_phase is not None and scenario.sensing.observe != "feeder":
         xp, phases = namespace(true), state.three_phase
         true = xp.concat((true, phases.v_agent_lowest_pu, phases.v_agent_highest_pu), axis=-1)
         noise = None if noise is None else xp.concat((noise, noise, noise), axis=-1)
@@ -40,7 +40,7 @@ def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Arr
 
     ``nodes`` are those of the agents, see ``Exogenous``; (row, 2 n_agent), None on a balanced feeder.
     """
-    whole, n = scenario.observe == "feeder", scenario.n_agents
+    whole, n = scenario.sensing.observe == "feeder", scenario.n_agents
     if not isinstance(scenario.feeder, ThreePhaseFeeder):
         return from_nodes(measured_pu, nodes) if whole else measured_pu, None
     if not whole:
@@ -51,4 +51,4 @@ def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Arr
 
 def remembered(scenario: Scenario) -> int:
     """Number of measurements that are kept: the delayed one, the one before it, and those that are on their way."""
-    return scenario.measurement_delay + 2
+    return scenario.sensing.delay_steps + 2

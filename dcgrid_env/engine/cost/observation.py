@@ -60,11 +60,11 @@ class ObservationField(NamedTuple):
 
 
 def _per_band(scenario: Scenario) -> float:
-    return 1.0 / (scenario.band_pu or 1.0)
+    return 1.0 / (scenario.cost.band_pu or 1.0)
 
 
 def _band_edges(scenario: Scenario) -> tuple[float, float]:
-    edge = 1.0 / scenario.band_pu if scenario.band_pu > 0 else 1.0
+    edge = 1.0 / scenario.cost.band_pu if scenario.cost.band_pu > 0 else 1.0
     return -edge, edge
 
 
@@ -116,7 +116,7 @@ FIELDS = (
     ObservationField(
         "loading", "loading of the branch that feeds the bus, of its most loaded phase; 0 where it is not known",
         lambda seen: loading_of_agents(seen.state, seen.placed.nodes), lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING),
-        lambda scenario: scenario.observe_loading,
+        lambda scenario: scenario.sensing.loading,
     ),
 )  # fmt: skip
 """Fields of the grid, in order."""
@@ -131,10 +131,10 @@ def grid_fields(scenario: Scenario) -> tuple[ObservationField, ...]:
 def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
     """Names of the observed fields, in order, for each agent."""
     wider: tuple[str, ...] = ()
-    if scenario.observe == "neighbours":
+    if scenario.sensing.observe == "neighbours":
         count = min(N_NEIGHBOURS, scenario.n_agents - 1)
         wider = tuple(f"neighbour{i}_{name}" for i in range(count) for name in ("v_deviation", "p", "q"))
-    elif scenario.observe == "feeder":
+    elif scenario.sensing.observe == "feeder":
         wider = tuple(f"v_deviation_{node}" for node in scenario.feeder.node_ids[scenario.feeder.load_slice])
     agents = iter(scenario.agents)
     return {
@@ -152,7 +152,7 @@ def common_fields(scenario: Scenario) -> tuple[str, ...]:
 @cached_on_owner
 def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
     """The fields of each device, those that are deviations of voltages in bands."""
-    band = scenario.band_pu or 1.0
+    band = scenario.cost.band_pu or 1.0
     of_devices = (device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
     return tuple(tuple(_in_bands(field, band) if field.of_band else field for field in own) for own in of_devices)
 
@@ -195,10 +195,10 @@ def joint_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 def _largest_distance(scenario: Scenario) -> tuple[float, float]:
     """Largest R_ii and X_ii of any agent at any bus, in bands; on random feeders what they are below on all of them."""
-    feeder, band = scenario.family.feeder, scenario.band_pu or 1.0
+    feeder, band = scenario.family.feeder, scenario.cost.band_pu or 1.0
     if isinstance(feeder, RandomFeeders):
         largest = feeder.largest_drop_pu_per_mw / band
-        return largest * scenario.r_model_share, largest * scenario.x_model_share
+        return largest * scenario.sensing.r_model_share, largest * scenario.sensing.x_model_share
     own = distance_in_bands(scenario)
     return float(own[..., 0].max()), float(own[..., 1].max())
 
@@ -213,11 +213,11 @@ class _Layout(NamedTuple):
 def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     n = scenario.n_agents
-    near = min(N_NEIGHBOURS, n - 1) if scenario.observe == "neighbours" else 0
+    near = min(N_NEIGHBOURS, n - 1) if scenario.sensing.observe == "neighbours" else 0
     blocks = [field.scale(scenario) * np.ones(n) for field in grid_fields(scenario)]
     common = len(blocks)
     for fields in device_fields(scenario):
-        blocks += [1.0 / f.share_of * (scenario.preview if f.of_preview else True) for f in fields]
+        blocks += [1.0 / f.share_of * (scenario.sensing.preview if f.of_preview else True) for f in fields]
     starts = np.cumsum([0, *map(len, blocks)]).tolist()
     scale = np.concatenate(blocks)
     column, agent, block = [], 0, common
@@ -225,15 +225,15 @@ def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
         for slot in range(device.count):
             column += [starts[k] + agent for k in range(common)]
             column += [starts[block + k] + slot for k in range(len(fields))]
-            if scenario.observe == "neighbours":
+            if scenario.sensing.observe == "neighbours":
                 column += range(len(scale) + 3 * near * agent, len(scale) + 3 * near * (agent + 1))
-            elif scenario.observe == "feeder":
+            elif scenario.sensing.observe == "feeder":
                 column += range(len(scale), len(scale) + len(scenario.feeder.load_nodes))
             agent += 1
         block += len(fields)
-    if scenario.observe == "neighbours":
+    if scenario.sensing.observe == "neighbours":
         scale = np.concatenate((scale, np.ones(3 * near * n)))
-    elif scenario.observe == "feeder":
+    elif scenario.sensing.observe == "feeder":
         scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
     return _Layout(
         tuple(field.raw for field in grid_fields(scenario)),
@@ -292,7 +292,7 @@ def _raw(
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])
-    if scenario.observe == "neighbours":
+    if scenario.sensing.observe == "neighbours":
         trio = (
             seen.deviation_pu * _per_band(scenario),
             state.p_kw / params.p_scale_kw,
@@ -300,6 +300,6 @@ def _raw(
         )
         near = (take_at(field, placed.nearest)[..., None] for field in trio)
         raw.append(xp.concat(tuple(near), axis=-1).reshape(v_now.shape[0], -1))
-    elif scenario.observe == "feeder":
+    elif scenario.sensing.observe == "feeder":
         raw.append(v_measured_pu[:, scenario.feeder.load_slice] - 1.0)
     return xp.concat(raw, axis=-1), layout

@@ -35,7 +35,7 @@ agent. ``leftover`` and other terms that are charged at the end are 0 before an 
 
 def _step(scenario: Scenario, state: State, solution: Any, figures: Any = None) -> Step:
     t, v_pu = terms(scenario), state.v_pu
-    kind, band_pu = scenario.voltage_cost, scenario.band_pu
+    kind, band_pu = scenario.cost.voltage, scenario.cost.band_pu
     if kind == "l1" and figures is not None:
         sums = figures.deviation_pu, figures.excess_pu
     else:
@@ -106,7 +106,7 @@ class Terms(NamedTuple):
 @cached_on_owner
 def terms(scenario: Scenario) -> Terms:
     """The cost terms of a scenario."""
-    weights = scenario.weights._asdict()
+    weights = scenario.cost.weights._asdict()
     of_devices = [
         (i, term, weights.get(term.name, term.weight or 0.0))
         for i, device in enumerate(scenario.devices)
@@ -131,14 +131,14 @@ def terms(scenario: Scenario) -> Terms:
 
 def _is_listed(scenario: Scenario, term: GridTerm) -> bool:
     if not term.is_always_listed:
-        return bool(getattr(scenario.weights, term.name))
+        return bool(getattr(scenario.cost.weights, term.name))
     return not term.needs or isinstance(scenario.feeder, ThreePhaseFeeder)
 
 
 @cached_on_owner
 def charged_terms(scenario: Scenario) -> tuple[tuple[Any, float], ...]:
     """Terms of the grid that have a weight, with it."""
-    weights = [(term, getattr(scenario.weights, term.name)) for term in TERMS if term.amount is not None]
+    weights = [(term, getattr(scenario.cost.weights, term.name)) for term in TERMS if term.amount is not None]
     return tuple((term, weight) for term, weight in weights if weight)
 
 

@@ -111,9 +111,11 @@ def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
     """Time of day at t = 0, h, (row,)."""
-    if isinstance(scenario.start_hour, str) or (scenario.start_hour is None and scenario.follows_day):
+    if isinstance(scenario.background.start_hour, str) or (
+        scenario.background.start_hour is None and scenario.follows_day
+    ):
         return 24.0 * random.uniform(key, random.HOUR, 1)[:, 0]
-    return np.full(len(key), float(scenario.start_hour or 0.0))
+    return np.full(len(key), float(scenario.background.start_hour or 0.0))
 
 
 def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.ndarray:
@@ -124,18 +126,18 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
     row = np.argsort(random.bits(key, random.TRACE_ROW, n_rows), axis=1, kind="stable")
     row = row[:, np.arange(n_site) % n_rows]
     spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
-    room = 1 if scenario.trace_window == "start" else spare + 1
+    room = 1 if scenario.workload.window == "start" else spare + 1
     start = (random.bits(key, random.TRACE_START, n_site) % np.uint64(room)).astype(np.int64)
-    if scenario.trace_window == "together":
+    if scenario.workload.window == "together":
         start = start[:, :1]
     if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
         # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
         later_h = (begin_h[:, None] - pool.begin_h[row]) % 24.0
         start = start + np.floor(later_h * 3600.0 / scenario.dt_s).astype(np.int64)
     window = row * n_steps + start
-    if scenario.site_correlation:
+    if scenario.workload.site_correlation:
         window = np.where(
-            random.uniform(key, random.CORRELATION, n_site) < scenario.site_correlation, window[:, :1], window
+            random.uniform(key, random.CORRELATION, n_site) < scenario.workload.site_correlation, window[:, :1], window
         )
     return window
 
@@ -176,9 +178,9 @@ def p_ref_kw(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.ndarr
 def asked_kw(scenario: Scenario, start: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Power that sites ask for in windows from ``start`` on, broadcast against ``step`` (n,), kW, (n, n_site)."""
     p_kw = trace_pool(scenario).p_share.take(start + step[:, None]) * full_trace_kw(scenario)
-    if scenario.full_load_s is None:
+    if scenario.workload.full_load_s is None:
         return p_kw
-    begin_s, end_s = scenario.full_load_s
+    begin_s, end_s = scenario.workload.full_load_s
     t_s = step[:, None] * scenario.dt_s
     full = (begin_s + _ROUNDING_S < t_s) & (t_s <= end_s + _ROUNDING_S)
     return np.where(full, np.maximum(p_kw, scenario.site_rated_kw), p_kw)
@@ -190,7 +192,7 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
         return None
     shares = trace_pool(scenario).compute_share
     if shares is None:
-        return np.full(episode.start.shape, float(scenario.compute_share))
+        return np.full(episode.start.shape, float(scenario.workload.compute_share))
     return shares.take(episode.start + step[:, None])
 
 
@@ -251,13 +253,13 @@ def exogenous(
     if three_phase:
         p, q = step_kernels().leg_loads(p, *base_legs(feeder))
     available = capacitor_on = None
-    if three_phase and not scenario.capacitors:
+    if three_phase and not scenario.background.capacitors:
         capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
     if scenario.faults:
         agents, capacitors = np.split(lost(scenario, episode.fault, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
         if three_phase:
-            capacitor_on = float(scenario.capacitors) * (1.0 - capacitors)
+            capacitor_on = float(scenario.background.capacitors) * (1.0 - capacitors)
         else:
             q += capacitors * feeder.capacitor_kvar
     placed, compute = episode.placed, compute_share(scenario, episode, step)

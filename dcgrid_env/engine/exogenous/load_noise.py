@@ -45,10 +45,15 @@ def load_noise(scenario: Scenario) -> LoadNoise:
 
 
 def _load_of(feeder: Any, scenario: Scenario) -> LoadNoise:
-    rho, sigma, zeros, ones = float(scenario.load_rho**scenario.dt_s), float(scenario.load_sigma), np.zeros, np.ones
+    rho, sigma, zeros, ones = (
+        float(scenario.background.load_rho**scenario.dt_s),
+        float(scenario.background.load_sigma),
+        np.zeros,
+        np.ones,
+    )
     if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
         return LoadNoise(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
-    fixed = -feeder.capacitor_kvar if scenario.capacitors else zeros(feeder.n_bus)
+    fixed = -feeder.capacitor_kvar if scenario.background.capacitors else zeros(feeder.n_bus)
     return LoadNoise(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
 
 

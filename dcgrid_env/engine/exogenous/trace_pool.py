@@ -50,11 +50,14 @@ def trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
 
 @cached_on_owner
 def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
-    trace, split, dt_s, steps = scenario.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
+    trace, split, dt_s, steps = scenario.workload.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
     needed_s = steps * dt_s
     if not isinstance(trace, str):
-        shares, boost = as_shares_of(scenario)[0], scenario.largest_boost if scenario.trace_scale == "rated" else 1.0
-        rows = from_recordings(shares, split, dt_s, needed_s, boost, scenario.recording_split)
+        shares, boost = (
+            as_shares_of(scenario)[0],
+            scenario.largest_boost if scenario.workload.trace_scale == "rated" else 1.0,
+        )
+        rows = from_recordings(shares, split, dt_s, needed_s, boost, scenario.workload.recording_split)
         require_window(rows, steps, dt_s, ", ".join(t.name for t in trace))
         return rows
     # Rounding may cost a step of dt at the end, so one more is asked for.
@@ -76,7 +79,7 @@ def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
 @cached_on_owner
 def full_trace_kw(scenario: Scenario) -> np.ndarray:
     """Power that a share of 1 in the pool is at each site, kW, (n_site,)."""
-    return scenario.site_rated_kw if isinstance(scenario.trace, str) else as_shares_of(scenario)[1]
+    return scenario.site_rated_kw if isinstance(scenario.workload.trace, str) else as_shares_of(scenario)[1]
 
 
 def spare_steps(dt_s: float) -> int:

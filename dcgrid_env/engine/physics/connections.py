@@ -98,7 +98,7 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
         )
         pair, seen = np.nonzero(np.isin(own, at))
         row = np.searchsorted(at, own[pair, seen])
-        for k, share in enumerate((scenario.r_model_share, scenario.x_model_share)):
+        for k, share in enumerate((scenario.sensing.r_model_share, scenario.sensing.x_model_share)):
             rise = share * slopes[k][row[:, None], own[pair]].sum(-1) / n_seen**2
             np.add.at(found[..., k], (agent[pair], bus[pair]), rise)
     return found
@@ -108,13 +108,13 @@ def believed_sensitivity(scenario: Scenario) -> Sensitivity:
     """Derivative of the voltage at every node by the power injected at every node, as agents and controllers know it.
 
     On a balanced feeder that of ``Scenario.model``. On a three-phase feeder that of its base load at the scenario's
-    source voltage and capacitors, with ``r_model_share`` of the one by active and ``x_model_share`` of the one by
-    reactive power. P.u. per MW and per Mvar, (n_node, n_node).
+    source voltage and capacitors: ``sensing.r_model_share`` of the one by active power, ``sensing.x_model_share`` of
+    the one by reactive power. P.u. per MW and per Mvar, (n_node, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
         return sensitivity(scenario.model)
     by_p, by_q = true_sensitivity(scenario)
-    return Sensitivity(scenario.r_model_share * by_p, scenario.x_model_share * by_q)
+    return Sensitivity(scenario.sensing.r_model_share * by_p, scenario.sensing.x_model_share * by_q)
 
 
 @cached_on_owner
@@ -234,7 +234,7 @@ def between_buses(scenario: Scenario) -> np.ndarray:
 @cached_on_owner
 def distance_in_bands(scenario: Scenario) -> np.ndarray:
     """(R_ii, X_ii) of each agent at each bus, in bands, (n_agent, n_bus, 2)."""
-    return own_distance(scenario) / (scenario.band_pu or 1.0)
+    return own_distance(scenario) / (scenario.cost.band_pu or 1.0)
 
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
@@ -247,7 +247,7 @@ def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     nodes = legs = local + lane * feeder.n_node
     if feeder.n_leg != feeder.n_node:
         legs = local + feeder.first_device_leg + lane * feeder.n_leg
-    count = min(N_NEIGHBOURS, n_agent - 1) if scenario.observe == "neighbours" else 0
+    count = min(N_NEIGHBOURS, n_agent - 1) if scenario.sensing.observe == "neighbours" else 0
     nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
     if count:
         apart = between_agents(scenario, buses)

@@ -79,7 +79,7 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
         moves = before.regulators.moves + moved
         regulators = regulators._replace(tap=tap, since_s=since, moved=moved, moves=moves)
     if of_banks.acts:
-        banks = control_banks(scenario.capacitor_settings, banks, dt_s, of_banks.controlled)
+        banks = control_banks(scenario.grid_control.capacitor_settings, banks, dt_s, of_banks.controlled)
     if of_banks.agents is not None:
         own = devices[of_banks.agents]
         on, since, switched = (_picked(of_banks, banks, own, name) for name in ("on", "since_s", "switched"))

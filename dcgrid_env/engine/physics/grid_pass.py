@@ -83,7 +83,11 @@ def grid_pass(
 def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """What a pass knows of the scenario, as the kernel takes it."""
     feeder: Any = scenario.feeder
-    judged, source_pu, band_pu = feeder.load_slice.start, float(scenario.source_voltage_pu), float(scenario.band_pu)
+    judged, source_pu, band_pu = (
+        feeder.load_slice.start,
+        float(scenario.source_voltage_pu),
+        float(scenario.cost.band_pu),
+    )
     return (*constants(feeder, np.float64), source_pu, TOLERANCE, MAX_SWEEPS, judged, band_pu)
 
 

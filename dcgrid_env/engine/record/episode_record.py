@@ -85,7 +85,7 @@ class Series:
         Also None if a period of full load asks for work without requests.
         """
         pool = trace_pool(self.scenario)
-        if not (pool.requests and len(self.trace_start)) or self.scenario.full_load_s is not None:
+        if not (pool.requests and len(self.trace_start)) or self.scenario.workload.full_load_s is not None:
             return None
         row, offset = np.divmod(self.trace_start, pool.p_share.shape[1])
         begin_s = (offset + 1) * self.scenario.dt_s

@@ -148,9 +148,11 @@ TERMS = (
         100.0,
         amount=attrgetter("voltage_sum"),
         divisor=_nodes,
-        of_agents=lambda step: voltage_cost(step.scenario.voltage_cost, _agents_deviation(step), step.scenario.band_pu),
+        of_agents=lambda step: voltage_cost(
+            step.scenario.cost.voltage, _agents_deviation(step), step.scenario.cost.band_pu
+        ),
         # The deviation at which every form of the voltage cost is largest is 1.
-        largest=lambda scenario: float(voltage_cost(scenario.voltage_cost, np.ones(1), scenario.band_pu)[0]),
+        largest=lambda scenario: float(voltage_cost(scenario.cost.voltage, np.ones(1), scenario.cost.band_pu)[0]),
         is_modelled=True,
     ),
     GridTerm(
@@ -160,8 +162,8 @@ TERMS = (
         1000.0,
         amount=attrgetter("excess_sum"),
         divisor=_nodes,
-        of_agents=lambda step: positive_part(_agents_deviation(step) - step.scenario.band_pu),
-        largest=lambda scenario: 1.0 - scenario.band_pu,
+        of_agents=lambda step: positive_part(_agents_deviation(step) - step.scenario.cost.band_pu),
+        largest=lambda scenario: 1.0 - scenario.cost.band_pu,
         is_constraint=True,
         is_modelled=True,
         tables=("benchmark",),

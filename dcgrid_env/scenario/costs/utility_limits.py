@@ -21,13 +21,13 @@ from dcgrid_env.core.cache import cached_on_owner
 @cached_on_owner
 def ramp_steps(scenario: Any) -> int:
     """Number of steps that a ramp is averaged over."""
-    return 1 if scenario.ramp_window_s is None else round(scenario.ramp_window_s / scenario.dt_s)
+    return 1 if scenario.cost.ramp_window_s is None else round(scenario.cost.ramp_window_s / scenario.dt_s)
 
 
 @cached_on_owner
 def remembered_draws(scenario: Any) -> int:
     """Number of steps whose draws a state keeps, ``State.p_window_kw``; 0 where no ramp is charged."""
-    return ramp_steps(scenario) if scenario.weights.ramp_excess else 0
+    return ramp_steps(scenario) if scenario.cost.weights.ramp_excess else 0
 
 
 @cached_on_owner
@@ -56,23 +56,23 @@ def excess(amount: Array, limit: float) -> Array:
 
 def ramp_excess(scenario: Any, state: Any) -> Array:
     """What the ramp of each site exceeds the scenario's limit by, as a share of it, (row, n_site)."""
-    at, begin, limit = sites(scenario), state.p_window_kw, scenario.ramp_limit_kw_per_s
+    at, begin, limit = sites(scenario), state.p_window_kw, scenario.cost.ramp_limit_kw_per_s
     if begin is None or limit is None:
-        raise ValueError(f"scenario {scenario.name!r} charges no ramps; give ramp_limit_kw_per_s and its weight")
+        raise ValueError(f"scenario {scenario.name!r} charges no ramps; give cost.ramp_limit_kw_per_s and its weight")
     return excess(ramps_kw_per_s(scenario, state.p_kw[..., at], begin[0][..., at]), limit)
 
 
 def voltage_step_excess(scenario: Any, v_pu: Array, v_last_pu: Array) -> Array:
     """What changes of voltage exceed the scenario's limit by, as a share of it, elementwise."""
-    limit = scenario.voltage_step_limit_pu
+    limit = scenario.cost.voltage_step_limit_pu
     if limit is None:
-        raise ValueError(f"scenario {scenario.name!r} has no limit on changes of voltage; give voltage_step_limit_pu")
+        raise ValueError(f"scenario {scenario.name!r} has no limit on voltage changes; give cost.voltage_step_limit_pu")
     return excess(namespace(v_pu).abs(v_pu - v_last_pu), limit)
 
 
 def largest_ramp_excess(scenario: Any) -> float:
     """Upper bound of the excess of any site's ramp: from the most that it can give to the most that it can draw."""
-    limit = scenario.ramp_limit_kw_per_s
+    limit = scenario.cost.ramp_limit_kw_per_s
     if limit is None:
         return 0.0
     groups = [device for device in scenario.devices if device.input == "workload"]
@@ -83,5 +83,5 @@ def largest_ramp_excess(scenario: Any) -> float:
 
 def largest_voltage_step_excess(scenario: Any) -> float:
     """Upper bound of the excess of a change of voltage: from end to end, as ``step`` has it."""
-    limit = scenario.voltage_step_limit_pu
+    limit = scenario.cost.voltage_step_limit_pu
     return 0.0 if limit is None else max(1.0 / limit - 1.0, 0.0)

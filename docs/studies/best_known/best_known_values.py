@@ -48,7 +48,7 @@ class BestKnownValues(OverWorkers):
     """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
     makes your own; its sites must have a channel return or a channel floor."""
     set: Overrides = ()
-    """Scenario fields to override, for instance --set horizon=60 voltage_noise_pu=0.005."""
+    """Scenario fields to override, for instance --set horizon=60 sensing.noise_pu=0.005."""
     controllers: str = "droop-tuned"
     """Controllers to begin with, separated by commas: names or files, see dcgrid list."""
     rounds: int = 10

@@ -45,7 +45,7 @@ class Case:
         feeder, rng = scenario.feeder, np.random.default_rng(0)
         p_kw = feeder.p_load_kw * rng.uniform(0.5, 1.5, (n_feeders, feeder.n_bus))
         q_kvar = feeder.q_load_kvar * rng.uniform(0.5, 1.5, (n_feeders, feeder.n_bus)) - feeder.capacitor_kvar
-        return cls._exact(feeder, scenario.v0_pu, p_kw, q_kvar)
+        return cls._exact(feeder, scenario.source_voltage_pu, p_kw, q_kvar)
 
     def changed(self) -> Case:
         """A case with every lane's loads up or down by ``CHANGE``."""

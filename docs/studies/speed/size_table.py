@@ -155,8 +155,8 @@ def _environment(feeder: Any, lanes: int) -> Any:
 
     chosen = scenario_on(feeder)
     of_three = [i for i in chosen.candidates if isinstance(feeder, Feeder) or len(feeder.bus_phases[i]) == 3]
-    sites = tuple(feeder.bus_ids[i] for i in of_three[: chosen.n_datacenters])
-    scenario = chosen.replace(datacenter_buses=sites, horizon=1000)
+    sites = tuple(feeder.bus_ids[i] for i in of_three[: chosen.datacenters.count])
+    scenario = chosen.replace(datacenters={"buses": sites}, horizon=1000)
     env = DcgridVectorEnv(lanes, scenario)
     env.reset(seed=0)
     for _ in range(2):

@@ -177,9 +177,14 @@ def test_a_run_learns_from_the_training_split_and_from_variants():
     cfg = dataclasses.replace(TINY, scenario="toy6, toy6", vary=2)
     grids = grids_of(cfg)
     assert [grid.split for grid in grids] == ["train"] * 6
-    assert grids[2].v0_pu != grids[0].v0_pu == grids[1].v0_pu != grids[4].v0_pu
+    assert (
+        grids[2].source_voltage_pu
+        != grids[0].source_voltage_pu
+        == grids[1].source_voltage_pu
+        != grids[4].source_voltage_pu
+    )
     again = grids_of(cfg)
-    assert [g.inverter_buses for g in grids] == [g.inverter_buses for g in again]
+    assert [g.inverters.buses for g in grids] == [g.inverters.buses for g in again]
     learner = Learner(cfg, grids[:3])
     assert [type(view) for view in learner.interfaces] == [PolicyInterface] * 3
     figures = learner.episodes(2, 1, lambda what, tensors: None)
@@ -221,7 +226,7 @@ def test_what_is_left_at_a_windows_end_has_the_price_of_waiting():
     env.reset(range(2))
     step = env.step(torch.zeros(2, 4))
     waiting = step._replace(state=with_fields(step.state, backlog_kws=torch.tensor([[500.0], [1500.0]])))
-    plain = env.scenario.weights.leftover * 1000.0 / 2500.0  # the mean backlog over the rating
+    plain = env.scenario.cost.weights.leftover * 1000.0 / 2500.0  # the mean backlog over the rating
     for factor in (1.0, 3.0, 0.25):
         learner.factors["delay"] = factor
         assert float(learner._left(env, waiting)) == pytest.approx(factor * plain)

@@ -148,10 +148,10 @@ def test_the_rollout_bootstraps_where_the_horizon_cuts_it_off(tmp_path):
 
 def test_leftover_work_is_charged_over_the_steps_and_a_wait_costs_the_same_under_the_discount():
     price = 0.3 + 9.0 / 120
-    undiscounted = sb3.for_training(make_scenario("ieee33-weak"), 1.0, 10.0).weights
+    undiscounted = sb3.for_training(make_scenario("ieee33-weak"), 1.0, 10.0).cost.weights
     assert undiscounted.leftover == 0.0
     assert undiscounted.backlog == pytest.approx(price)
-    raised = sb3.for_training(make_scenario("ieee33-weak"), 0.9, 10.0).weights.backlog
+    raised = sb3.for_training(make_scenario("ieee33-weak"), 0.9, 10.0).cost.weights.backlog
     assert sum(raised * 0.9**k for k in range(10)) == pytest.approx(10.0 * price)
 
 

@@ -47,15 +47,15 @@ def cost_of_step(batch, before, joint):
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee13-3ph"])
 def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
     """Against the environment's power flow with one setpoint moved; losses, which are left out, are a quarter here."""
-    scenario = make_scenario(scenario, load_sigma=0.0)
+    scenario = make_scenario(scenario, background={"load_sigma": 0.0})
     layout = action_layout(scenario)
     rng = np.random.default_rng(0)
     taken = np.where(layout.is_channel("clock"), 0.2, rng.uniform(-0.4, 0.4, layout.n))
     batch, before, joint = stepped(scenario, taken)
     mean = np.where(layout.is_channel("clock"), 0.5, joint + rng.uniform(-0.1, 0.1, layout.n))
     found = Counterfactual(scenario).of_step(before, batch.transition.state, joint, mean)
-    taken_j, w = batch.transition.cost_j, scenario.weights
-    rated_kw = scenario.datacenter.p_rated_kw.sum()
+    taken_j, w = batch.transition.cost_j, scenario.cost.weights
+    rated_kw = scenario.datacenters.parameters.p_rated_kw.sum()
     for entry in range(layout.n):
         other = joint.copy()
         other[:, entry] = mean[:, entry]
@@ -69,21 +69,21 @@ def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
 
 
 def test_by_hand_on_two_voltages():
-    scenario = make_scenario("toy6", load_sigma=0.0, trace_window="start")
+    scenario = make_scenario("toy6", background={"load_sigma": 0.0}, workload={"window": "start"})
     batch, before, joint = stepped(scenario, np.zeros(4), lanes=1, steps=1)
     mean = joint.copy()
     mean[0, 2] = -0.5  # inverter 0
     found = Counterfactual(scenario).of_step(before, batch.transition.state, joint, mean)
     state, feeder = batch.transition.state, scenario.feeder
     at, q_kvar = feeder.index(3), 0.5 * scenario.q_scale_kvar[1]
-    assert scenario.inverter_buses[0] in (3, "3")
+    assert scenario.inverters.buses[0] in (3, "3")
     p, q = feeder.p_load_kw.copy(), feeder.q_load_kvar - feeder.capacitor_kvar
     p[feeder.index(4)] += state.p_kw[0, 0]
-    v = distflow(feeder, p, q, scenario.v0_pu).v_pu
+    v = distflow(feeder, p, q, scenario.source_voltage_pu).v_pu
     np.testing.assert_allclose(v, state.v_pu[0], atol=1e-6)
     less = q.copy()
     less[at] += q_kvar
-    v_mean = distflow(feeder, p, less, scenario.v0_pu).v_pu
+    v_mean = distflow(feeder, p, less, scenario.source_voltage_pu).v_pu
 
     def cost(v):
         away = np.abs(v[1:] - 1.0)
@@ -249,8 +249,8 @@ def test_three_phases_and_drawn_buses_run(tmp_path, scenario):
         ({"scenario": "routing"}, "has routing at its devices of kind datacenter, which acts on later steps"),
         ({"scenario": "ride-through"}, "has ride_through at its devices"),
         ({"scenario": "zero-shot"}, "needs the model of one feeder; 'zero-shot' has random ones"),
-        ({"set": ("weights.loss=1",)}, r"does not know what weights.loss = 1 charges; set it to 0"),
-        ({"set": ("voltage_cost=bowl",)}, "voltage_cost is 'bowl'; make the scenario with 'l1'"),
+        ({"set": ("weights={loss=1}",)}, r"does not know what weights.loss = 1 charges; set it to 0"),
+        ({"set": ("cost.voltage=bowl",)}, "cost.voltage is 'bowl'; make the scenario with 'l1'"),
     ],
 )
 def test_what_cannot_be_is_refused_and_leaves_nothing(tmp_path, fields, said):

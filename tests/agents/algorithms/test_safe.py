@@ -13,13 +13,13 @@ from dcgrid_env.baselines.laws.stability import spectral_radius
 
 def alike():
     """toy6 with the same reactive limit at every agent, so that equal shares are equal Mvar."""
-    return make_scenario("toy6", inverter_s_kva=825.0)
+    return make_scenario("toy6", inverters={"s_rated_kva": 825.0})
 
 
 def test_the_reactive_bound_is_the_integrating_droops():
     scenario = alike()
     slope, _ = slope_bounds(scenario)
-    k_q = slope * 0.825 / scenario.band_pu / scenario.dt_s
+    k_q = slope * 0.825 / scenario.cost.band_pu / scenario.dt_s
     buses = (4, 3, 5)
     assert spectral_radius(scenario, buses, 0.0, 0.999 * k_q) <= 1.0
     assert spectral_radius(scenario, buses, 0.0, 1.001 * k_q) > 1.0
@@ -29,14 +29,14 @@ def test_the_clocks_bound_is_the_proportional_droops_that_serves_its_backlog_at_
     scenario = alike()
     _, slope = slope_bounds(scenario)
     half_range_mw = 0.5 * (1.0 - 210.0 / 1410.0) * 0.77 * 2.5
-    k_p = slope * half_range_mw / scenario.band_pu
+    k_p = slope * half_range_mw / scenario.cost.band_pu
     buses = (4, 3, 5)
     assert spectral_radius(scenario, buses, 0.999 * k_p, 0.0, alpha_per_s=1.0) <= 1.0 + 1e-9
     assert spectral_radius(scenario, buses, 1.01 * k_p, 0.0, alpha_per_s=1.0) > 1.0
 
 
 def test_a_late_measurement_tightens_the_reactive_bound():
-    now, late = (slope_bounds(alike().replace(measurement_delay=m))[0] for m in (0, 2))
+    now, late = (slope_bounds(alike().replace(sensing={"delay_steps": m}))[0] for m in (0, 2))
     assert late / now == pytest.approx(np.sin(np.pi / 10))
     # The scalar loop q' = q - k q(t - 2): within the bound the roots of z^3 - z^2 + k are within the unit circle.
     for k, inside in ((2.0 * late / now * 0.999, True), (2.0 * late / now * 1.001, False)):

@@ -179,7 +179,7 @@ def test_moments_of_a_part_of_the_inputs_leave_the_others_free():
 
 
 def test_without_tuned_gains_the_law_is_the_droop_within_the_stability_bound():
-    scenario = make_scenario("ieee33-weak", p_rated_kw=900.0, inverter_s_kva=2000.0)
+    scenario = make_scenario("ieee33-weak", datacenters={"p_rated_kw": 900.0}, inverters={"s_rated_kva": 2000.0})
     law = law_for(scenario)
     assert isinstance(law, Droop)
     assert is_stable(worst_radius(scenario, law))

@@ -65,9 +65,9 @@ def test_the_nameplate_by_hand():
         TOY6,
         make_scenario("ieee123", observe="neighbours"),
         make_scenario("toy6", observe="feeder"),
-        make_scenario("toy6", n_datacenters=0, datacenter_buses=()),
-        make_scenario("toy6", inverter_buses=(), inverter_s_kva=()),
-        make_scenario("toy6", dvfs=PrefillDecodeDvfs()),
+        make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()}),
+        make_scenario("toy6", inverters={"buses": (), "s_rated_kva": ()}),
+        make_scenario("toy6", datacenters={"clock_law": PrefillDecodeDvfs()}),
     ],
     ids=["local", "neighbours", "feeder", "no data centre", "no inverter", "work_classes"],
 )
@@ -77,7 +77,7 @@ def test_widths_are_those_of_what_is_seen_and_done(scenario, kind, nameplate):
     inputs = view.inputs(seen)
     assert {name: own.shape[-1] for name, own in inputs.items()} == {n: w[0] for n, w in view.widths.items()}
     outputs = {name: np.zeros((*own.shape[:-1], view.widths[name][1])) for name, own in inputs.items()}
-    assert view.action(seen, outputs).shape == (2, 2 * scenario.n_datacenters + scenario.n_inverters)
+    assert view.action(seen, outputs).shape == (2, 2 * scenario.datacenters.count + scenario.inverters.count)
 
 
 def test_fields_of_the_coming_step_are_hidden_without_preview():
@@ -85,7 +85,7 @@ def test_fields_of_the_coming_step_are_hidden_without_preview():
     hidden = SEEN.copy()
     hidden[:, 7] = 0.0
     np.testing.assert_array_equal(view.inputs(SEEN)["datacenter"][:, 0], hidden[:, :9])
-    two_classes = make_scenario("toy6", dvfs=PrefillDecodeDvfs())
+    two_classes = make_scenario("toy6", datacenters={"clock_law": PrefillDecodeDvfs()})
     (seen,) = PolicyInterface(two_classes, "joint", preview=False).inputs(np.ones((1, 25), np.float32)).values()
     names = [name for own in field_names(two_classes).values() for name in own]
     assert [name for name, value in zip(names, seen[0], strict=True) if value == 0.0] == [
@@ -138,7 +138,7 @@ def test_corrections_of_the_droop_by_hand(kind, outputs):
 @pytest.mark.parametrize("name", ["toy6", "ieee33-weak", "training", "robust"])
 def test_without_corrections_it_is_the_droop_law(name):
     scenario = make_scenario(name, split="train", horizon=30)
-    n_action = 2 * scenario.n_datacenters + scenario.n_inverters
+    n_action = 2 * scenario.datacenters.count + scenario.inverters.count
     view, law = PolicyInterface(scenario, "joint", outputs="droop", gains=GAINS), Droop(*GAINS)
     law.reset(scenario)
     env = TensorEnv(scenario, like=np.empty(0))
@@ -153,16 +153,19 @@ def test_without_corrections_it_is_the_droop_law(name):
 @pytest.mark.parametrize("name", ["toy6", "ieee33-weak", "training"])
 def test_a_clock_that_is_not_held_back_queues_nothing_and_is_the_slowest_of_those(name):
     scenario = make_scenario(name, split="train", horizon=30)
-    n_action = 2 * scenario.n_datacenters + scenario.n_inverters
+    n_action = 2 * scenario.datacenters.count + scenario.inverters.count
     view, env = PolicyInterface(scenario, "joint", outputs="change"), TensorEnv(scenario, like=np.empty(0))
     seen, slower = env.reset(range(4)), False
     while not env.over:
         action = view.action(seen, {"joint": np.zeros((4, n_action))})
-        clocks = slice(0, 2 * scenario.n_datacenters, 2)
+        clocks = slice(0, 2 * scenario.datacenters.count, 2)
         step = env.step(action)
         assert step.state.backlog_kws.max() < 1e-9
         busy = action[:, clocks] > -1.0
-        unused = step.state.served_kw - scenario.datacenter.p_dynamic_kw * step.state.f_mhz / scenario.f_max_mhz
+        unused = (
+            step.state.served_kw
+            - scenario.datacenters.parameters.p_dynamic_kw * step.state.f_mhz / scenario.datacenters.f_max_mhz
+        )
         np.testing.assert_allclose(unused[busy], 0.0, atol=1e-9)
         slower, seen = slower or bool((action[:, clocks] < 0.9).any()), step.observation
     assert slower

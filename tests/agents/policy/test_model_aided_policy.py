@@ -51,7 +51,9 @@ def test_corrections_are_bounded(value):
     q_moved = abs(corrected - by_law)[..., ~IS_CLOCK].max()
     assert 0.0 < q_moved <= REACTIVE + 1e-6
     scenario = make_scenario("ieee33-weak")
-    dynamic = 2.0 / (1.0 - scenario.f_min_mhz / scenario.f_max_mhz)  # the whole dynamic rating on the clock's scale
+    dynamic = 2.0 / (
+        1.0 - scenario.datacenters.f_min_mhz / scenario.datacenters.f_max_mhz
+    )  # the whole dynamic rating on the clock's scale
     is_cut = by_law[..., IS_CLOCK] < 1.0  # at the top a clock may stand for less
     moved = (by_law - corrected)[..., IS_CLOCK]
     assert (abs(moved[is_cut]) <= SERVED * dynamic + 1e-6).all()

@@ -28,10 +28,10 @@ def test_one_warning_on_a_scenario_that_it_does_not_name():
 @pytest.mark.parametrize(
     ("trained_on", "scenario"),
     [
-        ("ieee33", make_scenario("ieee33", split="test", horizon=20, load_sigma=0.1)),
+        ("ieee33", make_scenario("ieee33", split="test", horizon=20, background={"load_sigma": 0.1})),
         ("ieee33", make_scenario("ieee33", name="mine")),
         ("toy6,ieee33", make_scenario("ieee33")),
-        ("ieee33 --set p_rated_kw=500", make_scenario("ieee33", p_rated_kw=500.0)),
+        ("ieee33 --set datacenters.p_rated_kw=500", make_scenario("ieee33", datacenters={"p_rated_kw": 500.0})),
         ("zero-shot", make_scenario("zero-shot", split="test")),
         ("zero-shot", make_scenario("zero-shot", split="test").member(3)),
         ("ieee123-3ph-day", make_scenario("ieee123-3ph-day")),
@@ -51,21 +51,21 @@ def test_a_file_of_the_same_scenario_is_known(tmp_path, monkeypatch):
     assert unseen("mine.toml", make_scenario("ieee33")) is None
     assert unseen("ieee33", make_scenario("mine.toml")) is None
     assert unseen("mine.toml", make_scenario("das69")) == "feeder"
-    assert unseen("ieee33 --set p_rated_kw=500", make_scenario("ieee33")) == "p_rated_kw"
+    assert unseen("ieee33 --set datacenters.p_rated_kw=500", make_scenario("ieee33")) == "datacenters.p_rated_kw"
     (tmp_path / "mine.toml").unlink()
     assert unseen("mine.toml", make_scenario("das69")) is None
 
 
 def test_the_field_is_that_of_the_trained_scenario_on_the_same_feeder():
-    other = make_scenario("das69", v0_pu=1.03)
-    assert unseen("das69,ieee33", other) == unseen("ieee33,das69", other) == "v0_pu"
+    other = make_scenario("das69", source_voltage_pu=1.03)
+    assert unseen("das69,ieee33", other) == unseen("ieee33,das69", other) == "source_voltage_pu"
     assert unseen("ieee33", other) == "feeder"
 
 
 def test_inputs_are_recorded_on_variants_of_what_a_policy_names_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = recorded(policy("toy6"), [make_scenario("toy6", v0_pu=1.03, horizon=4)], episodes=1)
+        found = recorded(policy("toy6"), [make_scenario("toy6", source_voltage_pu=1.03, horizon=4)], episodes=1)
     assert found is not None
     assert set(found) == {"datacenter", "inverter"}
 

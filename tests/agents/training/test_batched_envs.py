@@ -130,7 +130,7 @@ def test_an_episodes_end_is_told_as_sb3_wants_it(make):
 
 
 def test_a_voltage_collapse_is_no_truncation():
-    s = scenario("ieee33-weak", p_rated_kw=20000.0)
+    s = scenario("ieee33-weak", datacenters={"p_rated_kw": 20000.0})
     lanes = AgentVecEnv(s, 2)
     lanes.seed(SEED)
     lanes.reset()
@@ -162,7 +162,7 @@ def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():
 
 
 def test_works_without_either_kind_and_with_faults():
-    for s in (scenario(inverter_buses=()), scenario(faults=(Fault(("inverter",), begin_s=(0.0, 1.0)),))):
+    for s in (scenario(inverters={"buses": ()}), scenario(faults=(Fault(("inverter",), begin_s=(0.0, 1.0)),))):
         lanes = AgentVecEnv(s, 2)
         lanes.seed(SEED)
         lanes.reset()

@@ -209,7 +209,7 @@ def test_a_scenario_that_is_another_in_each_process_fails(tmp_path):
     own.write_text("from dcgrid_env import make_scenario\ndef make(): return make_scenario('toy6', name='mine')\n")
     (task,), _ = plan([Case(ScenarioSpec(f"{own}:make"))], ["none"], 2)
     assert "episodes" in run(task)
-    own.write_text(own.read_text().replace("'mine'", "'mine', load_sigma=0.1"))
+    own.write_text(own.read_text().replace("'mine'", "'mine', background={'load_sigma': 0.1}"))
     assert run(task)[
         "failure"
     ] == f"failed: {own}:make gives another scenario in each process; let it draw nothing " + (

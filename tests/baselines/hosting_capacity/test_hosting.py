@@ -20,7 +20,13 @@ R_OHM, X_OHM, KV, LOAD_KW = 0.8, 0.5, 10.0, 300.0
 
 
 def on(feeder, **fields):
-    sizes = {"p_rated_kw": 1.0, "s_rated_share": 1.1, "q_max_share": 0.33, "inverter_buses": (), "inverter_s_kva": 0.0}
+    sizes = {
+        "datacenters.p_rated_kw": 1.0,
+        "datacenters.s_rated_share": 1.1,
+        "datacenters.q_max_share": 0.33,
+        "inverters.buses": (),
+        "inverters.s_rated_kva": 0.0,
+    }
     return Scenario(name="study", feeder=feeder, n_datacenters=1, split="test", **(sizes | fields))
 
 
@@ -29,7 +35,7 @@ def two_buses(rating_a=None):
         name="two", base_kv=KV, substation="a", v0_pu=1.0, bus_ids=["a", "b"], p_load_kw=[0.0, LOAD_KW],
         q_load_kvar=[0.0, 0.0], from_bus=["a"], to_bus=["b"], r_ohm=[R_OHM], x_ohm=[X_OHM], rating_a=rating_a,
     )  # fmt: skip
-    return on(feeder, trace=(FULL,), load_sigma=0.0, v0_pu=1.0)
+    return on(feeder, trace=(FULL,), background={"load_sigma": 0.0}, source_voltage_pu=1.0)
 
 
 def carried(scenario, *controllers, **fields):
@@ -89,7 +95,7 @@ def imported(tmp_path, first, second):
     path = tmp_path / "two.dss"
     path.write_text(CIRCUIT % (first, second))
     feeder = ThreePhaseFeeder.from_network(read_opendss(path).network)
-    return on(feeder, trace=(FULL,), load_sigma=0.0, v0_pu=1.0, power_flow="sweep")
+    return on(feeder, trace=(FULL,), background={"load_sigma": 0.0}, source_voltage_pu=1.0, power_flow="sweep")
 
 
 def test_cables_of_400_a_limit_as_those_of_399_a_do(tmp_path):
@@ -111,10 +117,12 @@ def test_a_transformer_limits_by_the_kva_of_its_smaller_winding(tmp_path):
 
 def test_sampled_windows_hold_the_full_rating():
     """Whatever the trace asks for: at peak load, without noise, a window is then as strict as the snapshot."""
-    for scenario in (on(load_feeder("ieee33"), v0_pu=1.05), make_scenario("ieee33-weak", split="test")):
-        still = scenario.replace(load_sigma=0.0, inverter_buses=(), inverter_s_kva=0.0)
-        study = Study(scenario=still, others=scenario.n_datacenters > 1, buses=("6", "18"), load="peak", v_min_pu=0.8,
-                      v_max_pu=1.1, **SHORT)  # fmt: skip
+    for scenario in (on(load_feeder("ieee33"), source_voltage_pu=1.05), make_scenario("ieee33-weak", split="test")):
+        still = scenario.replace(background={"load_sigma": 0.0}, inverters={"buses": (), "s_rated_kva": 0.0})
+        several = scenario.datacenters.count > 1
+        study = Study(
+            scenario=still, others=several, buses=("6", "18"), load="peak", v_min_pu=0.8, v_max_pu=1.1, **SHORT
+        )
         found = hosting_capacity(study, ["none"])
         sampled = [c.capacity_mw for c in found.by_controller["none"]]
         assert sampled == [c.capacity_mw for c in found.snapshot]
@@ -134,7 +142,7 @@ def test_what_is_overloaded_without_a_site_does_not_count_elsewhere():
 
 
 def test_more_is_carried_within_wider_limits():
-    scenario = on(load_feeder("ieee33"), v0_pu=1.0)
+    scenario = on(load_feeder("ieee33"), source_voltage_pu=1.0)
     by_width = [
         carried(scenario, buses=("5", "18", "22"), v_min_pu=1.0 - width, v_max_pu=1.0 + width)[1][0]
         for width in (0.09, 0.1, 0.12)
@@ -144,7 +152,12 @@ def test_more_is_carried_within_wider_limits():
 
 def test_a_droop_carries_more_at_the_ends_and_its_price_is_delay():
     found, [none, droop] = carried(
-        on(load_feeder("ieee33"), v0_pu=1.05), "none", "droop", buses=("18", "33"), window_s=30.0, settle_s=15.0
+        on(load_feeder("ieee33"), source_voltage_pu=1.05),
+        "none",
+        "droop",
+        buses=("18", "33"),
+        window_s=30.0,
+        settle_s=15.0,
     )
     assert np.all(np.array(droop) > np.array(none))
     assert all(c.delay_mean_s > 0.0 for c in found.by_controller["droop"])
@@ -152,7 +165,7 @@ def test_a_droop_carries_more_at_the_ends_and_its_price_is_delay():
 
 
 def test_the_next_size_breaks_a_limit_and_the_answer_does_not():
-    study = Study(scenario=on(load_feeder("ieee33"), v0_pu=1.05), others=False, buses=("18",), **SHORT)
+    study = Study(scenario=on(load_feeder("ieee33"), source_voltage_pu=1.05), others=False, buses=("18",), **SHORT)
     (found,) = hosting_capacity(study, ["none"]).by_controller["none"]
     site, size = AddedSite(study), round(found.capacity_mw / study.step_mw)
     bus = np.full(2, study.scenario.feeder.index("18"))
@@ -164,7 +177,7 @@ def test_the_next_size_breaks_a_limit_and_the_answer_does_not():
 
 
 def test_a_lane_comes_to_the_same_whatever_stands_beside_it():
-    study = Study(scenario=on(load_feeder("ieee33"), v0_pu=1.05), others=False, **SHORT)
+    study = Study(scenario=on(load_feeder("ieee33"), source_voltage_pu=1.05), others=False, **SHORT)
     site, controller = AddedSite(study), NoControl()
     many = run_trial(site, controller, 100, np.array([17, 5, 17]), np.array([0, 1, 1]), "none")
     alone = run_trial(site, controller, 100, np.array([17]), np.array([1]), "none")
@@ -176,12 +189,12 @@ def test_the_devices_of_a_scenario_stay_where_they_are():
     scenario = make_scenario("ieee33-weak", split="test")
     site = AddedSite(Study(scenario=scenario, **SHORT))
     of_size = site.scenario(50)
-    assert of_size.n_datacenters == 4
-    assert scenario.datacenter_buses is not None
-    assert of_size.inverter_buses == scenario.inverter_buses
-    assert of_size.datacenter.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
+    assert of_size.datacenters.count == 4
+    assert scenario.datacenters.buses is not None
+    assert of_size.inverters.buses == scenario.inverters.buses
+    assert of_size.datacenters.parameters.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
     _, options = site.lanes(np.array([6, 7]), np.array([0, 1]))
-    at = [scenario.feeder.index(bus) for bus in (*scenario.datacenter_buses, *scenario.inverter_buses)]
+    at = [scenario.feeder.index(bus) for bus in (*scenario.datacenters.buses, *scenario.inverters.buses)]
     np.testing.assert_array_equal(np.delete(options["buses"], 3, axis=1), [at, at])
     np.testing.assert_array_equal(options["buses"][:, 3], [6, 7])
 
@@ -194,21 +207,23 @@ def test_sites_that_are_drawn_stand_where_their_sample_says():
 
 
 def test_a_feeder_outside_its_limits_without_a_site_carries_none():
-    found, [mw] = carried(on(load_feeder("ieee33"), v0_pu=1.0), buses=("2", "18"))
+    found, [mw] = carried(on(load_feeder("ieee33"), source_voltage_pu=1.0), buses=("2", "18"))
     assert mw == [0.0, 0.0]
     assert {c.limit for c in found.by_controller["none"]} == {"undervoltage at bus 18"}
     assert not any(c.at_most for c in found.by_controller["none"])
 
 
 def test_a_large_site_by_the_substation_is_as_large_as_was_tried():
-    found, [[mw]] = carried(on(load_feeder("ieee33"), v0_pu=1.05), buses=("2",), max_mw=1.0, tolerance_mw=0.5)
+    found, [[mw]] = carried(
+        on(load_feeder("ieee33"), source_voltage_pu=1.05), buses=("2",), max_mw=1.0, tolerance_mw=0.5
+    )
     assert mw == 1.0
     assert found.by_controller["none"][0].at_most
     assert found.by_controller["none"][0].limit == ""
 
 
 def test_more_is_carried_where_some_seconds_may_break_limits():
-    scenario = on(load_feeder("ieee33"), v0_pu=1.05)
+    scenario = on(load_feeder("ieee33"), source_voltage_pu=1.05)
     _, [[strict]] = carried(scenario, buses=("18",))
     found, [[loose]] = carried(scenario, buses=("18",), allowed_pct=30.0)
     assert loose > strict
@@ -230,7 +245,7 @@ def test_a_policy_that_cannot_drive_the_scenario_is_refused_by_name():
 
 
 def test_a_tuned_law_without_gains_has_its_defaults_and_says_so():
-    scenario = on(load_feeder("ieee33"), v0_pu=1.05)
+    scenario = on(load_feeder("ieee33"), source_voltage_pu=1.05)
     found, [tuned, plain] = carried(scenario, "droop-tuned", "droop", buses=("18",))
     assert tuned == plain
     (note,) = found.notes

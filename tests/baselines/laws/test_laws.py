@@ -171,7 +171,7 @@ def test_a_controller_sees_physical_voltages_and_sensitivities_whatever_the_band
             return super().control(local)
 
     watching = Watching(0.0)
-    scenario = make_scenario("toy6", band_pu=band_pu, horizon=1, weights=CostWeights(violation=0.0))
+    scenario = make_scenario("toy6", cost={"band_pu": band_pu}, horizon=1, weights=CostWeights(violation=0.0))
     before = rollout(scenario, watching, [0]).lane(0).v_pu[0]
     at = [scenario.feeder.index(bus) for bus in (4, 3, 5)]
     r, x = sensitivity(scenario.feeder)
@@ -202,13 +202,13 @@ def test_bad_parameters(make, arguments, message):
 
 
 @pytest.mark.parametrize(
-    "law", [{}, {"dvfs": PrefillDecodeDvfs()}, {"dt_s": 0.1}], ids=["linear", "work_classes", "fast"]
+    "law", [{}, {"datacenters.clock_law": PrefillDecodeDvfs()}, {"dt_s": 0.1}], ids=["linear", "work_classes", "fast"]
 )
 @pytest.mark.parametrize("preset", each_preset())
 def test_every_controller_runs_under_every_preset(preset, law):
     scenario = make_scenario(preset, horizon=5, **law)
     for name in CONTROLLERS:
-        if not drives(name, scenario) or (name == "droop-one-step" and not scenario.preview):
+        if not drives(name, scenario) or (name == "droop-one-step" and not scenario.sensing.preview):
             continue  # it refuses what it cannot do, see test_controllers
         controller = make_controller(name)
         if isinstance(controller, NeedsPlacement) and scenario.work_classes == 2:
@@ -219,5 +219,5 @@ def test_every_controller_runs_under_every_preset(preset, law):
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in NEEDING_A_DEVICE])
 def test_every_controller_runs_without_data_centres_or_inverters(name):
-    for overrides in ({"n_datacenters": 0, "datacenter_buses": None}, {"inverter_buses": ()}):
+    for overrides in ({"n_datacenters": 0, "datacenters.buses": None}, {"inverters.buses": ()}):
         rollout(make_scenario("ieee123", horizon=3, **overrides), make_controller(name), [0])

@@ -11,7 +11,7 @@ from dcgrid_env.baselines import Droop, NoControl, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import largest_stable
 from helpers.three_phase import ieee13, ieee123
 
-HEAVY = {"p_rated_kw": 1500.0, "trace": "step", "trace_window": "start", "load_sigma": 0.0}
+HEAVY = {"datacenters.p_rated_kw": 1500.0, "trace": "step", "workload.window": "start", "background.load_sigma": 0.0}
 """Two sites that draw some 2.3 MW more from second 20 on, so that regulators have to move."""
 
 
@@ -28,15 +28,20 @@ def twins(scenario):
     network = scenario.feeder.network
     table = dataclasses.replace(network.regulator, tap=tuple(map(int, tap)))
     settled = ThreePhaseFeeder.from_network(dataclasses.replace(network, regulator=table))
-    return scenario.replace(feeder=settled), scenario.replace(feeder=settled, regulators="agent")
+    return scenario.replace(feeder=settled), scenario.replace(feeder=settled, grid_control={"regulators": "agent"})
 
 
 @pytest.mark.parametrize(
     "scenario",
     [
         ieee13().replace(**HEAVY, horizon=60),
-        ieee13().replace(dt_s=60.0, horizon=120, start_hour=5.0, load_sigma=0.1),
-        ieee123().replace(dt_s=60.0, horizon=120, start_hour=5.0, datacenter_buses=("18", "47", "66", "76", "101")),
+        ieee13().replace(dt_s=60.0, horizon=120, background={"start_hour": 5.0, "load_sigma": 0.1}),
+        ieee123().replace(
+            dt_s=60.0,
+            horizon=120,
+            background={"start_hour": 5.0},
+            datacenters={"buses": ("18", "47", "66", "76", "101")},
+        ),
     ],
     ids=["by seconds", "by minutes", "many banks by minutes"],
 )
@@ -62,7 +67,9 @@ def test_controllers_of_the_other_agents_do_the_same_whoever_moves_the_taps(cont
 
 
 def test_no_control_leaves_taps_and_every_law_capacitors_at_rest():
-    scenario = ieee13().replace(**HEAVY, horizon=40, regulators="agent", capacitor_banks="agent")
+    scenario = ieee13().replace(
+        **HEAVY, horizon=40, **{"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
+    )
     assert (taps_of(scenario, NoControl()) == scenario.feeder.base_tap).all()
     phases: Any = rollout(scenario, make_controller("droop-q"), [0]).lane(0).three_phase
     assert np.abs(np.diff(phases.equipment.regulators.tap, axis=0)).sum() >= 3.0
@@ -70,7 +77,9 @@ def test_no_control_leaves_taps_and_every_law_capacitors_at_rest():
 
 
 def test_agents_one_by_one_are_told_what_they_are_together():
-    scenario = ieee13().replace(**HEAVY, horizon=40, regulators="agent", preview=False)
+    scenario = ieee13().replace(
+        **HEAVY, horizon=40, **{"grid_control.regulators": "agent"}, **{"sensing.preview": False}
+    )
     env, law = parallel_env(scenario), make_controller("volt-var")
     observations, _ = env.reset(seed=0)
     law.reset(scenario)
@@ -82,5 +91,5 @@ def test_agents_one_by_one_are_told_what_they_are_together():
 
 
 def test_regulators_have_no_part_in_the_bound_of_the_reactive_gain():
-    plain, agents = ieee13(), ieee13().replace(regulators="agent", capacitor_banks="agent")
+    plain, agents = ieee13(), ieee13().replace(grid_control={"regulators": "agent", "capacitors": "agent"})
     assert largest_stable(agents, k_p_mw_per_pu=0.0) == largest_stable(plain, k_p_mw_per_pu=0.0)

@@ -19,7 +19,7 @@ def first_back_s(law):
 
 
 def test_by_hand_all_return_at_once_and_staggered_one_after_the_other():
-    slots = ride_through_34().n_datacenters
+    slots = ride_through_34().datacenters.count
     assert first_back_s(ReturnByHand()) == [0] * slots
     assert first_back_s(StaggeredReturn()) == [20 * i for i in range(slots)]
 

@@ -39,7 +39,7 @@ def test_active_axis_alone(alpha_per_s):
 
 def test_both_axes_by_hand():
     """One data centre alone, toy6's bus 4: q' = q - k_q (X q - R p), p' = k_p (X q - R p)."""
-    scenario = make_scenario("toy6", inverter_buses=())
+    scenario = make_scenario("toy6", inverters={"buses": ()})
     r, x = (m.item() for m in matrices(scenario, (4,)))
     loop = np.array([[1.0 - 5.0 * x, 5.0 * r], [40.0 * x, -40.0 * r]])
     found = spectral_radius(scenario, (4,), 40.0, 5.0)
@@ -90,7 +90,13 @@ def test_bad_input(call, message):
 def steady(name, **overrides):
     """A scenario in which nothing moves by itself and reactive limits are far away; sites draw 60 % of their rating."""
     trace = PowerTrace([0.0, 2000.0], [0.6, 0.6], rated_kw=1.0)
-    free = {"load_sigma": 0.0, "trace": (trace,), "s_rated_share": 20.0, "q_max_share": 20.0, "f_min_mhz": 10.0}
+    free = {
+        "background.load_sigma": 0.0,
+        "trace": (trace,),
+        "datacenters.s_rated_share": 20.0,
+        "datacenters.q_max_share": 20.0,
+        "datacenters.f_min_mhz": 10.0,
+    }
     return make_scenario(name, **free, **overrides)
 
 
@@ -102,7 +108,7 @@ def last_steps_pu(scenario, droop):
 
 @pytest.mark.parametrize(("name", "s_kva"), [("toy6", 10000.0), ("ieee123", 5000.0)])
 def test_reactive_gains_about_the_bound_in_the_environment(name, s_kva):
-    scenario = steady(name, inverter_s_kva=s_kva)
+    scenario = steady(name, inverters={"s_rated_kva": s_kva})
     bound = largest_stable(scenario, k_p_mw_per_pu=0.0, n=1)
     assert last_steps_pu(scenario, Droop(k_p_mw_per_pu=0.0, k_q_mvar_per_pu_s=0.95 * bound)) < 1e-4
     assert last_steps_pu(scenario, Droop(k_p_mw_per_pu=0.0, k_q_mvar_per_pu_s=1.1 * bound)) > 1e-1
@@ -111,7 +117,7 @@ def test_reactive_gains_about_the_bound_in_the_environment(name, s_kva):
 @pytest.mark.parametrize("alpha_per_s", [0.0, 0.3])
 def test_active_gains_about_the_bound_in_the_environment(alpha_per_s):
     # The exact power flow is steeper here than the linearised one, see the module; v0 keeps the draw off its limits.
-    scenario = steady("toy6", v0_pu=1.01, horizon=300)
+    scenario = steady("toy6", source_voltage_pu=1.01, horizon=300)
     bound = largest_stable(scenario, k_q_mvar_per_pu_s=0.0, alpha_per_s=alpha_per_s)
     runs = [
         last_steps_pu(scenario, Droop(share * bound, k_q_mvar_per_pu_s=0.0, alpha_per_s=alpha_per_s))

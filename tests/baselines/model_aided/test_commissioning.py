@@ -25,7 +25,7 @@ def test_the_regression_is_that_of_its_definition(preset):
     v = flow.at(np.broadcast_to(known.origin_kvar, draw.shape))
     there = v + moved @ known.by_q[0]
     again = regressed(site, known, there, there @ flow.seen.T, moved)
-    noise = site.scenario.voltage_noise_pu**2 + (0.1 * site.law.floor_pu) ** 2
+    noise = site.scenario.sensing.noise_pu**2 + (0.1 * site.law.floor_pu) ** 2
     for i in (0, site.scenario.n_agents - 1):
         more = draw[:, i : i + 1] - known.mean_kw[0, i]
         e = there - moved[:, i : i + 1] * known.by_q[0, i] + more * known.by_draw[0, i]
@@ -67,7 +67,7 @@ def test_moments_are_carried_over_to_another_feeder_of_the_family():
 @pytest.mark.parametrize(("v0_pu", "dearer"), [(1.05, False), (0.85, True)])
 def test_waiting_costs_more_where_no_moment_is_better(v0_pu, dearer):
     """A source at 0.85 p.u. leaves the band always."""
-    site = site_of(make_scenario("ieee33", v0_pu=v0_pu))
+    site = site_of(make_scenario("ieee33", source_voltage_pu=v0_pu))
     known = commission(site, placed(site.scenario, [0]))
     assert (known.waiting >= site.waiting).all()
     assert (known.waiting <= site.never).all()

@@ -45,7 +45,7 @@ def test_where_buses_are_drawn_each_placement_is_commissioned():
     law, scenario = ModelAided(), make_scenario("ieee123")
     law.reset(scenario)
     inverters = [scenario.feeder.index(bus) for bus in scenario.devices[1].buses or ()]
-    first, second = (np.array([[*range(at, at + scenario.n_datacenters), *inverters]]) for at in (10, 60))
+    first, second = (np.array([[*range(at, at + scenario.datacenters.count), *inverters]]) for at in (10, 60))
     law.place(first)
     before = law.known
     law.place(second)
@@ -68,7 +68,7 @@ def test_devices_that_it_does_not_know_are_refused(preset):
 
 
 def test_the_clock_is_left_alone_where_the_band_is_always_left():
-    scenario = make_scenario("ieee33", v0_pu=0.9, split="validation", horizon=20)
+    scenario = make_scenario("ieee33", source_voltage_pu=0.9, split="validation", horizon=20)
     assert rollout(scenario, ModelAided(), range(2)).metrics()[0]["delay_mean_s"] == 0.0
 
 

@@ -30,14 +30,14 @@ def test_its_slope_is_its_derivative(e):
 def test_a_search_without_slopes_by_the_exact_power_flow_finds_nothing_that_costs_less():
     scenario = make_scenario("ieee33")
     site, buses = site_of(scenario), forecast(scenario, 0).buses
-    rest_kvar, w = commission(site, buses[None]).rest_kvar[0, 0], scenario.weights
+    rest_kvar, w = commission(site, buses[None]).rest_kvar[0, 0], scenario.cost.weights
     rows = np.random.default_rng(1).choice(len(site.points.sun), 12, replace=False)  # as commissioning draws them
     voltages = MomentFlow(site, buses).of(rows)
     limit_kvar = site.limit_kvar(site.points.p_agent_kw).mean(axis=0)
 
     def cost(q_kvar):
         e = abs(voltages(q_kvar) - 1.0)
-        beyond = np.maximum(e - scenario.band_pu, 0.0).mean()
+        beyond = np.maximum(e - scenario.cost.band_pu, 0.0).mean()
         return w.voltage * e.mean() + w.violation * beyond + site.effort @ abs(q_kvar / site.share_of_kvar)
 
     bounds = list(zip(-limit_kvar, limit_kvar, strict=True))

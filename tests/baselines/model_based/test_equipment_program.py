@@ -12,8 +12,8 @@ from dcgrid_env.baselines.model_based.equipment_program import EquipmentProgram
 from dcgrid_env.baselines.model_based.hindsight import hindsight, replay
 from helpers.three_phase import ieee13
 
-AGENTS = {"regulators": "agent", "capacitor_banks": "agent"}
-BY_MINUTES = {"dt_s": 60.0, "start_hour": 6.0, "horizon": 30, "inverter_trace": "pv"}
+AGENTS = {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
+BY_MINUTES = {"dt_s": 60.0, "background.start_hour": 6.0, "horizon": 30, "inverters.injection": "pv"}
 
 
 def followed(kind, scenario, **more):
@@ -30,7 +30,7 @@ def equipment_of(found):
 @pytest.mark.parametrize("dt_s", [1.0, 60.0])
 def test_with_positions_at_rest_it_is_the_program_of_the_episode(dt_s):
     scenario = ieee13().replace(dt_s=dt_s, horizon=8, faults=(Fault(("dc_0", "inv_1"), (2.0, 2.0), (3.0, 3.0)),))
-    optimum, _ = followed(EpisodeProgram, scenario.replace(regulators="fixed")).solve()
+    optimum, _ = followed(EpisodeProgram, scenario.replace(grid_control={"regulators": "fixed"})).solve()
     program = followed(EquipmentProgram, scenario.replace(**AGENTS))
     program.round()
     bound, actions = program.solve()
@@ -52,7 +52,9 @@ def test_plans_cost_less_than_laws_and_more_than_the_bound():
     moves = regulators.moves[-1].sum() + banks.switchings[-1].sum()
     assert costs["cost_switching"] == pytest.approx(moves / 5.0 / scenario.horizon)
     # No plan with the taps where the tables have them is better, and no dearer one below the bound.
-    fixed = hindsight(scenario.replace(regulators="fixed", capacitor_banks="fixed", weights={"switching": 0.0}), 0)
+    fixed = hindsight(
+        scenario.replace(grid_control={"regulators": "fixed", "capacitors": "fixed"}, weights={"switching": 0.0}), 0
+    )
     assert found.bound < fixed.bound
     dear = hindsight(scenario.replace(weights={"switching": 1e4}), 0)
     assert equipment_of(dear).regulators.moves.sum() == 0.0
@@ -60,7 +62,7 @@ def test_plans_cost_less_than_laws_and_more_than_the_bound():
 
 
 def test_positions_keep_their_range_and_the_speed_of_their_drive():
-    scenario = ieee13().replace(regulators="agent", horizon=12, split="validation")
+    scenario = ieee13().replace(grid_control={"regulators": "agent"}, horizon=12, split="validation")
     program = followed(EquipmentProgram, scenario)
     program.solve()
     taps = np.concatenate((scenario.feeder.base_tap[None], program.position))
@@ -70,22 +72,22 @@ def test_positions_keep_their_range_and_the_speed_of_their_drive():
 
 def test_a_bank_that_is_lost_is_planned_as_lost():
     faults = (Fault(("capacitor",), begin_s=(3.0, 3.0), duration_s=(6.0, 6.0)),)
-    scenario = ieee13().replace(capacitor_banks="agent", regulators="fixed", faults=faults)
+    scenario = ieee13().replace(grid_control={"capacitors": "agent", "regulators": "fixed"}, faults=faults)
     found = hindsight(scenario, 0)
     assert found.bound < found.J * (1.0 + 1e-4)
     assert rollout(scenario, Droop(), [0]).costs()[0] > found.J
 
 
 def test_what_acts_by_itself_is_followed_but_its_moves_are_not_priced():
-    scenario = ieee13().replace(capacitor_banks="agent", horizon=10)
+    scenario = ieee13().replace(grid_control={"capacitors": "agent"}, horizon=10)
     assert rollout(scenario, Droop(), [0]).costs()[0] > hindsight(scenario, 0).J
     with pytest.raises(ValueError, match=r"prices the moves of agents alone; make all equipment .* fixed or agents"):
         hindsight(scenario.replace(weights={"switching": 1.0}), 0)
     with pytest.raises(ValueError, match="hindsight does not price switching"):
-        hindsight(scenario.replace(capacitor_banks="fixed", weights={"switching": 1.0}), 0)
+        hindsight(scenario.replace(grid_control={"capacitors": "fixed"}, weights={"switching": 1.0}), 0)
 
 
 def test_a_band_that_cannot_be_kept_is_said():
-    scenario = ieee13().replace(**AGENTS, horizon=3, band_pu=0.0005)
+    scenario = ieee13().replace(**AGENTS, horizon=3, **{"cost.band_pu": 0.0005})
     with pytest.raises(ValueError, match=r"has no solution: no optimum .* keep_band may ask for what cannot be"):
         hindsight(scenario, 0, keep_band=True)

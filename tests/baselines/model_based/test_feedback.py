@@ -78,7 +78,7 @@ def test_work_that_waits_is_served_again():
 
 def moves(**parameters):
     """Mean movement of the voltages in a second at the end of a quiet toy6 on a linear grid."""
-    scenario = make_scenario("toy6", load_sigma=0.0, power_flow="lindistflow")
+    scenario = make_scenario("toy6", background={"load_sigma": 0.0}, power_flow="lindistflow")
     v = rollout(scenario, FeedbackOptimisation(**parameters), [0]).lane(0).v_pu
     return np.abs(np.diff(v[-30:], axis=0)).mean()
 
@@ -89,7 +89,9 @@ def test_within_its_limit_it_settles_and_well_beyond_it_oscillates():
     assert moves(gain=12.0, dual_step=1.0, width_pu=0.003) > 3e-3
 
 
-@pytest.mark.parametrize("spoiled", [{}, {"voltage_noise_pu": 0.01, "measurement_delay": 3, "preview": False}])
+@pytest.mark.parametrize(
+    "spoiled", [{}, {"sensing.noise_pu": 0.01, "sensing.delay_steps": 3, "sensing.preview": False}]
+)
 def test_it_beats_the_droop_and_conserves_work(spoiled):
     scenario = make_scenario("ieee33-weak", split="validation", **spoiled)
     ours = rollout(scenario, FeedbackOptimisation(), range(6))

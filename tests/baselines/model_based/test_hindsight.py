@@ -22,7 +22,7 @@ def test_the_environment_agrees_with_the_program(solved):
     scenario, found = solved
     for seed, best in found.items():
         assert abs(best.gap) < 2e-3 * best.J
-        assert best.actions.shape == (scenario.horizon, 2 * scenario.n_datacenters + scenario.n_inverters)
+        assert best.actions.shape == (scenario.horizon, 2 * scenario.datacenters.count + scenario.inverters.count)
         assert np.abs(best.actions).max() <= 1.0
         assert replay(scenario, best.actions, seed).metrics()[0]["J"] == best.J
 
@@ -40,7 +40,7 @@ def test_toy6_against_a_direct_nonlinear_solution():
     """Nothing waits on toy6, so each step stands alone: three reactive injections against the exact power flow."""
     scenario = make_scenario("toy6", split="validation")
     best, known = hindsight(scenario, 3), forecast(scenario, 3)
-    series, feeder, w = best.recorder.lane(0), scenario.feeder, scenario.weights
+    series, feeder, w = best.recorder.lane(0), scenario.feeder, scenario.cost.weights
     assert series.backlog_kws.max() < 1e-6
     rated = np.array([2750.0, 1000.0, 1000.0])
     for k in (5, 30, 77):
@@ -49,7 +49,7 @@ def test_toy6_against_a_direct_nonlinear_solution():
             p, q = known.p_load_kw[k].copy(), known.q_load_kvar[k].copy()
             p[known.buses[0]] += known.p_ref_kw[k, 0]
             q[known.buses] -= q_kvar
-            v = distflow(feeder, p, q, scenario.v0_pu).v_pu[1:]
+            v = distflow(feeder, p, q, scenario.source_voltage_pu).v_pu[1:]
             apart = np.abs(v - 1.0)
             outside = np.maximum(apart - 0.05, 0.0)
             return w.voltage * apart.mean() + w.violation * outside.mean() + w.effort * (np.abs(q_kvar) / rated).mean()
@@ -92,7 +92,9 @@ def test_the_best_of_its_rounds_is_kept(monkeypatch, costs, best):
 
 
 def test_on_a_linear_grid_one_program_is_enough():
-    scenario = make_scenario("ieee33-weak", power_flow="lindistflow", split="validation", f_min_mhz=1.0, horizon=40)
+    scenario = make_scenario(
+        "ieee33-weak", power_flow="lindistflow", split="validation", datacenters={"f_min_mhz": 1.0}, horizon=40
+    )
     best = hindsight(scenario, 0)
     assert best.rounds <= 2
     assert abs(best.gap) < 1e-3 * best.J
@@ -112,17 +114,21 @@ def test_the_forecast_is_what_the_environment_draws():
     scenario = make_scenario("ieee123", split="validation", horizon=20)
     known = forecast(scenario, 5)
     series = rollout(scenario, make_controller("none"), [5]).lane(0)
-    idle_kw = scenario.datacenter.p_idle_kw
+    idle_kw = scenario.datacenters.parameters.p_idle_kw
     np.testing.assert_allclose(np.maximum(known.p_ref_kw - idle_kw, 0.0), series.arrived_kw, atol=1e-9)
     p, q = known.p_load_kw.copy(), known.q_load_kvar
     p[:, known.buses[:5]] += known.p_ref_kw
-    np.testing.assert_allclose(distflow(scenario.feeder, p, q, scenario.v0_pu).v_pu, series.v_pu[1:], atol=1e-7)
+    np.testing.assert_allclose(
+        distflow(scenario.feeder, p, q, scenario.source_voltage_pu).v_pu, series.v_pu[1:], atol=1e-7
+    )
 
 
 def test_what_is_lost_is_foreseen():
     """A tripped site draws nothing, a lost inverter gives nothing, and the program knows when."""
     faults = (Fault(("dc_1",), (5.0, 5.0), (10.0, 10.0)), Fault(("inv_2",), (12.0, 12.0)))
-    scenario = make_scenario("ieee33-weak", split="validation", horizon=30, faults=faults, inverter_s_kva=600.0)
+    scenario = make_scenario(
+        "ieee33-weak", split="validation", horizon=30, faults=faults, inverters={"s_rated_kva": 600.0}
+    )
     best = hindsight(scenario, 0)
     series = best.recorder.lane(0)
     assert abs(best.gap) < 2e-3 * best.J
@@ -138,7 +144,12 @@ def test_a_boost_beyond_the_converters_rating_is_foreseen():
     kw = np.where(np.arange(200) % 10 < 3, 1.3, 0.5)
     trace = PowerTrace(np.arange(201.0), np.append(kw, 0.5), "boosted", rated_kw=1.0)
     scenario = make_scenario(
-        "ieee33", trace=(trace,), trace_window="start", boost_share=1.3, horizon=20, p_rated_kw=60.0, split="train"
+        "ieee33",
+        trace=(trace,),
+        workload={"window": "start"},
+        datacenters={"boost_share": 1.3, "p_rated_kw": 60.0},
+        horizon=20,
+        split="train",
     )
     best = hindsight(scenario, 0)
     top = best.actions.copy()
@@ -157,25 +168,25 @@ def test_the_band_is_kept_where_it_can_be_and_told_where_it_cannot():
     with pytest.raises(
         ValueError, match=r"keep_band cannot be met; at bus 18 .* 0\.\d+ p\.u\. beyond the band at step \d+"
     ):
-        hindsight(scenario.replace(v0_pu=0.97), 0, keep_band=True)
+        hindsight(scenario.replace(source_voltage_pu=0.97), 0, keep_band=True)
 
 
 def test_at_the_lowest_clock_a_site_still_serves():
     """The program knows that work is served at f_min too, so the replay does as it says where nothing waits."""
-    scenario = make_scenario("ieee33-weak", split="validation", f_min_mhz=700.0)
+    scenario = make_scenario("ieee33-weak", split="validation", datacenters={"f_min_mhz": 700.0})
     best = hindsight(scenario, 3)
     assert abs(best.gap) < 5e-3 * best.J
-    loose = hindsight(scenario.replace(f_min_mhz=1.0), 3)
+    loose = hindsight(scenario.replace(datacenters={"f_min_mhz": 1.0}), 3)
     assert best.bound > loose.bound
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"dvfs": PrefillDecodeDvfs()}, "linear clock law only, not PrefillDecodeDvfs"),
-        ({"voltage_cost": "l2"}, "l1 voltage cost only, not 'l2'"),
+        ({"datacenters.clock_law": PrefillDecodeDvfs()}, "linear clock law only, not PrefillDecodeDvfs"),
+        ({"cost.voltage": "l2"}, "l1 voltage cost only, not 'l2'"),
         ({"weights": CostWeights(loss=1.0)}, "does not price loss"),
-        ({"p_rated_kw": 20_000.0}, "no solution at step 20"),
+        ({"datacenters.p_rated_kw": 20_000.0}, "no solution at step 20"),
     ],
 )
 def test_what_it_cannot_solve_is_named(changed, message):

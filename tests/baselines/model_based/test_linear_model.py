@@ -36,7 +36,9 @@ class Restless(ModelController):
         self.arrived.append(now.p_ref_kw)
         lanes = len(now.v_pu)
         swing = np.sin(0.7 * k + np.arange(s.n_agents))
-        return np.full((lanes, s.n_datacenters), 700.0 + 500.0 * np.sin(k)), np.tile(swing * self._q_scale, (lanes, 1))
+        return np.full((lanes, s.datacenters.count), 700.0 + 500.0 * np.sin(k)), np.tile(
+            swing * self._q_scale, (lanes, 1)
+        )
 
 
 def course(recorder, lanes):
@@ -58,7 +60,7 @@ def test_slopes_by_hand():
 def test_slopes_are_those_of_the_power_flow_around_one_per_unit():
     scenario = make_scenario("ieee33-weak")
     feeder = scenario.feeder
-    buses = np.array([[feeder.index(bus) for bus in (18, 33, 25, *scenario.inverter_buses)]])
+    buses = np.array([[feeder.index(bus) for bus in (18, 33, 25, *scenario.inverters.buses)]])
     known = slopes(scenario, buses)
     none = np.zeros(feeder.n_bus)
     flat = distflow(feeder, none, none, 1.0).v_pu
@@ -73,7 +75,10 @@ def test_slopes_are_those_of_the_power_flow_around_one_per_unit():
 
 
 def test_the_believed_impedances_are_used():
-    true, off = make_scenario("ieee33-weak"), make_scenario("ieee33-weak", r_model_share=0.8, x_model_share=1.2)
+    true, off = (
+        make_scenario("ieee33-weak"),
+        make_scenario("ieee33-weak", sensing={"r_model_share": 0.8, "x_model_share": 1.2}),
+    )
     buses = np.array([[17, 32]])
     np.testing.assert_allclose(slopes(off, buses).by_p, 0.8 * slopes(true, buses).by_p)
     np.testing.assert_allclose(slopes(off, buses).by_q, 1.2 * slopes(true, buses).by_q)
@@ -95,7 +100,7 @@ def test_what_is_believed_is_what_is_measured():
 @pytest.mark.parametrize("delay", [1, 3])
 def test_an_old_measurement_is_brought_up_to_date(delay):
     """Other loads still, so all that has changed is the agents' doing, which the model knows but for its linearity."""
-    scenario = make_scenario("ieee33-weak", horizon=15, load_sigma=0.0, measurement_delay=delay)
+    scenario = make_scenario("ieee33-weak", horizon=15, background={"load_sigma": 0.0}, sensing={"delay_steps": delay})
     restless = Restless()
     v = course(rollout(scenario, restless, [0, 1]), 2)[:-1]
     moved = np.sqrt(((v[delay:] - v[:-delay]) ** 2).mean())
@@ -105,18 +110,18 @@ def test_an_old_measurement_is_brought_up_to_date(delay):
 
 def test_noise_is_smoothed_by_more_than_half():
     noise = 0.01
-    scenario = make_scenario("ieee33-weak", horizon=60, voltage_noise_pu=noise)
+    scenario = make_scenario("ieee33-weak", horizon=60, sensing={"noise_pu": noise})
     restless = Restless()
     v = course(rollout(scenario, restless, range(4)), 4)[:-1]
     error = (np.array(restless.believed) - v)[20:]
     assert 0.0 < np.sqrt((error**2).mean()) < 0.5 * noise
 
 
-@pytest.mark.parametrize("changed", [{}, {"dt_s": 0.2}, {"load_rho": 0.6, "load_sigma": 0.02}])
+@pytest.mark.parametrize("changed", [{}, {"dt_s": 0.2}, {"background.load_rho": 0.6, "background.load_sigma": 0.02}])
 def test_the_gain_is_that_of_what_the_loads_do_in_a_step(changed):
     """The other loads of episodes as drawn, on the linear grid, and the steady state of Kalman's recursion."""
     noise = 0.0005
-    scenario = make_scenario("ieee33-weak", horizon=400, voltage_noise_pu=noise, observe="feeder", **changed)
+    scenario = make_scenario("ieee33-weak", horizon=400, **{"sensing.noise_pu": noise}, observe="feeder", **changed)
     moves = []
     for seed in range(12):
         known = forecast(scenario, seed)
@@ -134,11 +139,11 @@ def test_the_gain_is_that_of_what_the_loads_do_in_a_step(changed):
 
 
 def test_p_ref_is_reconstructed_from_draw_and_queue():
-    scenario = make_scenario("ieee33-weak", horizon=30, preview=False)
+    scenario = make_scenario("ieee33-weak", horizon=30, sensing={"preview": False})
     restless = Restless()
     series = rollout(scenario, restless, [3]).lane(0)
     assert series.backlog_kws.max() > 10.0
-    idle_kw = scenario.datacenter.p_idle_kw
+    idle_kw = scenario.datacenters.parameters.p_idle_kw
     arrived = np.maximum(np.array(restless.arrived)[1:, 0] - idle_kw, 0.0)
     np.testing.assert_allclose(arrived, series.arrived_kw[:-1], atol=1e-2)
 
@@ -148,8 +153,8 @@ def test_p_ref_is_reconstructed_from_draw_and_queue():
     ("changed", "message"),
     [
         ({"observe": "local"}, "observe is 'local'; make the scenario with observe='feeder'"),
-        ({"dvfs": PrefillDecodeDvfs()}, "dvfs is PrefillDecodeDvfs, .* LinearDvfs()"),
-        ({"voltage_cost": "l2"}, "voltage_cost is 'l2'"),
+        ({"datacenters.clock_law": PrefillDecodeDvfs()}, "datacenters.clock_law is PrefillDecodeDvfs, .* LinearDvfs()"),
+        ({"cost.voltage": "l2"}, "cost.voltage is 'l2'"),
         ({"weights": CostWeights(loss=2.0)}, r"weights.loss is 2, .* set it to 0"),
     ],
 )

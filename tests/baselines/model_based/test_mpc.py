@@ -156,7 +156,7 @@ def test_one_step_by_hand():
     The site at 4 and the inverter at 5 bring both their buses to 1 p.u. The one at 3 has three buses: 1, 2 and 3 want
     500, 700 and 400 kvar of it, with slopes 1 : 1 : 2 but for their voltages, of which the third is the lowest.
     """
-    scenario = make_scenario("toy6", load_sigma=0.0, power_flow="lindistflow", horizon=6)
+    scenario = make_scenario("toy6", background={"load_sigma": 0.0}, power_flow="lindistflow", horizon=6)
     series = rollout(scenario, Mpc(horizon=1, rounds=2000), [0]).lane(0)
     site_kw = series.p_kw[-1, 0]
     # Bus 5: 0.01 * 100 + 0.02 * (50 - q_5) = 0. Bus 4: 0.01 * (site + 100) + 0.02 * (50 - q_4 - q_5) = 0.
@@ -212,7 +212,7 @@ def test_the_forecast_begins_with_what_is_observed(dt_s):
     mean_seen, mean_drawn = (800.0 + 1200.0 + 1800.0) / 3.0, (800.0 + 1200.0) / 2.0
     for preview, known, mean, steps in ((True, 1800.0, mean_seen, [0, 1, 2]), (False, 1200.0, mean_drawn, [1, 2, 3])):
         controller = Mpc(horizon=3, forecast_s=5.0)
-        first = toy6_estimate(controller, 800.0, 1200.0, preview=preview, dt_s=dt_s)
+        first = toy6_estimate(controller, 800.0, 1200.0, sensing={"preview": preview}, dt_s=dt_s)
         controller._forecast(first)
         coming = first.local._replace(p_ref_next_kw=np.array([[1800.0]]))
         found = controller._forecast(first._replace(local=coming, p_ref_kw=np.array([[1200.0]])))
@@ -239,7 +239,7 @@ def test_the_clock_is_the_share_served_of_what_the_top_clock_serves(monkeypatch,
 
     monkeypatch.setattr(import_module("dcgrid_env.baselines.model_based.mpc"), "solve", solved)
     controller = Mpc(horizon=2)
-    f_mhz, q_kvar = controller.plan(toy6_estimate(controller, 1000.0, p_ref_kw, boost_share=1.3))
+    f_mhz, q_kvar = controller.plan(toy6_estimate(controller, 1000.0, p_ref_kw, datacenters={"boost_share": 1.3}))
     assert f_mhz[0] == pytest.approx([max(share * 1410.0, 210.0)])
     assert q_kvar[0] == pytest.approx([192.5, -200.0, 300.0])
 
@@ -280,8 +280,13 @@ def test_one_object_drives_every_interface(make):
     "spoiled",
     [
         {},
-        {"voltage_noise_pu": 0.01, "measurement_delay": 3, "preview": False},
-        {"r_model_share": 0.8, "x_model_share": 1.2, "voltage_noise_pu": 0.002, "measurement_delay": 2},
+        {"sensing.noise_pu": 0.01, "sensing.delay_steps": 3, "sensing.preview": False},
+        {
+            "sensing.r_model_share": 0.8,
+            "sensing.x_model_share": 1.2,
+            "sensing.noise_pu": 0.002,
+            "sensing.delay_steps": 2,
+        },
     ],
     ids=["plain", "blind", "wrong"],
 )
@@ -319,7 +324,12 @@ def test_none_beats_hindsight_and_control_with_a_model_comes_near_it(name):
 def test_a_lost_agent_an_injection_and_a_boost_make_nothing_infinite(make):
     shares = tuple(np.sin(np.linspace(0.0, np.pi, 21)).tolist())
     scenario = make_scenario(
-        "ieee33-weak", horizon=20, inverter_trace=shares, boost_share=1.3, trace="code", observe="feeder"
+        "ieee33-weak",
+        horizon=20,
+        inverters={"injection": shares},
+        datacenters={"boost_share": 1.3},
+        trace="code",
+        observe="feeder",
     )
     env, controller = DcgridVectorEnv(3, scenario), make()
     observations, _ = env.reset(seed=0)
@@ -339,7 +349,7 @@ def test_a_lost_agent_an_injection_and_a_boost_make_nothing_infinite(make):
 def test_no_data_centre_and_no_weights_are_no_trouble():
     none = make_scenario("ieee123", n_datacenters=0, horizon=4)
     quiet = make_scenario("toy6", horizon=4)
-    quiet = quiet.replace(weights=quiet.weights._replace(voltage=0.0, violation=0.0))
+    quiet = quiet.replace(weights=quiet.cost.weights._replace(voltage=0.0, violation=0.0))
     for make in CONTROLLERS:
         assert np.isfinite(rollout(none, make(), [0, 1]).metrics()[1]["J"])
         assert rollout(quiet, make(), [0]).metrics()[0]["J"] < 1e-3

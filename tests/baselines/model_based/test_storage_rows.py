@@ -81,7 +81,7 @@ def test_a_storage_that_is_lost_is_not_counted_on():
 
 
 def test_a_storage_on_one_phase_of_a_three_phase_feeder():
-    base = ieee13().replace(horizon=10, regulators="fixed", split="validation")
+    base = ieee13().replace(horizon=10, grid_control={"regulators": "fixed"}, split="validation")
     storages = Storages(buses=("692", "671"), phases=("c", "abc"), s_rated_kva=320.0, **FIGURES)
     scenario = base.replace(name="storage", devices=(*base.devices, storages))
     best = hindsight(scenario, 0)
@@ -90,7 +90,7 @@ def test_a_storage_on_one_phase_of_a_three_phase_feeder():
 
 
 def test_storages_beside_equipment_that_is_agents_are_refused():
-    base = ieee13().replace(regulators="agent")
+    base = ieee13().replace(grid_control={"regulators": "agent"})
     scenario = base.replace(name="both", devices=(*base.devices, Storages(buses=("692",), **FIGURES)))
     with pytest.raises(ValueError, match="hindsight is made for data centres, inverters and storage alone"):
         hindsight(scenario, 0)

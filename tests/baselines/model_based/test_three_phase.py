@@ -24,13 +24,13 @@ from helpers.three_phase import SCENARIOS, ieee13, ieee34, ieee123
 
 def cost(scenario, name):
     controller = make_controller(name)
-    observe = getattr(controller, "observe", scenario.observe)
+    observe = getattr(controller, "observe", scenario.sensing.observe)
     return rollout(scenario.replace(observe=observe), controller, [0]).metrics()[0]["J"]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_more_is_known_the_less_it_costs(name):
-    scenario = SCENARIOS[name]().replace(regulators="fixed")
+    scenario = SCENARIOS[name]().replace(grid_control={"regulators": "fixed"})
     best = hindsight(scenario, 0)
     costs = [cost(scenario, controller) for controller in ("none", "inverters", "mpc-one-step")]
     assert min(costs[:2]) > costs[2] > best.J - 1e-3
@@ -124,7 +124,7 @@ def test_volts_that_meet_the_demands_make_the_control_follow_the_course(seed):
 
 def test_relays_that_act_are_those_with_a_control_of_their_own():
     scenario = ieee13()
-    assert acting_relays(scenario.replace(regulators="fixed")) is None
+    assert acting_relays(scenario.replace(grid_control={"regulators": "fixed"})) is None
     assert acting_relays(make_scenario("toy6")) is None
     relays = acting_relays(scenario.replace(dt_s=60.0))
     assert relays is not None

@@ -12,7 +12,7 @@ from helpers.routing import routed
 @pytest.mark.parametrize("order", ["edf", "fcfs"])
 def test_the_replay_is_near_the_bound_and_better_than_laws(order):
     levels = {"target_s": 1.0, "deadline_s": 6.0, "order": order}
-    s = make_scenario("routing", split="validation", horizon=20, datacenter_service=levels)
+    s = make_scenario("routing", split="validation", horizon=20, datacenters={"service": levels})
     found = hindsight(s, 0)
     assert found.bound <= found.J * (1.0 + 1e-4)
     assert found.gap < 0.01 * found.J
@@ -22,12 +22,12 @@ def test_the_replay_is_near_the_bound_and_better_than_laws(order):
 
 
 def test_without_deadlines_waiting_has_its_price_and_routing_is_worth_something():
-    s = routed("bursty", horizon=15, datacenter_batching=None, datacenter_service=None)
-    stays = hindsight(s.replace(datacenter_routing=None), 1)
+    s = routed("bursty", horizon=15, datacenters={"batching": None, "service": None})
+    stays = hindsight(s.replace(datacenters={"routing": None}), 1)
     moves = hindsight(s, 1)
     assert moves.J < stays.J
     assert moves.gap < 0.01 * moves.J
-    held = hindsight(s.replace(datacenter_routing={"movable_share": 0.0}), 1)
+    held = hindsight(s.replace(datacenters={"routing": {"movable_share": 0.0}}), 1)
     assert pytest.approx(stays.J, rel=1e-4) == held.J
 
 
@@ -35,7 +35,7 @@ def test_late_work_in_the_program_is_late_work_in_the_environment():
     # Work that is worth leaving late: lateness is cheap, and so is what is left.
     levels = {"target_s": 0.0, "deadline_s": 2.0, "late_weight": 0.02}
     weights = {"backlog": 0.0, "leftover": 0.5}
-    s = make_scenario("routing", split="validation", horizon=15, datacenter_service=levels, weights=weights)
+    s = make_scenario("routing", split="validation", horizon=15, datacenters={"service": levels}, weights=weights)
     found = hindsight(s, 3)
     metrics = found.recorder.metrics()[0]
     assert metrics["cost_late"] > 0.0
@@ -47,7 +47,7 @@ def test_late_work_in_the_program_is_late_work_in_the_environment():
     [
         ({}, "hindsight plans no batch sizes, whose energy is no linear function; scenario 'ieee33' has batching"),
         (
-            {"datacenter_batching": None, "boost_share": 1.2},
+            {"datacenters.batching": None, "datacenters.boost_share": 1.2},
             "sites that stay within their rating",
         ),
     ],
@@ -58,7 +58,7 @@ def test_what_it_cannot_plan_it_refuses_by_name(changes, message):
 
 
 def test_beside_regulators_that_are_agents_it_plans_no_routing():
-    s = make_scenario("ieee123-3ph-day", horizon=3, datacenter_routing={})
+    s = make_scenario("ieee123-3ph-day", horizon=3, datacenters={"routing": {}})
     with pytest.raises(ValueError, match="routing and service levels beside fixed or controlled equipment alone"):
         hindsight(s, 0)
 

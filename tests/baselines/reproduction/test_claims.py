@@ -241,7 +241,7 @@ def test_captions_follow_the_runs(few, monkeypatch):
 
 def test_what_waits_at_bus_13_is_that_of_the_runs(few, monkeypatch):
     law = Law(k_p_mw_per_pu=20.0)
-    low = all_sites(few).replace(v0_pu=1.0)
+    low = all_sites(few).replace(source_voltage_pu=1.0)
     monkeypatch.setattr(paper_figures, "panel_laws", lambda: [law])
     monkeypatch.setattr(paper_figures, "all_sites", lambda _: low)
     series = few.series(low, law, 0)

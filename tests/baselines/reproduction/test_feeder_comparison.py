@@ -37,7 +37,7 @@ def test_each_form_adds_one_thing_to_the_one_before():
     made = {name: setting_of(case, SHORT).scenario(5) for name, case in cases().items()}
     assert made["balanced"].difference(make_scenario("ieee123", horizon=12, split="test", trace="inference")) is None
     assert made["phases"].difference(made["fixed"]) == "feeder"
-    assert made["fixed"].difference(made["acting"]) == "regulators"
+    assert made["fixed"].difference(made["acting"]) == "grid_control.regulators"
     assert made["acting"].feeder is make_scenario("ieee123-3ph").feeder
     table = without_line_regulators().network.regulator
     moved = {bank for bank, tap in zip(table.bank, table.tap, strict=True) if tap}
@@ -52,11 +52,11 @@ def test_sites_that_are_not_drawn_have_three_phases():
     for case in cases().values():
         setting = setting_of(case, published)
         assert setting.counts == (1, 2, 3, 4, 5)
-        assert setting.scenario(2).datacenter_buses == ("13", "28")
+        assert setting.scenario(2).datacenters.buses == ("13", "28")
 
 
 def test_settled_on_three_phases_is_the_first_voltage_of_the_environment_without_noise(true):
-    scenario = true.setting.pinned((13,), load_sigma=0.0, regulators="fixed")
+    scenario = true.setting.pinned((13,), background={"load_sigma": 0.0}, grid_control={"regulators": "fixed"})
     start = rollout(scenario, NoControl(), [0]).lane(0)
     drawn = {13: float(start.p_kw[0, 0])}
     # The load of a data centre moves; the base load is still.

@@ -19,7 +19,7 @@ def test_settled_is_the_power_flow_by_hand(few):
     more = levers.settled(scenario, {13: 10.0}, {13: 20.0})
     # Near 1 p.u. the exact drop is that of R and X, but for the loss that comes with it.
     assert before[at] - more[at] == pytest.approx(r[at, at] * 0.01 - x[at, at] * 0.02, abs=1e-5)
-    assert before[0] == scenario.v0_pu
+    assert before[0] == scenario.source_voltage_pu
 
 
 def test_turned_keeps_the_impedance():
@@ -65,8 +65,8 @@ def test_published_placement():
     setting = Setting(choose_load("generated"), episodes=2, placement="published")
     assert setting.counts == (1, 2, 3, 4, 5, 8)
     for n in setting.counts:
-        assert setting.scenario(n).datacenter_buses == tuple(map(str, PUBLISHED_BUSES[:n]))
-    assert Setting(choose_load("generated"), episodes=2).scenario(5).datacenter_buses is None
+        assert setting.scenario(n).datacenters.buses == tuple(map(str, PUBLISHED_BUSES[:n]))
+    assert Setting(choose_load("generated"), episodes=2).scenario(5).datacenters.buses is None
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def test_reactive_power_moves_once_an_interval_by_the_gain_times_the_interval(fi
     assert (q[:50] == q[0]).all()
     assert (q[50:] == q[50]).all()
     assert not (q[50] == q[0]).all()
-    buses = [fine.feeder.index(bus) for bus in fine.inverter_buses]
+    buses = [fine.feeder.index(bus) for bus in fine.inverters.buses]
     # Q = -k_q (V - 1) T = -500 kvar/(p.u. s) (V - 1) 5 s, cut at 50 kvar; V as observed, in float32.
     by_hand = np.clip(-500.0 * (run.v_pu[0, buses] - 1.0) * 5.0, -50.0, 50.0)
     np.testing.assert_allclose(q[0], by_hand, atol=1e-2)

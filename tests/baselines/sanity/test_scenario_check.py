@@ -57,14 +57,14 @@ def test_without_time_all_columns_are_of_the_one_episode_of_hindsight():
 
 
 def test_a_feeder_where_nothing_can_be_done_is_not_worth_learning():
-    scenario = make_scenario("ieee33", p_rated_kw=0.1, inverter_s_kva=0.1, **SHORT)
+    scenario = make_scenario("ieee33", **{"datacenters.p_rated_kw": 0.1}, **{"inverters.s_rated_kva": 0.1}, **SHORT)
     check = check_scenario(scenario, episodes=2, seconds=20.0)
     assert not check.is_worth_learning
     assert any(str(verdict).startswith("nothing to gain: hindsight is within") for verdict in check.verdicts)
 
 
 def test_a_scenario_that_hindsight_refuses_is_judged_without_it():
-    check = check_scenario(make_scenario("toy6", voltage_cost="l2", **SHORT), episodes=2, seconds=10.0)
+    check = check_scenario(make_scenario("toy6", **{"cost.voltage": "l2"}, **SHORT), episodes=2, seconds=10.0)
     assert HINDSIGHT not in check.figures.reached
     assert "l1 voltage cost only" in check.figures.refused
     assert np.isfinite(check.figures.largest_k_q)

@@ -53,7 +53,7 @@ def test_what_bars_learning_says_so_with_a_remedy(others, start, remedy):
     [
         (0.93, 1.03, 0.0, "raise source_voltage_pu from 1.05 to 1.06875"),
         (0.97, 1.07, 0.0, "lower source_voltage_pu from 1.05 to 1.03125"),
-        (0.93, 1.048, 0.0, "lower the data centres' rating (p_rated_kw, now 3000 kW in all)"),
+        (0.93, 1.048, 0.0, "lower the data centres' rating (datacenters.p_rated_kw, now 3000 kW in all)"),
         (
             0.93,
             1.048,

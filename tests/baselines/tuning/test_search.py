@@ -32,7 +32,7 @@ def test_mean_cost_is_the_records_mean():
 
 
 def test_costs_hold_where_the_power_flow_ends_an_episode():
-    scenario = make_scenario("toy6", p_rated_kw=20_000.0, split="validation")
+    scenario = make_scenario("toy6", datacenters={"p_rated_kw": 20_000.0}, split="validation")
     recorder = rollout(scenario, NoControl(), range(2))
     assert recorder.metrics()[0]["power_flow_converged"] == 0.0
     np.testing.assert_allclose(recorder.costs(), [metrics["J"] for metrics in recorder.metrics()])
@@ -160,8 +160,8 @@ def test_gains_are_searched_as_low_as_an_episode_is_long_and_as_high_as_a_step_i
 
 
 def test_equipment_has_no_share_of_reactive_power_to_search_for():
-    given = ieee13().replace(regulators="agent", capacitor_banks={"cap1": "agent"})
-    drawn = ieee123().replace(regulators="agent")
+    given = ieee13().replace(grid_control={"regulators": "agent", "capacitors": {"cap1": "agent"}})
+    drawn = ieee123().replace(grid_control={"regulators": "agent"})
     for scenario, width in ((given, 6), (drawn, 8)):
         law = TUNABLE["constant-q"]
         bounds = law.bounds([scenario])

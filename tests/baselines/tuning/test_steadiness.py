@@ -35,7 +35,7 @@ def test_demand_that_alternates_is_no_limit_cycle():
     """On `training` the sites' power falls and rises every few steps by itself; with held inputs nothing moves."""
     scenario = make_scenario("training", split="validation")
     held = with_held_inputs(scenario)
-    assert held.load_sigma == held.voltage_noise_pu == 0.0
+    assert held.background.load_sigma == held.sensing.noise_pu == 0.0
     droop = make_controller("droop-tuned", scenario)
     assert isinstance(droop, Droop)
     assert not has_limit_cycle(scenario, droop, 4)
@@ -59,8 +59,8 @@ def test_the_radius_of_several_scenarios_is_the_largest():
     droop = Droop(1.0, 20.0, 0.1)
     each = [ClosedLoops([scenario]).largest_radius(droop) for scenario in (toy, weak)]
     assert ClosedLoops([toy, weak]).largest_radius(droop) == max(each)
-    assert weak.datacenter_buses is not None
-    where = weak.datacenter_buses + weak.inverter_buses
+    assert weak.datacenters.buses is not None
+    where = weak.datacenters.buses + weak.inverters.buses
     assert each[1] == spectral_radius(weak, where, 1.0, 20.0, alpha_per_s=0.1)
 
 

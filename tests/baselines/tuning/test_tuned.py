@@ -27,22 +27,22 @@ def write(path, law, name, gain, scenario=None, law_is_of=None):
     [
         (
             "feeder",
-            {"feeder": load_feeder("das69"), "datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)},
+            {"feeder": load_feeder("das69"), "datacenters.buses": (27, 65, 35), "inverters.buses": (5, 12, 40, 61)},
         ),
-        ("v0_pu", {"v0_pu": 1.0}),
-        ("capacitors", {"capacitors": False}),
-        ("n_datacenters", {"n_datacenters": 2, "datacenter_buses": (18, 33)}),
-        ("datacenter_buses", {"datacenter_buses": (18, 33, 24)}),
-        ("p_rated_kw", {"p_rated_kw": (1000.0, 1000.0, 900.0)}),
-        ("idle_share", {"idle_share": 0.3}),
-        ("f_min_mhz", {"f_min_mhz": 300.0}),
-        ("f_max_mhz", {"f_max_mhz": 1500.0}),
-        ("s_rated_share", {"s_rated_share": 1.1}),
-        ("q_max_share", {"q_max_share": 0.3}),
-        ("dvfs", {"dvfs": PrefillDecodeDvfs()}),
-        ("boost_share", {"boost_share": 1.3}),
-        ("inverter_buses", {"inverter_buses": (7, 14, 20, 29)}),
-        ("inverter_s_kva", {"inverter_s_kva": 101.0}),
+        ("source_voltage_pu", {"source_voltage_pu": 1.0}),
+        ("background.capacitors", {"background.capacitors": False}),
+        ("datacenters.count", {"n_datacenters": 2, "datacenters.buses": (18, 33)}),
+        ("datacenters.buses", {"datacenters.buses": (18, 33, 24)}),
+        ("datacenters.p_rated_kw", {"datacenters.p_rated_kw": (1000.0, 1000.0, 900.0)}),
+        ("datacenters.idle_share", {"datacenters.idle_share": 0.3}),
+        ("datacenters.f_min_mhz", {"datacenters.f_min_mhz": 300.0}),
+        ("datacenters.f_max_mhz", {"datacenters.f_max_mhz": 1500.0}),
+        ("datacenters.s_rated_share", {"datacenters.s_rated_share": 1.1}),
+        ("datacenters.q_max_share", {"datacenters.q_max_share": 0.3}),
+        ("datacenters.clock_law", {"datacenters.clock_law": PrefillDecodeDvfs()}),
+        ("datacenters.boost_share", {"datacenters.boost_share": 1.3}),
+        ("inverters.buses", {"inverters.buses": (7, 14, 20, 29)}),
+        ("inverters.s_rated_kva", {"inverters.s_rated_kva": 101.0}),
         ("dt_s", {"dt_s": 0.5}),
     ],
 )
@@ -62,17 +62,20 @@ def test_a_scenario_of_another_name_is_told_which_presets_gains_would_serve_it()
     with pytest.raises(ValueError, match=said):
         tuned_parameters("droop", own)
     with pytest.raises(ValueError, match=r"results/tuned.json; find its own"):
-        tuned_parameters("droop", own.replace(v0_pu=1.0))
+        tuned_parameters("droop", own.replace(source_voltage_pu=1.0))
 
 
 @pytest.mark.parametrize(
     "overrides",
     [
         {"split": "test"},
-        {"horizon": 30, "voltage_noise_pu": 0.01, "measurement_delay": 2, "load_sigma": 0.1},
-        {"observe": "feeder", "preview": False, "reward": "local", "weights": CostWeights(backlog=1.0)},
-        {"trace": "code", "site_correlation": 1.0, "r_model_share": 0.8, "power_flow": "lindistflow"},
-        {"p_rated_kw": (1000,) * 3, "inverter_s_kva": (100, 100.0, 100.0, 100.0)},  # the same, written otherwise
+        {"horizon": 30, "sensing.noise_pu": 0.01, "sensing.delay_steps": 2, "background.load_sigma": 0.1},
+        {"observe": "feeder", "sensing.preview": False, "reward": "local", "weights": CostWeights(backlog=1.0)},
+        {"trace": "code", "workload.site_correlation": 1.0, "sensing.r_model_share": 0.8, "power_flow": "lindistflow"},
+        {
+            "datacenters.p_rated_kw": (1000,) * 3,
+            "inverters.s_rated_kva": (100, 100.0, 100.0, 100.0),
+        },  # the same, written otherwise
     ],
 )
 def test_what_gains_do_not_depend_on_may_differ(overrides):
@@ -89,7 +92,7 @@ def test_every_preset_has_its_own(name):
 
 
 def test_ones_own_are_found_in_results_and_in_a_file_that_is_named(tmp_path):
-    own = make_scenario("ieee33-weak", name="mine", v0_pu=1.0)
+    own = make_scenario("ieee33-weak", name="mine", source_voltage_pu=1.0)
     with pytest.raises(ValueError, match=r"'droop' for scenario 'mine' ship with the package, nor stand in results"):
         make_controller("droop-tuned", own)
     write(OWN, "droop", "mine", 3.0, own)
@@ -103,7 +106,7 @@ def test_ones_own_are_found_in_results_and_in_a_file_that_is_named(tmp_path):
     with pytest.raises(
         ValueError, match="has some of another 'mine', whose feeder, devices or step differ; find its own"
     ):
-        make_controller("droop-tuned", own.replace(v0_pu=1.02))
+        make_controller("droop-tuned", own.replace(source_voltage_pu=1.02))
     with pytest.raises(
         ValueError, match=r"of 'droop-q' for scenario 'mine' stand in .*other\.json; find .* --out .*other"
     ):
@@ -123,7 +126,7 @@ def test_the_presets_own_gains_come_before_those_of_its_variants():
     assert tuned_parameters("droop", preset) == shipped
     assert tuned_parameters("droop", preset, OWN).parameters == {"k_q_mvar_per_pu_s": 3.0}  # ... unless asked for
     with pytest.raises(ValueError, match="has some of another 'ieee33-weak'"):
-        tuned_parameters("droop", preset.replace(v0_pu=1.0), OWN)
+        tuned_parameters("droop", preset.replace(source_voltage_pu=1.0), OWN)
 
 
 def test_the_hash_of_a_file_is_that_of_the_validation_split():
@@ -144,4 +147,4 @@ def test_a_three_phase_grid_is_told_from_another():
     assert grid_difference(base, base.replace(horizon=7, trace="chat", weights={"unbalance": 3.0})) is None
     assert grid_difference(base, ieee34()) == "feeder"
     assert grid_hash(base) == grid_hash(base.replace(observe="feeder"))
-    assert grid_hash(base) != grid_hash(base.replace(inverter_phases=("a", "abc", "c", "a")))
+    assert grid_hash(base) != grid_hash(base.replace(inverters={"phases": ("a", "abc", "c", "a")}))

@@ -29,7 +29,7 @@ import numpy as np
 
 class Still:
     def reset(self, env_info):
-        self.n = 2 * env_info.n_datacenters + env_info.n_inverters
+        self.n = 2 * env_info.datacenters.count + env_info.inverters.count
         self.steps = 0
 
     def act(self, observations):
@@ -272,7 +272,7 @@ SCENARIO = """
 from dcgrid_env import load_feeder, make_scenario
 
 def make():
-    weak = {"datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)}
+    weak = {"datacenters": {"buses": (27, 65, 35)}, "inverters": {"buses": (5, 12, 40, 61)}}
     return make_scenario("ieee33-weak", name="[/]", feeder=load_feeder("das69"), horizon=10, **weak)
 """
 
@@ -283,13 +283,13 @@ def test_ones_own_scenario_and_arguments_with_commas(tmp_path, own, capsys, monk
     (tmp_path / "mine.py").write_text(SCENARIO)
     spec = f"{own}:Share(1, b=[2, 3])"
     given = {"scenarios": f"{tmp_path}/mine.py:make", "episodes": 2}
-    results = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "load_sigma=0.1", **given)
+    results = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "background.load_sigma=0.1", **given)
     assert {r["controller"] for r in results["episodes"]} == {"droop-tuned", "none", spec}
     assert list(results["meta"]["scenarios"]) == ["[/]"]
     assert {r["scenario"] for r in results["episodes"]} == {"[/]"}
     assert f"report.html in {tmp_path}/[/]" in capsys.readouterr().out
     assert len(list((tmp_path / "[/]" / "units").glob("*/*/*.json"))) == 3  # no folder between for the name's slash
-    again = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "load_sigma=0.1", **given)
+    again = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "background.load_sigma=0.1", **given)
     assert again["episodes"] == results["episodes"]
     assert "3 of 3 units are done already" in capsys.readouterr().out
 
@@ -345,7 +345,7 @@ def test_units_of_a_scenario_that_has_changed_are_refused(tmp_path, capsys):
     benchmark(tmp_path, "none", episodes=2)
     capsys.readouterr()
     with pytest.raises(SystemExit) as stopped:
-        benchmark(tmp_path, "none", "--set", "load_sigma=0.1", episodes=2)
+        benchmark(tmp_path, "none", "--set", "background.load_sigma=0.1", episodes=2)
     _is_one_line(stopped, capsys, "is of another toy6, of hash")
 
 

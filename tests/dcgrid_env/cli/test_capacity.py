@@ -8,7 +8,7 @@ from dcgrid_env.baselines.hosting_capacity.capacity_output import read_capacity_
 from dcgrid_env.cli.main import main
 
 SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--workers", "1")
-IEEE33 = ("--feeder", "ieee33", "--set", "v0_pu=1.05")
+IEEE33 = ("--feeder", "ieee33", "--set", "source_voltage_pu=1.05")
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,20 @@ def test_a_scenario_file_is_looked_at_and_judged(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 20\n', encoding="utf-8")
-    main(["check", "mine.toml", "--episodes", "2", "--seconds", "2", "--workers", "1", "--set", "load_sigma=0.01"])
+    main(
+        [
+            "check",
+            "mine.toml",
+            "--episodes",
+            "2",
+            "--seconds",
+            "2",
+            "--workers",
+            "1",
+            "--set",
+            "background.load_sigma=0.01",
+        ]
+    )
     said = capsys.readouterr().out
     assert "mine, validation split, found in" in said
     for name in ("no control", "paper's droop", "best droop", "best constant", "hindsight"):

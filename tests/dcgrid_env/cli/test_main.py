@@ -14,6 +14,7 @@ from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry, Group
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.main import main, parse
+from dcgrid_env.scenario.assembly import PARTS
 from docs.studies.commands import COMMANDS as STUDIES
 from docs.studies.commands import PROG
 from docs.studies.commands import main as studies
@@ -86,7 +87,12 @@ def test_fields_are_listed_with_what_each_is(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", WIDE)
     main(["list", "fields"])
     listed = {line.split()[0]: line.split(maxsplit=1)[1:] for line in capsys.readouterr().out.splitlines() if line}
-    fields = {*dcgrid_env.Scenario.__dataclass_fields__, "voltage_noise_pu", "n_datacenters"}
+    fields = {
+        *dcgrid_env.Scenario.__dataclass_fields__,
+        "sensing.noise_pu",
+        "datacenters.buses",
+        "n_datacenters",
+    } - set(PARTS)
     assert fields <= set(listed)
     assert all(listed.values())
 
@@ -190,7 +196,7 @@ def test_help_names_scenario_files(line, capsys, monkeypatch):
     assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out
 
 
-@pytest.mark.parametrize("second", [["--set", "load_sigma=0.1"], ["--set=load_sigma=0.1"]])
+@pytest.mark.parametrize("second", [["--set", "background.load_sigma=0.1"], ["--set=background.load_sigma=0.1"]])
 def test_overrides_given_in_two_places_are_refused(second, capsys):
     code, said = stopped(capsys, "run", "--set", "horizon=5", *second)
     assert (code, len(said.err.splitlines())) == (2, 1)

@@ -33,7 +33,7 @@ import shares
 
 class Slow:
     def reset(self, env_info):
-        self.n = 2 * env_info.n_datacenters + env_info.n_inverters
+        self.n = 2 * env_info.datacenters.count + env_info.inverters.count
 
     def act(self, observations):
         time.sleep(0.03)

@@ -42,7 +42,7 @@ def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, caps
 
 
 def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, capsys):
-    given = ("n_datacenters=2", "p_rated_kw=400", "regulators=fixed", "horizon=3")
+    given = ("n_datacenters=2", "datacenters.p_rated_kw=400", "grid_control.regulators=fixed", "horizon=3")
     results = run("--feeder", "my-feeder", "--set", *given)
     printed = capsys.readouterr().out
     assert "2 data centres of 400 kW drawn among 3 load buses of three phases" in printed
@@ -128,13 +128,16 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
         (["--feeder", "broken"], "feeder broken: broken/loads.csv, line 2: "),
         (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: feeder is an option of its own here; give it once"),
         (["--feeder", "my-feeder", "--set", "power_flow=distflow"], "give 'sweep' for the three-phase feeder"),
-        (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "n_datacenters is 9, but only 3 load buses"),
-        (["--feeder", "my-feeder", "--set", "inverter_buses=[999]"], "feeder 'ieee13-3ph' has no bus '999'"),
-        (["--feeder", "my-feeder", "--set", "dvfs=linear", "--dvfs", "linear"], "set: dvfs is an option of its own"),
+        (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "datacenters.count is 9, but only 3 load buses"),
+        (["--feeder", "my-feeder", "--set", "inverters.buses=[999]"], "feeder 'ieee13-3ph' has no bus '999'"),
+        (
+            ["--feeder", "my-feeder", "--set", "datacenters.clock_law=linear", "--dvfs", "linear"],
+            "set: datacenters.clock_law is chosen by an option",
+        ),
         (
             ["--feeder", "my-feeder", "--scenario", "ieee33"],
-            "feeder 'ieee13-3ph' lacks buses 18, 33, 25, 22, where scenario 'ieee33' has devices (datacenter_buses); "
-            "leave out --scenario, and devices are chosen for the feeder, or give --set 'datacenter_buses=[..]'",
+            "feeder 'ieee13-3ph' lacks buses 18, 33, 25, 22, where scenario 'ieee33' has devices (datacenters.buses); "
+            "leave out --scenario, and devices are chosen for the feeder, or give --set 'datacenters.buses=[..]'",
         ),
         (["--feeder", "ieee33", "--scenario", "ieee123"], "lacks buses 40, 54, 87, 92, 103, where scenario 'ieee123'"),
         (["--feeder", "ieee33", "--scenario", "ieee124"], "no scenario 'ieee124'"),

@@ -55,12 +55,12 @@ def test_the_same_command_gives_the_same_records(tmp_path):
         (["--set", "horizon"], "set: 'horizon' is no field with its value"),
         (["--set", "horizon=0"], "horizon is 0; give a whole number of at least 1"),
         (
-            ["--set", "dvfs=prefill-decode", "--dvfs", "linear"],
-            "set: dvfs is an option of its own here; give --dvfs instead",
+            ["--set", "datacenters.clock_law=prefill-decode", "--dvfs", "linear"],
+            "set: datacenters.clock_law is chosen by an option of the command; leave one of them out",
         ),
         (
-            ["--controllers", "droop-tuned", "--set", "v0_pu=1.0"],
-            "differs in v0_pu; find its own with `dcgrid tune",
+            ["--controllers", "droop-tuned", "--set", "source_voltage_pu=1.0"],
+            "differs in source_voltage_pu; find its own with `dcgrid tune",
         ),
         (["--controllers", "droop-tuned", "--tuned", "none.json"], "tuned is 'none.json', which is no file"),
         (["--controllers", "own.py:Law(", "--scenario", "toy6"], "opens a bracket and does not close it"),
@@ -123,7 +123,7 @@ class Law:
         self.q = q
 
     def reset(self, env_info):
-        self.n = env_info.n_datacenters * 2 + env_info.n_inverters
+        self.n = env_info.datacenters.count * 2 + env_info.inverters.count
 
     def act(self, observations):
         return np.full((len(observations), self.n), self.q)
@@ -139,7 +139,9 @@ def test_ones_own_scenario_with_overrides_and_arguments(tmp_path, capsys, monkey
     (tmp_path / "own.py").write_text(OWN)
     out = tmp_path / "[/]"
     specs = "own.py:Law(q=0.5, mode=fast),own.py:Law(0.25),none"
-    results = run(out, "--scenario", "own.py:make", "--set", "horizon=7", "load_sigma=0.1", "--controllers", specs)
+    results = run(
+        out, "--scenario", "own.py:make", "--set", "horizon=7", "background.load_sigma=0.1", "--controllers", specs
+    )
     printed = capsys.readouterr().out
     assert printed.count("imported") == 1
     assert "made with 0.5 fast" in printed
@@ -148,7 +150,7 @@ def test_ones_own_scenario_with_overrides_and_arguments(tmp_path, capsys, monkey
     assert list(dict.fromkeys(r["controller"] for r in results["episodes"])) == [
         "own.py:Law(q=0.5, mode=fast)", "own.py:Law(0.25)", "none",
     ]  # fmt: skip
-    expected = make_scenario("toy6", name="[/]", horizon=7, load_sigma=0.1, split="test")
+    expected = make_scenario("toy6", name="[/]", horizon=7, background={"load_sigma": 0.1}, split="test")
     assert results["meta"]["scenario_hash"] == scenario_hash(expected)
     assert "'own.py:Law(q=0.5, mode=fast),own.py:Law(0.25),none'" in results["meta"]["command"] or "[" in str(out)
 

@@ -236,7 +236,7 @@ OWN = """
 from dcgrid_env import load_feeder, make_scenario
 
 def make():
-    weak = {"datacenter_buses": (27, 65, 35), "inverter_buses": (5, 12, 40, 61)}
+    weak = {"datacenters": {"buses": (27, 65, 35)}, "inverters": {"buses": (5, 12, 40, 61)}}
     return make_scenario("ieee33-weak", name="[/]", feeder=load_feeder("das69"), horizon=10, **weak)
 """
 GAINS = {"k_p_mw_per_pu": 0.0, "k_q_mvar_per_pu_s": 1.0, "alpha_per_s": 0.3}
@@ -300,7 +300,7 @@ def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, caps
 
 
 def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
-    main(["evaluate", "none", "--scenario", "toy6", "--set", "voltage_cost=l2", "--episodes", "2"])
+    main(["evaluate", "none", "--scenario", "toy6", "--set", "cost.voltage=l2", "--episodes", "2"])
     assert "no score: hindsight minimises the l1 voltage cost only, not 'l2'" in capsys.readouterr().out
 
 
@@ -312,14 +312,23 @@ def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
     ],
 )
 def test_training_on_ones_own_scenario(options, here, capsys):
-    command = ["train", *options, "--scenario", "own.py:make", "--validation-episodes", "2", "--set", "load_sigma=0.1"]
+    command = [
+        "train",
+        *options,
+        "--scenario",
+        "own.py:make",
+        "--validation-episodes",
+        "2",
+        "--set",
+        "background.load_sigma=0.1",
+    ]
     main(command)
     (folder,) = (here / "results" / "train").iterdir()
     about = json.loads((folder / "config.json").read_text())
-    scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("validation")
-    assert (about["scenario"], about["set"]) == ("own.py:make", ["load_sigma=0.1"])
+    scenario = ScenarioSpec("own.py:make", ("background.load_sigma=0.1",)).make("validation")
+    assert (about["scenario"], about["set"]) == ("own.py:make", ["background.load_sigma=0.1"])
     assert about["scenario_hashes"] == [scenario_hash(scenario)]
-    assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set load_sigma=0.1"
+    assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set background.load_sigma=0.1"
     capsys.readouterr()
     assert "names code, scenario 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
     main(["evaluate", str(folder), "--episodes", "2", "--trust"])
@@ -333,9 +342,9 @@ def test_training_on_ones_own_scenario(options, here, capsys):
 
 def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
     for algorithm in ("ppo", "analytic"):
-        code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "v0_pu=1.0")
+        code, said = stopped(capsys, "train", algorithm, "--scenario", "ieee33", "--set", "source_voltage_pu=1.0")
         assert (code, len(said.splitlines())) == (2, 1)
-        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set v0_pu=1.0`" in said
+        assert "find its own with `dcgrid tune --laws droop --scenarios ieee33 --set source_voltage_pu=1.0`" in said
     assert not (here / "results" / "train").exists()
 
 

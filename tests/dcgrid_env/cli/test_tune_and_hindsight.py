@@ -329,7 +329,7 @@ OWN = """
 from dcgrid_env import make_scenario
 
 def make():
-    return make_scenario("toy6", name="mine", v0_pu=1.01, horizon=10)
+    return make_scenario("toy6", name="mine", source_voltage_pu=1.01, horizon=10)
 """
 
 
@@ -384,21 +384,21 @@ def test_two_scenarios_of_one_name_are_refused(here, capsys):
 def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
     _solutions(monkeypatch)
     arguments = ["hindsight", "--scenario", "own.py:make", "--workers", "1", "--episodes", "2", "--set"]
-    main([*arguments, "load_sigma=0.1"])
+    main([*arguments, "background.load_sigma=0.1"])
     content = json.loads((here / "results" / "hindsight" / "mine.json").read_text())
-    scenario = ScenarioSpec("own.py:make", ("load_sigma=0.1",)).make("test")
+    scenario = ScenarioSpec("own.py:make", ("background.load_sigma=0.1",)).make("test")
     assert content["scenario_hash"] == scenario_hash(scenario)
     assert content["command"] == (
-        "dcgrid hindsight --scenarios own.py:make --set load_sigma=0.1 --split test --episodes 2"
+        "dcgrid hindsight --scenarios own.py:make --set background.load_sigma=0.1 --split test --episodes 2"
     )
     known = published(scenario, FOLDER)
     assert known is not None
     assert known.seeds.tolist() == [0, 1]
     assert published(scenario) is None
     with pytest.raises(SystemExit) as stopped:
-        main([*arguments, "load_sigma=0.2"])
+        main([*arguments, "background.load_sigma=0.2"])
     _is_one_line(stopped, capsys, "is of another mine; move it away, or choose another --out or another name")
-    main([*arguments, "load_sigma=0.2", "name=../[x]"])
+    main([*arguments, "background.load_sigma=0.2", "name=../[x]"])
     (path,) = (p for p in (here / "results" / "hindsight").iterdir() if p.name != "mine.json")
     assert "[x]" not in path.name
     assert json.loads(path.read_text())["scenario"] == "../[x]"

@@ -81,8 +81,10 @@ def long_feeder(n_bus: int, seed: int = 0) -> Feeder:
 
 
 def scenario_on(feeder: Feeder, **fields) -> Scenario:
-    own = {"datacenter_buses": None, "n_datacenters": 3, "inverter_buses": (5, 50, 99), "inverter_s_kva": 50.0}
-    return make_scenario("ieee33", name="random", feeder=feeder, p_rated_kw=50.0, **own, **fields)
+    own = {"datacenters.buses": None, "n_datacenters": 3, "inverters.buses": (5, 50, 99), "inverters.s_rated_kva": 50.0}
+    return make_scenario("ieee33", name="random", feeder=feeder, **{"datacenters.p_rated_kw": 50.0}, **own).replace(
+        **fields
+    )
 
 
 def run(scenario: Scenario) -> None:
@@ -95,7 +97,7 @@ def run(scenario: Scenario) -> None:
 @pytest.mark.parametrize("observe", ["local", "neighbours"])
 def test_a_scenario_and_its_feeder_are_freed_when_nobody_holds_them(observe):
     feeder = long_feeder(120)
-    scenario = scenario_on(feeder, observe=observe, r_model_share=0.9)
+    scenario = scenario_on(feeder, observe=observe, sensing={"r_model_share": 0.9})
     run(scenario)
     held = [weakref.ref(thing) for thing in (scenario, feeder, scenario.model)]
     del scenario, feeder

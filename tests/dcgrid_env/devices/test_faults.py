@@ -23,7 +23,9 @@ def played(scenario, lanes, seed=0):
 
 
 def test_a_lost_inverter_is_gone_for_good():
-    scenario = make_scenario("ieee33", inverter_trace="pv", faults=(Fault(("inv_2",), (10.0, 20.0)),), horizon=40)
+    scenario = make_scenario(
+        "ieee33", inverters={"injection": "pv"}, faults=(Fault(("inv_2",), (10.0, 20.0)),), horizon=40
+    )
     at = scenario.agents.index("inv_2")
     recorder = played(scenario, 8)
     begins = set()

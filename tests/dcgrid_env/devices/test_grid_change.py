@@ -54,7 +54,7 @@ class _Taps(_SwitchedShunts):
 
 
 def scenario(kind):
-    base = make_scenario("toy6", load_sigma=0.0)
+    base = make_scenario("toy6", background={"load_sigma": 0.0})
     return base.replace(devices=(base.devices[0], kind(buses=("3", "5"), s_rated_kva=400.0)))
 
 
@@ -68,7 +68,7 @@ def test_what_is_switched_injects_as_an_inverter_would():
     state = env.transition.state
     np.testing.assert_allclose(state.on_kvar[:, 0], [0.0, 100.0, 200.0, 400.0])
     np.testing.assert_allclose(state.q_kvar[:, 1:], 0.0)
-    base = make_scenario("toy6", load_sigma=0.0)
+    base = make_scenario("toy6", background={"load_sigma": 0.0})
     inverters = Inverters(buses=("3", "5"), s_rated_kva=400.0)
     other = DcgridVectorEnv(4, base.replace(devices=(base.devices[0], inverters)))
     other.reset(seed=[0] * 4)

@@ -24,11 +24,11 @@ from dcgrid_env import (
 FEEDERS = RandomFeeders(n_bus=20, style="us-mv", load_kw=1000.0, batch=4)
 SETTINGS = {
     "feeder": FEEDERS,
-    "datacenter_buses": None,
+    "datacenters.buses": None,
     "n_datacenters": 2,
-    "p_rated_kw": 300.0,
-    "inverter_buses": (5, 10, 15),
-    "inverter_s_kva": 100.0,
+    "datacenters.p_rated_kw": 300.0,
+    "inverters.buses": (5, 10, 15),
+    "inverters.s_rated_kva": 100.0,
     "horizon": 6,
 }
 SCENARIO = make_scenario("ieee33", name="on-random-feeders", **SETTINGS)
@@ -134,7 +134,7 @@ def test_what_cannot_be_is_refused_in_one_line_with_its_remedy():
         TensorEnv(SCENARIO, like=np.empty(0)).reset([3, 4])
     with pytest.raises(ScenarioError, match="not drawn together; give num_envs=1"):
         DcgridVectorEnv(2, SCENARIO, render_mode="rgb_array")
-    with pytest.raises(ScenarioError, match="n_datacenters is 30, but only"):
+    with pytest.raises(ScenarioError, match=r"datacenters\.count is 30, but only"):
         SCENARIO.replace(n_datacenters=30)
     assert DcgridVectorEnv(2, SCENARIO.replace(observe="neighbours")).reset(seed=3)[0].shape[0] == 2
 

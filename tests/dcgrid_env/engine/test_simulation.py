@@ -40,7 +40,7 @@ def test_seeds_count_modulo_2_to_the_64(seed, like):
 
 
 def test_a_reset_of_some_lanes_leaves_the_others_and_begins_anew_in_its_own():
-    scenario = make_scenario("ieee33-weak", horizon=8, voltage_noise_pu=0.002, measurement_delay=1)
+    scenario = make_scenario("ieee33-weak", horizon=8, sensing={"noise_pu": 0.002, "delay_steps": 1})
     rng = np.random.default_rng(0)
     batch = Simulation(scenario, 3)
     batch.reset([0, 1, 2])
@@ -67,7 +67,7 @@ def test_a_reset_of_some_lanes_leaves_the_others_and_begins_anew_in_its_own():
 
 
 def test_what_is_measured_is_the_voltage_plus_the_episodes_own_noise():
-    scenario = make_scenario("ieee33-weak", horizon=3, voltage_noise_pu=0.002)
+    scenario = make_scenario("ieee33-weak", horizon=3, sensing={"noise_pu": 0.002})
     simulation = Simulation(scenario, 2)
     simulation.reset([4, 5])
     for step in range(4):
@@ -78,7 +78,7 @@ def test_what_is_measured_is_the_voltage_plus_the_episodes_own_noise():
 
 
 def test_a_collapse_at_the_reset_ends_the_episode_with_its_first_step():
-    scenario = make_scenario("toy6", p_rated_kw=250_000.0, horizon=5)
+    scenario = make_scenario("toy6", datacenters={"p_rated_kw": 250_000.0}, horizon=5)
     simulation = Simulation(scenario, 1)
     begun = simulation.reset([0])
     assert not begun.converged[0]

@@ -12,7 +12,7 @@ from helpers.forms import FORMS
 @pytest.mark.parametrize("preset", FORMS)
 @pytest.mark.parametrize("law", [LinearDvfs, PrefillDecodeDvfs])
 def test_every_preset_runs(preset, law):
-    scenario = make_scenario(preset, dt_s=0.1, horizon=150, dvfs=law(), boost_share=1.3)
+    scenario = make_scenario(preset, dt_s=0.1, horizon=150, datacenters={"clock_law": law(), "boost_share": 1.3})
     for controller in (NoControl(), Droop(5.0)):
         for metrics in rollout(scenario, controller, range(2)).metrics():
             assert all(map(np.isfinite, metrics.values()))
@@ -33,7 +33,7 @@ ALIKE = ("llama3-405b", "mixtral-8x22b", "deepseek-v3")
 )
 def test_a_step_of_a_second_draws_the_mean_of_ten(source):
     # The window begins with the row, where step k covers the times from k dt to (k + 1) dt.
-    same = {"trace": source, "trace_window": "start", "dvfs": PrefillDecodeDvfs()}
+    same = {"trace": source, "workload.window": "start", "datacenters.clock_law": PrefillDecodeDvfs()}
     coarse, fine = (
         rollout(make_scenario("ieee33-weak", dt_s=dt_s, horizon=horizon, **same), NoControl(), [4]).lane(0)
         for dt_s, horizon in ((1.0, 60), (0.1, 609))

@@ -67,7 +67,7 @@ def test_voltages_are_those_of_the_solver_and_agents_see_their_phases(name):
     field = dict(zip(names, transitions[-1].observation[0], strict=False))
     assert field["v_lowest"] <= field["v_deviation"] <= field["v_highest"]
     lowest = state.three_phase.v_agent_lowest_pu[0, 0]
-    assert field["v_lowest"] == pytest.approx((lowest - 1.0) / scenario.band_pu, abs=1e-5)
+    assert field["v_lowest"] == pytest.approx((lowest - 1.0) / scenario.cost.band_pu, abs=1e-5)
 
 
 def test_load_noise_is_one_draw_a_bus():
@@ -88,7 +88,7 @@ def test_load_noise_is_one_draw_a_bus():
 
 @pytest.mark.parametrize("phases", ["a", "b", "ab", "abc"])
 def test_one_phase_by_option(phases):
-    scenario = ieee13().replace(inverter_phases=(phases, "abc", "c", "a"), horizon=4)
+    scenario = ieee13().replace(inverters={"phases": (phases, "abc", "c", "a")}, horizon=4)
     nodes = connections.nodes_by_bus(scenario)[2, scenario.feeder.index("633")]
     expected = [n + scenario.feeder.nodes_of("633")[0] for n in ("abc".index(p) for p in phases)]
     assert sorted(set(nodes.tolist())) == expected
@@ -116,12 +116,17 @@ def test_own_distance_is_the_derivative_of_the_own_voltage():
         np.add.at(p[1], legs, h / len(legs))
         v = solve(feeder, p, np.tile(feeder.q_load_kvar, (2, 1)), feeder.v0_pu).v_pu[:, at].mean(-1)
         rise = (v[0] - v[1]) / (2.0 * h) * 1000.0
-        assert placed.r[0, agent] == pytest.approx(rise / scenario.band_pu, rel=1e-3)
+        assert placed.r[0, agent] == pytest.approx(rise / scenario.cost.band_pu, rel=1e-3)
     assert sensitivity(feeder).by_p_pu_per_mw.shape == (feeder.n_node, feeder.n_node)
 
 
 @pytest.mark.parametrize(
-    "overrides", [{"capacitors": False}, {"source_voltage_pu": 0.95}, {"r_model_share": 0.5, "x_model_share": 2.0}]
+    "overrides",
+    [
+        {"background.capacitors": False},
+        {"source_voltage_pu": 0.95},
+        {"sensing.r_model_share": 0.5, "sensing.x_model_share": 2.0},
+    ],
 )
 def test_distances_are_those_of_the_scenario_and_its_error(overrides):
     scenario = ieee13().replace(**overrides)
@@ -136,14 +141,19 @@ def test_distances_are_those_of_the_scenario_and_its_error(overrides):
         np.add.at(load[1], legs, 1.0 / len(legs))
         given = (np.tile(feeder.p_load_kw, (2, 1)), load, scenario.source_voltage_pu, control)
         v = solve(feeder, *given).v_pu[:, at].mean(-1)
-        rise = (v[0] - v[1]) * 500.0 * scenario.x_model_share / scenario.band_pu
+        rise = (v[0] - v[1]) * 500.0 * scenario.sensing.x_model_share / scenario.cost.band_pu
         assert drawn.placed.x[0, agent] == pytest.approx(rise, rel=1e-3)
-    far = scenario.replace(r_model_share=10.0, x_model_share=10.0)
+    far = scenario.replace(sensing={"r_model_share": 10.0, "x_model_share": 10.0})
     assert np.isfinite(play(far, steps=1)[1][-1].observation).all()
 
 
 def test_without_a_solution_at_the_reset_every_voltage_is_the_sources():
-    scenario = ieee13().replace(p_rated_kw=1e6, regulators="fixed", trace="step", trace_window="start")
+    scenario = ieee13().replace(
+        datacenters={"p_rated_kw": 1e6},
+        grid_control={"regulators": "fixed"},
+        trace="step",
+        workload={"window": "start"},
+    )
     scenario = scenario.replace(source_voltage_pu=0.5)
     _, (begun, *_) = play(scenario, steps=0)
     assert not begun.converged.any()
@@ -156,7 +166,7 @@ def test_without_a_solution_at_the_reset_every_voltage_is_the_sources():
 @pytest.mark.parametrize("observe", ["local", "neighbours", "feeder"])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_observations_lie_within_their_bounds(name, observe):
-    scenario = SCENARIOS[name]().replace(observe=observe, voltage_noise_pu=0.002, measurement_delay=1, horizon=6)
+    scenario = SCENARIOS[name]().replace(observe=observe, sensing={"noise_pu": 0.002, "delay_steps": 1}, horizon=6)
     low, high = observation.joint_bounds(scenario)
     _, transitions = play(scenario)
     for t in transitions:
@@ -194,7 +204,7 @@ def test_unbalance_is_charged_on_request_and_measured():
 
 def test_capacitors_are_off_or_lost():
     scenario = ieee13().replace(horizon=6)
-    off = scenario.replace(capacitors=False)
+    off = scenario.replace(background={"capacitors": False})
     lost = scenario.replace(faults=(Fault(("capacitor",), begin_s=(2.0, 2.0), duration_s=(2.0, 2.0)),))
     still = np.zeros(action_layout(scenario).n)
     v, v_off, v_lost = (np.array([t.state.v_pu[0] for t in play(s, action=still)[1]]) for s in (scenario, off, lost))
@@ -204,7 +214,9 @@ def test_capacitors_are_off_or_lost():
 
 
 def test_past_the_collapse_the_episode_ends_and_nothing_is_nan():
-    scenario = ieee13().replace(p_rated_kw=60_000.0, trace="step", trace_window="start", horizon=30)
+    scenario = ieee13().replace(
+        datacenters={"p_rated_kw": 60_000.0}, trace="step", workload={"window": "start"}, horizon=30
+    )
     _, transitions = play(scenario, action=np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     ended = [t for t in transitions if t.terminated.all()]
     assert ended
@@ -265,12 +277,12 @@ def test_tensors_step_alike_and_carry_a_derivative():
     ("overrides", "message"),
     [
         ({"power_flow": "distflow"}, "power_flow is 'distflow'; give 'sweep' for the three-phase feeder"),
-        ({"inverter_phases": "d"}, "inverter_phases is 'd'; give one of a, b, c"),
-        ({"inverter_phases": ("a", "b")}, "or one for each of the 4 devices"),
-        ({"inverter_phases": ("a", "b", "a", "a")}, "bus '611' has the phases c, not a"),
-        ({"datacenter_phases": "ba"}, "datacenter_phases is 'ba'"),
-        ({"inverter_buses": ("sourcebus", "675", "611", "652")}, "a device at the substation 'sourcebus'"),
-        ({"datacenter_buses": None, "n_datacenters": 9}, "only 4 load buses have no device"),
+        ({"inverters.phases": "d"}, "inverters.phases is 'd'; give one of a, b, c"),
+        ({"inverters.phases": ("a", "b")}, "or one for each of the 4 devices"),
+        ({"inverters.phases": ("a", "b", "a", "a")}, "bus '611' has the phases c, not a"),
+        ({"datacenters.phases": "ba"}, "datacenters.phases is 'ba'"),
+        ({"inverters.buses": ("sourcebus", "675", "611", "652")}, "a device at the substation 'sourcebus'"),
+        ({"datacenters.buses": None, "n_datacenters": 9}, "only 4 load buses have no device"),
     ],
 )
 def test_what_cannot_be_is_refused(overrides, message):
@@ -281,15 +293,15 @@ def test_what_cannot_be_is_refused(overrides, message):
 
 def test_balanced_feeders_have_no_phases_and_keep_their_hashes():
     with pytest.raises(ScenarioError, match="is balanced and has no phases 'a'; leave the phases out"):
-        make_scenario("ieee33", inverter_phases="a")
+        make_scenario("ieee33", inverters={"phases": "a"})
     with pytest.raises(ScenarioError, match="power_flow is 'sweep'; give 'distflow' or 'lindistflow'"):
         make_scenario("ieee33", power_flow="sweep")
-    assert scenario_hash(ieee13()) != scenario_hash(ieee13().replace(inverter_phases=("a", "abc", "c", "a")))
+    assert scenario_hash(ieee13()) != scenario_hash(ieee13().replace(inverters={"phases": ("a", "abc", "c", "a")}))
 
 
 def test_drawn_sites_stand_at_buses_of_three_phases():
     scenario = ieee123()
     at = {scenario.feeder.bus_phases[i] for i in scenario.candidates}
     assert at == {"abc"}
-    single = scenario.replace(datacenter_phases="b", inverter_buses=(54,))
+    single = scenario.replace(datacenters={"phases": "b"}, inverters={"buses": (54,)})
     assert {scenario.feeder.bus_phases[i] for i in single.candidates} >= {"abc", "b"}

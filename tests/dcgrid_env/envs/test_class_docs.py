@@ -27,15 +27,15 @@ SECTIONS = [
 ]  # fmt: skip
 SETTINGS: dict[str, Any] = {
     "sensing.loading": {"sensing": {"loading": True}},
-    "clock_law of two classes": {"dvfs": "prefill-decode"},
-    "ride_through (data centre)": {"datacenter_ride_through": {"curve": "itic", "release": "agent"}},
-    "ride_through (inverter)": {"inverter_ride_through": {"curve": "ieee1547-cat2"}},
-    "smoothing": {"datacenter_smoothing": {"control": "agent"}},
-    "cooling": {"datacenter_cooling": {}},
-    "routing": {"datacenter_routing": {}},
-    "batching": {"datacenter_batching": {}},
-    "service": {"datacenter_service": {}},
-    "storage (data centre)": {"datacenter_storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}},
+    "clock_law of two classes": {"datacenters.clock_law": "prefill-decode"},
+    "ride_through (data centre)": {"datacenters.ride_through": {"curve": "itic", "release": "agent"}},
+    "ride_through (inverter)": {"inverters.ride_through": {"curve": "ieee1547-cat2"}},
+    "smoothing": {"datacenters.smoothing": {"control": "agent"}},
+    "cooling": {"datacenters.cooling": {}},
+    "routing": {"datacenters.routing": {}},
+    "batching": {"datacenters.batching": {}},
+    "service": {"datacenters.service": {}},
+    "storage (data centre)": {"datacenters.storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}},
 }
 """A setting for each feature that a setting adds."""
 
@@ -59,7 +59,7 @@ def names(rows, agents):
 
 
 def test_channels_and_fields_are_those_of_the_code():
-    scenario = make_scenario("ieee33", boost_share=1.3, band_pu=0.04)
+    scenario = make_scenario("ieee33", datacenters={"boost_share": 1.3}, cost={"band_pu": 0.04})
     env = parallel_env(scenario)
     for agent, of in (("dc_0", "data centre"), ("inv_0", "inverter")):
         assert [channel for at, channel in action_layout(scenario).names if at == agent] == names(CHANNELS, of)

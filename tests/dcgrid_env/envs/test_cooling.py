@@ -13,7 +13,7 @@ from dcgrid_env.engine.simulation import Simulation
 
 
 def cooled(cooling=None, **changes):
-    return make_scenario("toy6", **({"datacenter_cooling": cooling or {}} | changes))
+    return make_scenario("toy6", **({"datacenters.cooling": cooling or {}} | changes))
 
 
 def draws(scenario, steps):
@@ -29,7 +29,7 @@ def draws(scenario, steps):
 
 def test_the_lag_is_that_of_first_order_whatever_the_step():
     site: Any = CooledSite(Cooling(cooling_share=0.4, time_constant_s=7.0, auxiliary_share=0.0), 1.0)
-    params, none, energies = cooled().datacenter, np.zeros((1, 1)), []
+    params, none, energies = cooled().datacenters.parameters, np.zeros((1, 1)), []
     for dt_s in (0.5, 2.0, 20.0):
         own = site.step(params, site.initial(params, none), None, none + 500.0, (), None, dt_s)[0]
         drawn_kws = 0.0
@@ -48,7 +48,7 @@ def test_it_has_settled_at_the_beginning_and_the_pue_is_stated():
     own = first.devices[0].features[0]
     assert own.cooling_kw[0, 0] == pytest.approx(0.3 * own.computing_kw[0, 0])
     assert first.p_kw[0, 0] == pytest.approx(1.3 * own.computing_kw[0, 0] + 250.0)
-    assert s.part("datacenter").cooling.pue_at_rating == pytest.approx(1.4)
+    assert s.datacenters.cooling.pue_at_rating == pytest.approx(1.4)
     at_once = cooled({"cooling_share": 0.3, "time_constant_s": 0.0, "auxiliary_share": 0.0})
     assert rollout(at_once, NoControl(), [0]).metrics()[0]["pue"] == pytest.approx(1.3)
     figures = rollout(s, NoControl(), [0]).metrics()[0]
@@ -57,8 +57,8 @@ def test_it_has_settled_at_the_beginning_and_the_pue_is_stated():
 
 
 def test_the_converter_holds_all_of_it_and_observations_stay_within_their_bounds():
-    s = cooled(Cooling(), boost_share=1.2)
-    sites = s.part("datacenter")
+    s = cooled(Cooling(), datacenters={"boost_share": 1.2})
+    sites = s.datacenters
     assert sites.converter_kva == pytest.approx([1.1 * 1.25 * 2500.0])
     assert sites.q_limit_kvar == pytest.approx([825.0])
     assert sites.largest_draw_share == pytest.approx(1.2 * 1.2 + 0.05)
@@ -76,7 +76,7 @@ def test_the_converter_holds_all_of_it_and_observations_stay_within_their_bounds
         ({"cooling_share": -0.1}, "cooling.cooling_share is -0.1"),
         ({"time_constant_s": -1.0}, "cooling.time_constant_s is -1.0"),
         ({"auxiliary_share": 3.0}, "cooling.auxiliary_share is 3.0"),
-        ("on", "datacenter_cooling is 'on'; give Cooling"),
+        ("on", "datacenters.cooling is 'on'; give Cooling"),
     ],
 )
 def test_bad_settings_are_refused(wrong, message):

@@ -13,7 +13,7 @@ def env(**overrides):
 
 
 def test_agents_stand_where_they_are_told_and_draw_there():
-    given, drawn = env(load_sigma=0.0), env(load_sigma=0.0)
+    given, drawn = env(background={"load_sigma": 0.0}), env(background={"load_sigma": 0.0})
     given.reset(seed=0, options={"buses": BUSES})
     drawn.reset(seed=0)
     ids = given.scenario.feeder.bus_ids
@@ -28,11 +28,11 @@ def test_agents_stand_where_they_are_told_and_draw_there():
 
 
 def test_a_lane_begins_at_its_hour():
-    given = env(start_hour="random", load_sigma=0.0)
+    given = env(background={"start_hour": "random", "load_sigma": 0.0})
     given.reset(seed=0, options={"begin_h": np.array([4.0, 11.5])})
     low, high = given.transition.state.v_pu.min(axis=1)
     assert low > high, "less load at night"
-    fixed = env(start_hour=4.0, load_sigma=0.0)
+    fixed = env(background={"start_hour": 4.0, "load_sigma": 0.0})
     fixed.reset(seed=0)
     np.testing.assert_array_equal(fixed.transition.state.v_pu[0], given.transition.state.v_pu[0])
 
@@ -46,7 +46,7 @@ def test_a_lane_begins_at_its_hour():
         ({"buses": BUSES + 0.5}, "buses must be whole numbers in 1 to 5"),
         ({"begin_h": [1.0, 24.0]}, r"begin_h must be hours from 0 to less than 24, of shape \(2,\)"),
         ({"begin_h": [1.0]}, "begin_h must be hours"),
-        ({"begin_h": [1.0, 2.0]}, "the scenario does not follow the day; make it with start_hour"),
+        ({"begin_h": [1.0, 2.0]}, "the scenario does not follow the day; give background.start_hour"),
         ({"buses": BUSES, "reset_mask": np.array([True, False])}, "give one or the other"),
     ],
 )

@@ -16,7 +16,7 @@ COSTS = {"cost", "J"} | {
     f"cost_{name}" for name in ("voltage", "violation", "backlog", "effort", "clock", "step", "loss", "leftover")
 }
 STEP = PowerTrace(np.array([0.0, 10.0, 200.0]), np.array([0.2, 1.0, 1.0]))
-OVERLOADED = {"p_rated_kw": 6000.0, "horizon": 40, "trace": (STEP,), "trace_window": "start"}
+OVERLOADED = {"datacenters.p_rated_kw": 6000.0, "horizon": 40, "trace": (STEP,), "workload.window": "start"}
 """The power flow has no solution from step 10 on."""
 
 
@@ -35,11 +35,11 @@ def played(env, actions):
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee123"])
 def test_the_last_j_is_the_benchmarks_own(scenario, extra):
     if scenario == "ieee123" and extra is OVERLOADED:
-        extra = OVERLOADED | {"p_rated_kw": 30000.0}
+        extra = OVERLOADED | {"datacenters.p_rated_kw": 30000.0}
     s = make_scenario(scenario, **extra)
     env, batch = DcgridEnv(s), DcgridVectorEnv(2, s)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (s.horizon, *(env.action_space.shape or ())))
-    actions[:, : 2 * s.n_datacenters : 2] = np.abs(actions[:, : 2 * s.n_datacenters : 2])
+    actions[:, : 2 * s.datacenters.count : 2] = np.abs(actions[:, : 2 * s.datacenters.count : 2])
     infos = played(env, actions)
     batch.reset(seed=[3, 3])
     recorder, of_batch = Recorder(s, batch.transition), {}
@@ -99,8 +99,8 @@ def test_names_of_buses_that_are_no_numbers():
     s = make_scenario("toy6")
     s = s.replace(
         feeder=feeder,
-        datacenter_buses=tuple(names[str(b)] for b in s.datacenter_buses or ()),
-        inverter_buses=tuple(names[str(b)] for b in s.inverter_buses),
+        datacenters={"buses": tuple(names[str(b)] for b in s.datacenters.buses or ())},
+        inverters={"buses": tuple(names[str(b)] for b in s.inverters.buses)},
     )
     _, info = DcgridEnv(s).reset(seed=0)
     assert (info["bus_dc_0"], type(info["bus_dc_0"])) == ("bus 4", np.str_)

@@ -99,7 +99,7 @@ def test_global_state_shows_every_bus():
 
 
 def test_global_state_shows_both_work_classes():
-    env = parallel_env("ieee33-weak", dvfs=PrefillDecodeDvfs(), trace="mixed")
+    env = parallel_env("ieee33-weak", datacenters={"clock_law": PrefillDecodeDvfs()}, trace="mixed")
     observations, _ = env.reset(seed=0)
     for _ in range(8):
         observations, *_ = env.step({a: -np.ones_like(env.action_space(a).sample()) for a in env.agents})
@@ -151,7 +151,9 @@ def test_bad_actions_name_the_agent(change, message):
 def test_wider_scopes_and_hidden_preview():
     sizes = {}
     for scope in ("local", "neighbours", "feeder"):
-        env = parallel_env("ieee33-weak", observe=scope, preview=False, voltage_noise_pu=0.001, measurement_delay=2)
+        env = parallel_env(
+            "ieee33-weak", observe=scope, sensing={"preview": False, "noise_pu": 0.001, "delay_steps": 2}
+        )
         observations, _ = env.reset(seed=0)
         for _ in range(5):
             assert all(env.observation_space(a).contains(o) for a, o in observations.items())

@@ -37,7 +37,7 @@ def episode(scenario, seeds=(3,), action=None):
 @pytest.mark.parametrize("name", ["ieee33-weak", "ieee34-3ph"])
 def test_the_recorded_sags_lock_out_at_the_third_and_all_return(name):
     figures = episode(riding(name))[0].metrics()[0]
-    sites = make_scenario(name).n_datacenters
+    sites = make_scenario(name).datacenters.count
     assert figures["ups_trips"] >= sites
     assert figures["ups_locked_s"] > 0.0
     assert 0.0 < figures["ups_all_back_s"] < 150.0
@@ -48,7 +48,7 @@ def test_the_recorded_sags_lock_out_at_the_third_and_all_return(name):
 def test_work_is_conserved_whether_it_goes_on_or_waits():
     for on_battery in ("serves", "waits"):
         rule = {"curve": "itic", "by_hand_s": 20.0, "battery_s": 10.0, "on_battery": on_battery}
-        series = episode(riding(datacenter_ride_through=rule))[0].lane(0)
+        series = episode(riding(datacenters={"ride_through": rule}))[0].lane(0)
         arrived, served = series.arrived_kw.sum(), series.served_kw.sum()
         assert arrived == pytest.approx(served + series.backlog_kws[-1].sum(), rel=1e-9)
         state = series.devices[0]
@@ -63,20 +63,22 @@ def test_work_is_conserved_whether_it_goes_on_or_waits():
 def test_energy_of_the_batteries_is_conserved_and_what_is_missing_is_charged():
     scenario = riding(horizon=60)
     series = episode(scenario)[0].lane(0)
-    battery, rule = series.devices[0].battery, scenario.part("datacenter").ride_through
-    full = scenario.datacenter.p_rated_kw * rule.battery_s
+    battery, rule = series.devices[0].battery, scenario.datacenters.ride_through
+    full = scenario.datacenters.parameters.p_rated_kw * rule.battery_s
     balance = full + (rule.charge_efficiency * battery.recharge_kw[1:] - battery.battery_kw[1:]).sum(0)
     assert battery.stored_kws[-1] == pytest.approx(balance, rel=1e-9)
     missing = (full - battery.stored_kws[-1]).sum()
     assert missing > 0.0
-    assert series.costs["recharge"][-1] == pytest.approx(9.0 * missing / scenario.datacenter.p_rated_kw.sum())
+    assert series.costs["recharge"][-1] == pytest.approx(
+        9.0 * missing / scenario.datacenters.parameters.p_rated_kw.sum()
+    )
     assert series.costs["recharge"][:-1].sum() == 0.0
 
 
 @pytest.mark.parametrize("name", ["ieee33-weak", "ieee34-3ph"])
 def test_single_batch_and_tensors_go_the_same_way(name):
     scenario = riding(
-        name, datacenter_ride_through={"curve": "itic", "release": "agent", "walk_in_s": 5.0}, horizon=110
+        name, datacenters={"ride_through": {"curve": "itic", "release": "agent", "walk_in_s": 5.0}}, horizon=110
     )
     seeds = [3, 4, 5]
     rng = np.random.default_rng(0)
@@ -103,7 +105,7 @@ def test_single_batch_and_tensors_go_the_same_way(name):
 
 
 def test_the_interfaces_have_it_all():
-    scenario = riding(datacenter_ride_through={"curve": "itic", "release": "agent"}, horizon=40)
+    scenario = riding(datacenters={"ride_through": {"curve": "itic", "release": "agent"}}, horizon=40)
     single = DcgridEnv(scenario)
     single.reset(seed=1)
     parallel = parallel_env(scenario)
@@ -126,7 +128,7 @@ def test_the_interfaces_have_it_all():
 
 def test_trips_that_have_a_weight_stand_in_the_cost_of_constrained_learning():
     rule = {"curve": "itic", "trip_weight": 50.0}
-    env = DcgridEnv(riding(datacenter_ride_through=rule, weights={"violation": 0.0}, horizon=40))
+    env = DcgridEnv(riding(datacenters={"ride_through": rule}, weights={"violation": 0.0}, horizon=40))
     env.reset(seed=1)
     infos = [env.step(at_top_clock(env.scenario))[4] for _ in range(40)]
     assert [info["cost"] for info in infos] == [50.0 * info["ups_trips"] / 3 for info in infos]
@@ -134,7 +136,7 @@ def test_trips_that_have_a_weight_stand_in_the_cost_of_constrained_learning():
 
 
 def test_a_file_gives_the_same_scenario(tmp_path):
-    scenario = riding(datacenter_ride_through={"curve": {"under": [[0.8, 0.5]]}, "release": "staggered"})
+    scenario = riding(datacenters={"ride_through": {"curve": {"under": [[0.8, 0.5]]}, "release": "staggered"}})
     scenario.to_toml(tmp_path / "riding.toml")
     again = make_scenario(str(tmp_path / "riding.toml")).replace(name=scenario.name)
     assert again.sags == scenario.sags
@@ -149,7 +151,9 @@ def test_at_its_default_nothing_changes_and_set_it_changes_the_hash():
 
 
 def test_without_events_the_episode_is_that_without_a_rule():
-    quiet = riding(sags=(), datacenter_ride_through={"curve": {"under": [[0.2, 1.0]]}}, inverter_ride_through=None)
+    quiet = riding(
+        sags=(), datacenters={"ride_through": {"curve": {"under": [[0.2, 1.0]]}}}, inverters={"ride_through": None}
+    )
     plain = make_scenario("ieee33-weak", horizon=quiet.horizon)
     with_rule, without = (episode(scenario)[0].lane(0) for scenario in (quiet, plain))
     assert np.array_equal(with_rule.v_pu, without.v_pu)
@@ -158,7 +162,7 @@ def test_without_events_the_episode_is_that_without_a_rule():
 
 def test_slow_undervoltage_is_what_the_clock_can_prevent():
     rule = {"curve": {"under": [[0.93, 5.0]]}, "by_hand_s": 30.0}
-    scenario = riding(sags=(), datacenter_ride_through=rule, inverter_ride_through=None)
+    scenario = riding(sags=(), datacenters={"ride_through": rule}, inverters={"ride_through": None})
     low = np.where(action_layout(scenario).is_channel("clock"), -1.0, 1.0)
     at_top, throttled = (episode(scenario, (3, 4), a)[0].metrics() for a in (at_top_clock(scenario), low))
     assert sum(m["ups_trips"] for m in at_top) > sum(m["ups_trips"] for m in throttled)
@@ -183,10 +187,10 @@ def test_sags_are_drawn_within_their_ranges_and_as_a_sequence():
         ({"sags": [{"begin_s": [2, 1], "duration_s": 0.1, "retained_pu": 0.3}]}, "give the lowest first"),
         ({"sags": [{"begin_s": 1, "duration_s": 0.1, "retained_pu": 1.3}]}, "retained_pu is 1.3; give a pair"),
         ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous', but none is listed before it"),
-        ({"datacenter_ride_through": None, "inverter_ride_through": None}, "no device has a curve that they are held"),
-        ({"datacenter_ride_through": {"curve": ["itic"]}}, "curve has 1 curves; give one, or one for each of 3"),
-        ({"datacenter_ride_through": {"kurve": "itic"}}, "no datacenter_ride_through field 'kurve'; did you"),
-        ({"inverter_ride_through": {"curve": "itic", "battery_s": 3.0}}, "no inverter_ride_through field 'battery_s'"),
+        ({"datacenters.ride_through": None, "inverters.ride_through": None}, "no device has a curve that they are"),
+        ({"datacenters.ride_through": {"curve": ["itic"]}}, "curve has 1 curves; give one, or one for each of 3"),
+        ({"datacenters.ride_through": {"kurve": "itic"}}, "no datacenters.ride_through field 'kurve'; did you"),
+        ({"inverters.ride_through": {"curve": "itic", "battery_s": 3.0}}, "no inverters.ride_through field 'batt"),
         ({"sags": (1,)}, r"sags is \(1,\); give a tuple of Sag"),
     ],
 )  # fmt: skip
@@ -204,12 +208,12 @@ def test_a_sag_of_single_numbers_is_a_range_without_width():
 def test_a_ramp_of_whole_steps_takes_no_step_more(walk_in_s):
     """The sag takes the site off in one step; it waits for three and is back with the last step of its ramp."""
     scenario = make_scenario(
-        "ieee33-weak", horizon=40, datacenter_ride_through={"curve": "itic", "walk_in_s": walk_in_s},
+        "ieee33-weak", horizon=40, datacenters={"ride_through": {"curve": "itic", "walk_in_s": walk_in_s}},
         sags=[{"begin_s": 10.5, "duration_s": 0.05, "retained_pu": 0.3}],
     )  # fmt: skip
     assert rollout(scenario, NoControl(), [0]).metrics()[0]["ups_all_back_s"] == walk_in_s + 3.0
 
 
 def test_a_rule_with_a_key_that_is_no_text_is_refused():
-    with pytest.raises(ScenarioError, match=r"no inverter_ride_through field '1'; its fields are curve"):
-        make_scenario("ieee33", inverter_ride_through={1: 2})
+    with pytest.raises(ScenarioError, match=r"no inverters.ride_through field '1'; its fields are curve"):
+        make_scenario("ieee33", inverters={"ride_through": {1: 2}})

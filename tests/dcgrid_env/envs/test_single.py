@@ -48,7 +48,7 @@ def test_overrides_reach_the_scenario():
     env = gymnasium.make("dcgrid/IEEE123-v0", n_datacenters=2, horizon=3, split="test", power_flow="lindistflow")
     assert isinstance(env.unwrapped, DcgridEnv)
     scenario = env.unwrapped.scenario
-    assert (scenario.n_datacenters, scenario.horizon, scenario.split) == (2, 3, "test")
+    assert (scenario.datacenters.count, scenario.horizon, scenario.split) == (2, 3, "test")
     assert env.action_space.shape == (2 * 2 + 7,)
     env.reset(seed=0)
     ends = [env.step(env.action_space.sample())[3] for _ in range(3)]
@@ -107,7 +107,9 @@ def test_info_keys_are_constant():
 
 
 @pytest.mark.parametrize(
-    "extra", [{}, {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}], ids=["linear", "work_classes"]
+    "extra",
+    [{}, {"datacenters.clock_law": PrefillDecodeDvfs(), "datacenters.boost_share": 1.3}],
+    ids=["linear", "work_classes"],
 )
 def test_save_and_restore_round_trip_exactly(extra):
     env = DcgridEnv("ieee123", **extra)
@@ -206,7 +208,7 @@ def test_errors_of_use():
 
 def test_collapse_terminates_and_never_pays():
     step = PowerTrace(np.array([0.0, 10.0, 200.0]), np.array([0.2, 1.0, 1.0]))
-    overloaded = {"p_rated_kw": 6000.0, "horizon": 40, "trace": (step,), "trace_window": "start"}
+    overloaded = {"datacenters.p_rated_kw": 6000.0, "horizon": 40, "trace": (step,), "workload.window": "start"}
     env = DcgridEnv("ieee33-weak", **overloaded)
     env.reset(seed=0)
     rewards, info, terminated, truncated = [], {}, False, False
@@ -231,7 +233,7 @@ def test_reset_charges_nothing():
 
 
 def test_without_reactive_power_or_data_centres():
-    env = DcgridEnv("ieee123", q_max_share=0.0)
+    env = DcgridEnv("ieee123", datacenters={"q_max_share": 0.0})
     observation, _ = env.reset(seed=0)
     assert np.isfinite(observation).all()
     env.step(np.ones(17))
@@ -261,12 +263,15 @@ def test_what_a_user_writes_into_stays_outside():
     [
         ({"trace": "foo"}, "trace is 'foo'; `dcgrid list traces` lists all"),
         ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
-        ({"weights": {"volts": 1}}, "no weights field 'volts'; did you mean voltage"),
-        ({"dvfs": None}, "dvfs is None; give 'linear', 'prefill-decode', or a clock law"),
-        ({"capacitors": "no"}, "capacitors is 'no'; choose one of True, False"),
-        ({"n_datacenters": 2}, "n_datacenters is 2, but .*datacenter_buses=None to have them drawn"),
-        ({"p_rated_kw": "much"}, "p_rated_kw is 'much'; give one positive number"),
-        ({"inverter_buses": None}, "inverter_buses is None; give a tuple"),
+        ({"weights": {"volts": 1}}, "no cost.weights field 'volts'; did you mean voltage"),
+        (
+            {"datacenters.clock_law": None},
+            "datacenters.clock_law is None; give 'linear', 'prefill-decode', or a clock law",
+        ),
+        ({"background.capacitors": "no"}, "background.capacitors is 'no'; choose one of True, False"),
+        ({"n_datacenters": 2}, "datacenters.count is 2, but .*buses None to have them drawn"),
+        ({"datacenters.p_rated_kw": "much"}, "datacenters.p_rated_kw is 'much'; give one positive number"),
+        ({"inverters.buses": None}, "inverters.buses is None; give a tuple"),
     ],
 )
 def test_bad_overrides_name_field_value_and_remedy(override, message):

@@ -32,7 +32,7 @@ AGENT = {"control": "agent", "hysteresis_s": 1.0, "change_every_s": 2.0, "ramp_u
 
 def smoothed(smoothing=None, **changes):
     """The preset ``training`` with power smoothing."""
-    return make_scenario("training", **({"horizon": 60, "datacenter_smoothing": smoothing or {}} | changes))
+    return make_scenario("training", **({"horizon": 60, "datacenters.smoothing": smoothing or {}} | changes))
 
 
 def episode(scenario, rng=None, action=None):
@@ -57,8 +57,8 @@ def episode(scenario, rng=None, action=None):
 )
 def test_work_and_energy_are_conserved(seed, floor, up, down, hysteresis_s, control, two_classes):
     rule = {"floor_share": floor, "ramp_up_w_per_s": up, "ramp_down_w_per_s": down, "hysteresis_s": hysteresis_s}
-    law = {"dvfs": PrefillDecodeDvfs()} if two_classes else {}
-    s = smoothed(rule | {"control": control}, horizon=40, boost_share=1.2, **law)
+    law = {"datacenters.clock_law": PrefillDecodeDvfs()} if two_classes else {}
+    s = smoothed(rule | {"control": control}, horizon=40, **{"datacenters.boost_share": 1.2}, **law)
     series = episode(s, np.random.default_rng(seed))
     sites, own = series.devices[0], series.devices[0].features[0]
     arrived = sites.arrived_kw[1:].cumsum(axis=0) * s.dt_s
@@ -84,7 +84,9 @@ def test_work_and_energy_are_conserved(seed, floor, up, down, hysteresis_s, cont
 
 def test_the_floor_outlasts_the_work_by_the_hysteresis_and_then_ramps_down():
     rule = {"floor_share": 0.8, "ramp_up_w_per_s": 1e6, "ramp_down_w_per_s": 600.0, "hysteresis_s": 2.0}
-    s = make_scenario("toy6", horizon=30, datacenter_smoothing=rule, idle_share=0.2, trace_window="start")
+    s = make_scenario(
+        "toy6", horizon=30, datacenters={"smoothing": rule, "idle_share": 0.2}, workload={"window": "start"}
+    )
     # A site of 2500 kW whose work takes all of it, until its clock falls to a sixth.
     simulation = Simulation(s.replace(horizon=40), 1)
     simulation.reset([0])
@@ -138,7 +140,7 @@ def test_channels_are_slow_and_held_between():
 
 @pytest.mark.parametrize("smoothing", [{}, AGENT], ids=["fixed", "agent"])
 def test_single_batch_and_tensors_agree_and_gradients_flow(smoothing):
-    s = smoothed(smoothing, datacenter_cooling={"time_constant_s": 3.0})
+    s = smoothed(smoothing, datacenters={"cooling": {"time_constant_s": 3.0}})
     rng = np.random.default_rng(1)
     actions = rng.uniform(-1.0, 1.0, (s.horizon, action_layout(s).n)).astype(np.float32)
     one, batch, many = DcgridEnv(s), DcgridVectorEnv(2, s), parallel_env(s)
@@ -194,22 +196,29 @@ def test_ramps_follow_from_the_gpus():
 
 def test_a_file_gives_the_same_scenario_and_at_its_default_nothing_changes(tmp_path):
     plain = make_scenario("training")
-    s = smoothed({"floor_share": 0.7, "gpus": (400, 500, 600)}, name="mine", datacenter_cooling={"cooling_share": 0.3})
+    s = smoothed(
+        {"floor_share": 0.7, "gpus": (400, 500, 600)}, name="mine", datacenters={"cooling": {"cooling_share": 0.3}}
+    )
     s.to_toml(tmp_path / "a.toml")
     again = make_scenario(tmp_path / "a.toml")
     assert again.difference(s) is None
     assert scenario_hash(again) == scenario_hash(s)
-    assert scenario_hash(
-        s.replace(datacenter_smoothing=None, datacenter_cooling=None, name="training", horizon=200)
-    ) == (scenario_hash(plain))
+    assert scenario_hash(s.replace(datacenters={"smoothing": None, "cooling": None}, name="training", horizon=200)) == (
+        scenario_hash(plain)
+    )
     assert (
-        len({scenario_hash(x) for x in (s, s.replace(datacenter_smoothing=None), s.replace(datacenter_cooling=None))})
+        len(
+            {
+                scenario_hash(x)
+                for x in (s, s.replace(datacenters={"smoothing": None}), s.replace(datacenters={"cooling": None}))
+            }
+        )
         == 3
     )
 
 
 def test_planners_refuse_by_the_name_of_the_field_and_laws_go_on():
-    for changes, field in (({}, "smoothing"), ({"datacenter_smoothing": None, "datacenter_cooling": {}}, "cooling")):
+    for changes, field in (({}, "smoothing"), ({"datacenters.smoothing": None, "datacenters.cooling": {}}, "cooling")):
         s = smoothed(horizon=3, **changes) if changes else smoothed(horizon=3)
         with pytest.raises(ValueError, match=f"hindsight plans draws .* leave datacenter_{field} out"):
             hindsight(s, 0)
@@ -234,8 +243,8 @@ def test_planners_refuse_by_the_name_of_the_field_and_laws_go_on():
         ({"control": "auto"}, "smoothing.control is 'auto'; choose one of fixed, agent"),
         ({"slowest_share": 0.0}, "smoothing.slowest_share is 0.0; give a finite number"),
         ({"change_every_s": -1.0}, "smoothing.change_every_s is -1.0"),
-        ({"floor": 0.5}, "no datacenter_smoothing field 'floor'; did you mean floor_share"),
-        (0.9, r"datacenter_smoothing is 0.9; give PowerSmoothing\(..\), a mapping of its fields, or None"),
+        ({"floor": 0.5}, "no datacenters.smoothing field 'floor'; did you mean floor_share"),
+        (0.9, r"datacenters.smoothing is 0.9; give PowerSmoothing\(..\), a mapping of its fields, or None"),
     ],
 )
 def test_bad_settings_are_refused_by_field_value_and_remedy(wrong, message):

@@ -61,7 +61,7 @@ def test_episodes_are_those_of_the_environment(form, kind):
 def test_a_collapse_is_charged_once_and_spoils_nothing(kind):
     # The site's full load, from t = 20 s on, is more than the feeder carries; only lane 1 asks for it.
     like, _, _ = KINDS[kind]
-    scenario = make_scenario("toy6", p_rated_kw=25_000.0, horizon=24)
+    scenario = make_scenario("toy6", datacenters={"p_rated_kw": 25_000.0}, horizon=24)
     ours, theirs = TensorEnv(scenario, like=like), DcgridVectorEnv(3, scenario)
     ours.reset([4, 5, 6])
     theirs.reset(seed=4)
@@ -142,7 +142,9 @@ def test_the_derivative_of_j_fits_finite_differences(form, monkeypatch):
 
 def test_cut_stops_derivatives():
     busy = PowerTrace(np.array([0.0, 200.0]), np.array([1.0, 1.0]))
-    scenario = make_scenario("robust", horizon=5, trace=(busy,), trace_window="start")  # measured two steps late
+    scenario = make_scenario(
+        "robust", horizon=5, trace=(busy,), workload={"window": "start"}
+    )  # measured two steps late
     env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))
     given = torch.tensor(actions(scenario, 2), dtype=torch.float64)
     given[..., 0:8:2] = -0.9  # so slow that work is left over

@@ -29,7 +29,7 @@ def test_leftover_work_is_charged_at_the_horizon_within_any_limit(steps):
     env: Any = gymnasium.make(ID, max_episode_steps=steps, horizon=30)
     env.reset(seed=1)
     action = np.zeros(env.action_space.shape, np.float32)
-    action[: 2 * scenario_of(env).n_datacenters : 2] = -1.0
+    action[: 2 * scenario_of(env).datacenters.count : 2] = -1.0
     ends = [env.step(action)[3:] for _ in range(30)]
     assert [over for over, _ in ends] == [False] * 29 + [True]
     info = ends[-1][-1]

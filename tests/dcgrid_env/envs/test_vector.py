@@ -14,7 +14,7 @@ from dcgrid_env.traces import PowerTrace
 from helpers.forms import WORK_CLASSES, each_preset
 from helpers.in_other_processes import toy
 
-CLASSES = WORK_CLASSES | {"site_correlation": 0.5}
+CLASSES = WORK_CLASSES | {"workload.site_correlation": 0.5}
 
 
 @pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])
@@ -49,7 +49,13 @@ def collapsing():
     times = np.arange(3000.0)
     jumps = np.random.default_rng(0).random(3000) < 0.08
     trace = PowerTrace(times, np.where(jumps, 1.0, 0.2), name="jumps")
-    return {"p_rated_kw": 9000.0, "n_datacenters": 1, "datacenter_buses": (18,), "horizon": 12, "trace": (trace,)}
+    return {
+        "datacenters.p_rated_kw": 9000.0,
+        "n_datacenters": 1,
+        "datacenters.buses": (18,),
+        "horizon": 12,
+        "trace": (trace,),
+    }
 
 
 def assert_alike(mine, theirs):
@@ -254,7 +260,13 @@ def test_reset_mask_and_seed_lists(extra):
 def test_a_collapsed_lane_begins_anew_and_leaves_the_others_alone():
     calm = PowerTrace(np.arange(500.0), np.r_[1.0, np.full(499, 0.2)], name="calm")
     peak = PowerTrace(np.arange(500.0), np.where(np.arange(500) % 50 < 25, 0.2, 1.0), name="peak")
-    heavy = {"p_rated_kw": 9000.0, "n_datacenters": 1, "datacenter_buses": (18,), "horizon": 60, "trace": (calm, peak)}
+    heavy = {
+        "datacenters.p_rated_kw": 9000.0,
+        "n_datacenters": 1,
+        "datacenters.buses": (18,),
+        "horizon": 60,
+        "trace": (calm, peak),
+    }
     env = DcgridVectorEnv(8, "ieee33-weak", **heavy)
     env.reset(seed=0)
     alone = {i: DcgridEnv("ieee33-weak", **heavy) for i in range(8)}

@@ -96,7 +96,7 @@ def test_the_bus_of_the_largest_unbalance_is_ringed_and_named():
 
 
 def test_taps_and_banks_are_said_where_they_are():
-    env, states = make("ieee13-3ph", 12, regulators="agent", capacitor_banks="agent")
+    env, states = make("ieee13-3ph", 12, grid_control={"regulators": "agent", "capacitors": "agent"})
     regulators, banks = states[-1].three_phase.equipment
     a, b, c = (signed(tap) for tap in regulators.tap[0])
     on = ["on" if state > 0.5 else "off" for state in banks.on[0]]
@@ -120,7 +120,7 @@ def test_a_lost_bank_and_banks_switched_off_are_said():
     env.step(np.zeros(env.action_space.shape))
     env.render()
     assert sorted(text.split()[-1] for text in labels(env)[1:]) == ["lost", "on"]
-    assert labels(make("ieee13-3ph", capacitors=False)[0])[1:] == ["cap1 off", "cap2 off"]
+    assert labels(make("ieee13-3ph", background={"capacitors": False})[0])[1:] == ["cap1 off", "cap2 off"]
 
 
 @each
@@ -161,8 +161,8 @@ def test_an_agent_s_voltage_stands_in_the_axes_of_its_phases():
 @pytest.mark.parametrize(
     ("scenario", "overrides"),
     [
-        ("ieee34-3ph", {"regulators": "agent", "capacitor_banks": "agent"}),
-        pytest.param("ieee123-3ph", {"regulators": "agent"}, marks=pytest.mark.slow),
+        ("ieee34-3ph", {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}),
+        pytest.param("ieee123-3ph", {"grid_control.regulators": "agent"}, marks=pytest.mark.slow),
     ],
 )
 def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides):
@@ -180,7 +180,7 @@ def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides
 
 
 def test_a_frame_in_which_no_tap_moves_lays_out_no_text(monkeypatch):
-    env, _ = make("ieee123-3ph", regulators="fixed")
+    env, _ = make("ieee123-3ph", grid_control={"regulators": "fixed"})
     drawn = []
     for kind in (Text, Axes):
         plain = kind.draw
@@ -193,7 +193,7 @@ def test_a_frame_in_which_no_tap_moves_lays_out_no_text(monkeypatch):
 
 
 def test_a_collapse_is_drawn_with_the_last_solved_voltages():
-    env, _ = make("ieee13-3ph", p_rated_kw=8000.0, split="test")
+    env, _ = make("ieee13-3ph", datacenters={"p_rated_kw": 8000.0}, split="test")
     while not env.transition.terminated[0]:
         env.step(np.zeros(env.action_space.shape))
     assert is_image(env.render())
@@ -213,9 +213,11 @@ def test_a_feeder_of_one_phase_has_no_unbalance_to_show():
 
 
 def test_without_sites_and_in_a_batch():
-    env, _ = make("ieee13-3ph", 2, n_datacenters=0, datacenter_buses=())
+    env, _ = make("ieee13-3ph", 2, n_datacenters=0, datacenters={"buses": ()})
     assert is_image(env.render())
-    batch: Any = dcgrid_env.DcgridVectorEnv(2, "ieee13-3ph", render_mode="rgb_array", regulators="agent")
+    batch: Any = dcgrid_env.DcgridVectorEnv(
+        2, "ieee13-3ph", render_mode="rgb_array", grid_control={"regulators": "agent"}
+    )
     batch.reset(seed=[0, 1])
     batch.step(np.random.default_rng(0).uniform(-1, 1, batch.action_space.shape))
     first, second = batch.render()
@@ -232,7 +234,7 @@ def test_without_sites_and_in_a_batch():
     ],
 )
 def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
-    env, _ = make(name, regulators=who, split="test")
+    env, _ = make(name, grid_control={"regulators": who}, split="test")
     panel = parts(env)[0]
     env._viewer._figure.canvas.draw()
     renderer = env._viewer._figure.canvas.get_renderer()
@@ -250,7 +252,7 @@ def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
 
 @each
 def test_keys_stay_in_the_figure_and_names_of_axes_off_each_other(name):
-    env, _ = make(name, regulators="agent", capacitor_banks="agent")
+    env, _ = make(name, grid_control={"regulators": "agent", "capacitors": "agent"})
     figure = env._viewer._figure
     figure.canvas.draw()
     for legend in figure.legends:

@@ -52,7 +52,7 @@ def titles(env):
 
 def curve(env, name, agent=0):
     """Times and values as drawn: (step, 2), without the corners of steps."""
-    bundle, n_dc = env._viewer._parts[1].curves[name], env.scenario.n_datacenters
+    bundle, n_dc = env._viewer._parts[1].curves[name], env.scenario.datacenters.count
     lines = bundle.lines[0] if agent < n_dc else bundle.lines[1]
     path = lines.get_paths()[agent if agent < n_dc else agent - n_dc].vertices
     return path[::2] if bundle.steps else path
@@ -116,7 +116,7 @@ def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario):
 
 
 def test_a_usual_frame_lays_out_no_text_and_only_what_changed_is_drawn_anew(monkeypatch):
-    env = make("toy6", p_rated_kw=2500.0)
+    env = make("toy6", datacenters={"p_rated_kw": 2500.0})
     env.render()
     drawn = []
     for kind in (Text, Axes):
@@ -135,7 +135,7 @@ def test_a_usual_frame_lays_out_no_text_and_only_what_changed_is_drawn_anew(monk
 
 @pytest.mark.parametrize(("backlog", "unit"), [(9e2, "kW s"), (0.9e6, "kW s"), (1.1e6, "MW s"), (9e8, "MW s")])
 def test_names_of_axes_keep_clear_of_long_figures(backlog, unit):
-    env = make("toy6", p_rated_kw=250.0)
+    env = make("toy6", datacenters={"p_rated_kw": 250.0})
     env.render()
     curves = env._viewer._parts[1]
     curves._settle(env._viewer._histories[0].buses, 0.95, 1.05, backlog)
@@ -392,9 +392,9 @@ def test_human_with_windows_shows_one_and_gives_it_back(use_backend, caplog):
 @pytest.mark.parametrize(
     ("scenario", "overrides"),
     [
-        ("ieee123", {"n_datacenters": 12, "inverter_buses": ()}),
-        ("toy6", {"n_datacenters": 0, "datacenter_buses": ()}),
-        ("toy6", {"band_pu": 0.0, "trace": "inference", "dt_s": 60.0}),
+        ("ieee123", {"n_datacenters": 12, "inverters.buses": ()}),
+        ("toy6", {"n_datacenters": 0, "datacenters.buses": ()}),
+        ("toy6", {"cost.band_pu": 0.0, "trace": "inference", "dt_s": 60.0}),
         ("ieee123", {"feeder": "khodr141"}),
     ],
 )
@@ -413,7 +413,7 @@ def test_time_is_given_in_the_unit_that_fits():
 
 
 def test_a_voltage_collapse_is_named():
-    env = make(p_rated_kw=2500.0)
+    env = make(datacenters={"p_rated_kw": 2500.0})
     run(env, 1)
     now = env._simulation.now
     transition = now.transition._replace(converged=np.array([False]), terminated=np.array([True]))
@@ -448,5 +448,5 @@ def test_names_stand_at_their_own_buses_whatever_the_order_of_the_devices():
     env.render()
     drawn = env._viewer._parts[0].feeder
     written = {text.get_text() for text in drawn.ax.texts if text.get_visible()}
-    assert {f"inv_{i} ({bus})" for i, bus in enumerate(base.inverter_buses)} <= written
+    assert {f"inv_{i} ({bus})" for i, bus in enumerate(base.inverters.buses)} <= written
     assert "dc_0 (4)" in written

@@ -21,8 +21,8 @@ from dcgrid_env import (
 )
 from dcgrid_env.scenario import fingerprint
 from dcgrid_env.scenario.assembly import PARTS
+from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.fingerprint import fields
-from dcgrid_env.scenario.flat_names import FLAT
 from dcgrid_env.traces import PowerTrace
 
 RIDE_THROUGH_TEST = "8d380d7a65d816e0"
@@ -30,14 +30,14 @@ CHANGES = {
     "horizon": 119,
     "split": "validation",
     "weights": CostWeights(backlog=0.31),
-    "dvfs": PrefillDecodeDvfs(),
+    "datacenters.clock_law": PrefillDecodeDvfs(),
     "faults": (Fault(("inverter",), (1.0, 2.0)),),
     "trace": (PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own"),),
     "feeder": "ieee123",
-    "inverter_s_kva": 51.0,
-    "datacenter_buses": (1, 3, 4, 5, 6),
-    "preview": False,
-    "ramp_limit_kw_per_s": 100.0,
+    "inverters.s_rated_kva": 51.0,
+    "datacenters.buses": (1, 3, 4, 5, 6),
+    "sensing.preview": False,
+    "cost.ramp_limit_kw_per_s": 100.0,
 }
 
 
@@ -63,7 +63,9 @@ def test_a_law_of_ones_own_shows_by_its_figures():
         def serve(self, params, f_mhz, work_kw):
             return work_kw, work_kw
 
-    one, two, again = (scenario_hash(make_scenario("toy6", dvfs=Law(slope))) for slope in (1.0, 2.0, 1.0))
+    one, two, again = (
+        scenario_hash(make_scenario("toy6", datacenters={"clock_law": Law(slope)})) for slope in (1.0, 2.0, 1.0)
+    )
     assert one == again != two
 
 
@@ -76,7 +78,7 @@ def test_a_law_whose_figures_cannot_be_read_is_named():
             return work_kw, work_kw
 
     with pytest.raises(ValueError, match=r"Slotted has __slots__.*give it a __dict__ or make it a dataclass"):
-        scenario_hash(make_scenario("toy6", dvfs=Slotted()))
+        scenario_hash(make_scenario("toy6", datacenters={"clock_law": Slotted()}))
 
 
 def test_an_episode_is_known_by_what_comes_from_outside():
@@ -86,13 +88,15 @@ def test_an_episode_is_known_by_what_comes_from_outside():
     assert first != episode_hash(scenario, 1)
     assert first != episode_hash(scenario.replace(split="train"), 0)
     # What the controllers are told changes nothing of what comes from outside.
-    assert first == episode_hash(scenario.replace(voltage_noise_pu=0.01, preview=False, observe="feeder"), 0)
+    assert first == episode_hash(scenario.replace(sensing={"noise_pu": 0.01, "preview": False}, observe="feeder"), 0)
 
 
 def renamed(scenario, name):
     """The same scenario on the same feeder under other bus ids."""
     feeder = dataclasses.replace(scenario.feeder, bus_ids=tuple(map(name, scenario.feeder.bus_ids)))
-    placed = {field: tuple(map(name, getattr(scenario, field))) for field in ("datacenter_buses", "inverter_buses")}
+    placed = {
+        group: {"buses": tuple(map(name, getattr(scenario, group).buses))} for group in ("datacenters", "inverters")
+    }
     return scenario.replace(feeder=feeder, **placed)
 
 
@@ -102,7 +106,7 @@ def test_buses_that_are_whole_numbers_are_hashed_as_numbers():
     always = dict(fields(scenario)[1])  # pyright: ignore[reportOptionalSubscript]
     assert (always["datacenter_buses"], always["inverter_buses"]) == ((18, 33, 25), (7, 14, 20, 30))
     assert dict(fields(make_scenario("ieee123"))[1])["datacenter_buses"] is None  # pyright: ignore
-    assert scenario_hash(scenario.replace(datacenter_buses=("18", "33", "25"))) == scenario_hash(scenario)
+    assert scenario_hash(scenario.replace(datacenters={"buses": ("18", "33", "25")})) == scenario_hash(scenario)
 
 
 def test_buses_of_which_one_is_no_whole_number_are_hashed_as_text():
@@ -160,7 +164,7 @@ def test_the_schema_lists_every_published_field():
     later |= {"datacenter_ride_through", "inverter_ride_through", "sags", "datacenter_storage"}
     later |= {"datacenter_routing", "datacenter_batching", "datacenter_service"}
     later |= {"datacenter_smoothing", "datacenter_cooling", "observe_loading", "full_load_s", "trace_scale"}
-    assert listed | later == own | set(FLAT)
+    assert listed | later == own | set(ALIASES) | set(FORMER)
     later_of_feeder = {"shunt_kw", "shunt_kvar", "voltage_ratio", "bus_base_kv", "rating_a"}
     listed_of_feeder = set(fingerprint.SCHEMA_1[Feeder].fields)
     assert listed_of_feeder | later_of_feeder == {field.name for field in dataclasses.fields(Feeder)}
@@ -171,7 +175,7 @@ def test_the_schema_lists_every_published_field():
 def test_a_rule_of_ride_through_keeps_its_hash_when_fields_are_added():
     """The schema lists the rules' fields, so that a later one is left out at its default."""
     scenario = make_scenario("ride-through")
-    for rule in (scenario.part("datacenter").ride_through, scenario.part("inverter").ride_through, scenario.sags[0]):
+    for rule in (scenario.datacenters.ride_through, scenario.inverters.ride_through, scenario.sags[0]):
         listed = fingerprint.SCHEMA_1[type(rule)]
         assert set(listed.fields) == {field.name for field in dataclasses.fields(rule)}
         assert fields(rule) is not None
@@ -191,7 +195,7 @@ def test_a_later_field_of_storages_at_its_default_changes_no_hash(monkeypatch):
     monkeypatch.setitem(fingerprint.SCHEMA_1, _LaterStorages, fingerprint.SCHEMA_1[Storages])
     scenario = make_scenario("ieee33-weak-ups", split="test")
     *others, _ = scenario.devices
-    storages: Any = scenario.part("storage")
+    storages: Any = scenario.group("storage")
     given = {field.name: getattr(storages, field.name) for field in dataclasses.fields(storages)}
     assert scenario_hash(scenario.replace(devices=(*others, _LaterStorages(**given)))) == scenario_hash(scenario)
     other = scenario.replace(devices=(*others, _LaterStorages(**given, ramp_kw_per_s=10.0)))

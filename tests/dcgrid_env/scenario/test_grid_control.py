@@ -10,9 +10,15 @@ from dcgrid_env.scenario.grid_control import GridControl, capacitor_deciders, re
 from helpers.three_phase import ieee13, ieee123
 
 GIVEN = {
-    "agents": {"regulators": "agent", "capacitor_banks": "agent"},
-    "by bank": {"regulators": {"reg4": "agent", "reg1a": "fixed"}, "capacitor_banks": {"c83": "controlled"}},
-    "settings": {"capacitor_banks": "controlled", "capacitor_settings": {"measures": "kvar", "delay_s": 30.0}},
+    "agents": {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"},
+    "by bank": {
+        "grid_control.regulators": {"reg4": "agent", "reg1a": "fixed"},
+        "grid_control.capacitors": {"c83": "controlled"},
+    },
+    "settings": {
+        "grid_control.capacitors": "controlled",
+        "grid_control.capacitor_settings": {"measures": "kvar", "delay_s": 30.0},
+    },
 }
 
 
@@ -23,14 +29,13 @@ def test_defaults_change_nothing():
     assert set(capacitor_deciders(scenario.grid_control, scenario.feeder)) == {"fixed"}
     assert [device.kind for device in scenario.devices] == ["datacenter", "inverter"]
     assert scenario_hash(scenario.replace(grid_control=GridControl())) == scenario_hash(scenario)
-    assert scenario_hash(scenario.replace(regulators="fixed")) != scenario_hash(scenario)
+    assert scenario_hash(scenario.replace(grid_control={"regulators": "fixed"})) != scenario_hash(scenario)
 
 
 @pytest.mark.parametrize("name", GIVEN)
-def test_flat_names_mappings_and_files_are_one_thing(name, tmp_path):
+def test_paths_mappings_and_files_are_one_thing(name, tmp_path):
     flat = ieee123().replace(**GIVEN[name])
-    names = {"capacitor_banks": "capacitors"}
-    by_mapping = ieee123().replace(grid_control={names.get(key, key): value for key, value in GIVEN[name].items()})
+    by_mapping = ieee123().replace(grid_control={key.split(".")[1]: value for key, value in GIVEN[name].items()})
     assert by_mapping.difference(flat) is None
     assert flat.difference(ieee123()) is not None
     assert pickle.loads(pickle.dumps(flat)).difference(flat) is None
@@ -42,35 +47,47 @@ def test_flat_names_mappings_and_files_are_one_thing(name, tmp_path):
 
 
 def test_agents_come_and_go_with_the_decision():
-    scenario = ieee123().replace(regulators={"reg4": "agent"})
+    scenario = ieee123().replace(grid_control={"regulators": {"reg4": "agent"}})
     assert [device.kind for device in scenario.devices] == ["datacenter", "inverter", "tap_changer"]
     assert scenario.agents[-3:] == ("reg_0", "reg_1", "reg_2")
     assert scenario.devices[-1].phases == ("a", "b", "c")
-    ganged = ieee123().replace(regulators={"reg1a": "agent"}).devices[-1]
+    ganged = ieee123().replace(grid_control={"regulators": {"reg1a": "agent"}}).devices[-1]
     assert (ganged.buses, ganged.phases) == (("150r",), ("abc",))
     assert scenario.replace(devices=scenario.devices).difference(scenario) is None
-    assert scenario.replace(regulators="controlled").difference(ieee123()) is None
+    assert scenario.replace(grid_control={"regulators": "controlled"}).difference(ieee123()) is None
     assert len(scenario.candidates) == len(ieee123().candidates)
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"regulators": "on"}, "regulators is 'on'; give one of fixed, controlled, agent"),
+        ({"grid_control.regulators": "on"}, "grid_control.regulators is 'on'; give one of fixed, controlled, agent"),
         (
-            {"regulators": {"reg9": "agent"}},
+            {"grid_control.regulators": {"reg9": "agent"}},
             "feeder 'ieee123-3ph' has no bank 'reg9'; there are reg1a, reg2, reg3, reg4",
         ),
-        ({"capacitor_banks": {"c83": "off"}}, "capacitor_banks is .*give one of fixed, controlled, agent"),
-        ({"capacitor_banks": "agent", "capacitors": False}, "the background has its capacitors disconnected"),
-        ({"capacitor_settings": {"delay": 1.0}}, "no capacitor_settings field 'delay'; did you mean delay_s"),
-        ({"capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
-        ({"capacitor_settings": 3}, r"capacitor_settings is 3; give CapacitorControl\(...\)"),
         (
-            {"regulators": "agent", "faults": [{"among": ["tap_changer"], "begin_s": [1, 2]}]},
+            {"grid_control.capacitors": {"c83": "off"}},
+            "grid_control.capacitors is .*give one of fixed, controlled, agent",
+        ),
+        (
+            {"grid_control.capacitors": "agent", "background.capacitors": False},
+            "the background has its capacitors disconnected",
+        ),
+        (
+            {"grid_control.capacitor_settings": {"delay": 1.0}},
+            "no grid_control.capacitor_settings field 'delay'; did you mean delay_s",
+        ),
+        ({"grid_control.capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
+        ({"grid_control.capacitor_settings": 3}, r"grid_control.capacitor_settings is 3; give CapacitorControl\(...\)"),
+        (
+            {"grid_control.regulators": "agent", "faults": [{"among": ["tap_changer"], "begin_s": [1, 2]}]},
             "a fault among 'tap_changer'",
         ),
-        ({"regulators": "agent", "faults": [{"among": ["reg_0"], "begin_s": [1, 2]}]}, "a fault among 'reg_0'"),
+        (
+            {"grid_control.regulators": "agent", "faults": [{"among": ["reg_0"], "begin_s": [1, 2]}]},
+            "a fault among 'reg_0'",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(given, message):
@@ -78,7 +95,7 @@ def test_what_cannot_be_is_refused_by_name(given, message):
         ieee123().replace(**given)
 
 
-@pytest.mark.parametrize("given", [{"regulators": "fixed"}, {"capacitor_banks": "agent"}])
+@pytest.mark.parametrize("given", [{"grid_control.regulators": "fixed"}, {"grid_control.capacitors": "agent"}])
 def test_a_balanced_feeder_has_nothing_to_control(given):
     with pytest.raises(ScenarioError, match="the balanced feeder 'ieee123' has none that acts; leave it out"):
         make_scenario("ieee123", **given)
@@ -86,4 +103,4 @@ def test_a_balanced_feeder_has_nothing_to_control(given):
 
 def test_settings_of_capacitors_are_an_object_too():
     settings = CapacitorControl(measures="kvar")
-    assert ieee13().replace(capacitor_settings=settings).capacitor_settings is settings
+    assert ieee13().replace(grid_control={"capacitor_settings": settings}).grid_control.capacitor_settings is settings

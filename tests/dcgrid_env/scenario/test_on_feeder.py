@@ -26,18 +26,18 @@ def test_sizes_follow_the_load_and_sites_find_a_bus(name):
     feeder = load_feeder(name)
     made = scenario_on(feeder)
     load_kw = base_load_kw(feeder)
-    assert made.datacenter.p_rated_kw.sum() == pytest.approx(0.4 * load_kw, rel=0.05)
-    assert made.inverter.s_rated_kva.sum() == pytest.approx(0.1 * load_kw, rel=0.05)
-    assert 1 <= made.n_datacenters <= min(5, len(made.candidates))
-    assert 1 <= made.n_inverters <= 7
+    assert made.datacenters.parameters.p_rated_kw.sum() == pytest.approx(0.4 * load_kw, rel=0.05)
+    assert made.inverters.parameters.s_rated_kva.sum() == pytest.approx(0.1 * load_kw, rel=0.05)
+    assert 1 <= made.datacenters.count <= min(5, len(made.candidates))
+    assert 1 <= made.inverters.count <= 7
     if isinstance(feeder, ThreePhaseFeeder):
         assert {feeder.bus_phases[i] for i in made.candidates} == {"abc"}
 
 
 def test_the_paper_s_feeder_gets_the_paper_s_sizes():
     made = scenario_on(load_feeder("ieee123"))
-    assert (made.n_datacenters, made.datacenter.p_rated_kw[0]) == (5, 280.0)
-    assert (made.n_inverters, made.inverter.s_rated_kva[0]) == (7, 50.0)
+    assert (made.datacenters.count, made.datacenters.parameters.p_rated_kw[0]) == (5, 280.0)
+    assert (made.inverters.count, made.inverters.parameters.s_rated_kva[0]) == (7, 50.0)
 
 
 def test_a_feeder_without_a_load_says_what_to_do():
@@ -62,7 +62,7 @@ def test_a_feeder_whose_loads_are_all_on_one_phase_says_so():
 def test_inverters_leave_buses_to_the_sites_and_spread():
     feeder = load_feeder("ieee33")
     made = scenario_on(feeder)
-    at = [feeder.index(bus) for bus in made.inverter_buses]
+    at = [feeder.index(bus) for bus in made.inverters.buses]
     assert at == sorted(set(at))
     assert max(np.diff(at)) <= feeder.n_bus / 4
 
@@ -70,11 +70,11 @@ def test_inverters_leave_buses_to_the_sites_and_spread():
 def test_named_buses_ends_and_spread_ones_are_each_device_s_own():
     feeder = load_feeder("ieee33")
     made = scenario_on(feeder, "2 x 500 kW at ends + 1 MW at 25", "2 x 300 kvar at ends + 3 x 100 kVA")
-    assert made.datacenter_buses == ("18", "33", "25")
-    assert made.p_rated_kw == (500.0, 500.0, 1000.0)
-    assert made.inverter_s_kva == (300.0, 300.0, 100.0, 100.0, 100.0)
-    assert len({*(made.datacenter_buses or ()), *made.inverter_buses}) == 8
-    assert made.inverter_buses[:2] == ("17", "32")  # before which the data centres stand
+    assert made.datacenters.buses == ("18", "33", "25")
+    assert made.datacenters.p_rated_kw == (500.0, 500.0, 1000.0)
+    assert made.inverters.s_rated_kva == (300.0, 300.0, 100.0, 100.0, 100.0)
+    assert len({*(made.datacenters.buses or ()), *made.inverters.buses}) == 8
+    assert made.inverters.buses[:2] == ("17", "32")  # before which the data centres stand
     assert scenario_on(feeder, "none", "1 Mvar at 18").n_agents == 1
     assert scenario_on(feeder, "3 x 1 MW", "none").agents == ("dc_0", "dc_1", "dc_2")
 
@@ -82,8 +82,8 @@ def test_named_buses_ends_and_spread_ones_are_each_device_s_own():
 def test_data_centres_at_the_ends_of_a_three_phase_feeder_have_three_phases():
     feeder = load_feeder("ieee34-3ph")
     made = scenario_on(feeder, "4 x 100 kW at ends", "4 x 50 kvar at ends")
-    assert {feeder.bus_phases[feeder.index(bus)] for bus in made.datacenter_buses or ()} == {"abc"}
-    assert {len(feeder.bus_phases[feeder.index(bus)]) for bus in made.inverter_buses} == {1, 3}
+    assert {feeder.bus_phases[feeder.index(bus)] for bus in made.datacenters.buses or ()} == {"abc"}
+    assert {len(feeder.bus_phases[feeder.index(bus)]) for bus in made.inverters.buses} == {1, 3}
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_data_centres_at_the_ends_of_a_three_phase_feeder_have_three_phases():
             "9 are to stand at ends, but feeder 'ieee33' has 4 ends without a device; ask",
         ),
         ((None, "30 x 1 kvar"), "30 are to stand spread, but feeder 'ieee33' has 27 load buses left for them; ask"),
-        (("40 x 1 MW", None), "n_datacenters is 40, but only 32 load buses have no device"),
+        (("40 x 1 MW", None), "datacenters.count is 40, but only 32 load buses have no device"),
         (("none", "none"), "no data centre and no inverter, hence no agent"),
     ],
 )

@@ -9,7 +9,7 @@ from helpers.three_phase import ieee13
 
 
 def test_the_other_agents_and_what_they_observe_stay():
-    scenario = ieee13().replace(regulators="agent", capacitor_banks="agent")
+    scenario = ieee13().replace(grid_control={"regulators": "agent", "capacitors": "agent"})
     plain = under_own_control(scenario)
     names = field_names(scenario)
     assert plain.agents == ieee13().agents == scenario.agents[:6]
@@ -17,7 +17,9 @@ def test_the_other_agents_and_what_they_observe_stay():
 
 
 def test_banks_that_are_no_agents_keep_who_decides_over_them():
-    scenario = ieee13().replace(regulators="fixed", capacitor_banks={"cap1": "agent", "cap2": "controlled"})
+    scenario = ieee13().replace(
+        grid_control={"regulators": "fixed", "capacitors": {"cap1": "agent", "cap2": "controlled"}}
+    )
     plain = under_own_control(scenario)
     assert plain.grid_control.regulators == "fixed"
     assert plain.grid_control.capacitors == (("cap1", "fixed"), ("cap2", "controlled"))
@@ -25,9 +27,17 @@ def test_banks_that_are_no_agents_keep_who_decides_over_them():
 
 @pytest.mark.parametrize("banks", ["fixed", "agent"])
 def test_a_move_costs_what_it_cost(banks):
-    heavy = {"p_rated_kw": 1500.0, "trace": "step", "trace_window": "start", "load_sigma": 0.0}
+    heavy = {
+        "datacenters.p_rated_kw": 1500.0,
+        "trace": "step",
+        "workload.window": "start",
+        "background.load_sigma": 0.0,
+    }
     scenario = ieee13().replace(
-        regulators="agent", capacitor_banks=banks, weights={"switching": 10.0}, horizon=60, **heavy
+        **{"grid_control.regulators": "agent", "grid_control.capacitors": banks},
+        weights={"switching": 10.0},
+        horizon=60,
+        **heavy,
     )
     prices = []
     for each in (scenario, under_own_control(scenario)):

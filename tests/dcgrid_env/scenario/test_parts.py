@@ -1,10 +1,12 @@
-"""The parts of a scenario: given as objects, mappings or flat names, they are one thing, and each checks itself."""
+"""The parts of a scenario: given as objects, mappings or paths, they are one thing, and each checks itself."""
 
 import dataclasses
 import pickle
+from operator import attrgetter
 from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
@@ -20,37 +22,35 @@ from dcgrid_env import (
     Workload,
     make_scenario,
 )
-from dcgrid_env.scenario.assembly import PARTS
-from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.field_names import ALIASES, FORMER
 
 WAYS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     "sensing": (
         {"sensing": Sensing(noise_pu=0.005, delay_steps=1)},
         {"sensing": {"noise_pu": 0.005, "delay_steps": 1}},
-        {"voltage_noise_pu": 0.005, "measurement_delay": 1},
+        {"sensing.noise_pu": 0.005, "sensing.delay_steps": 1},
     ),
     "workload": (
         {"workload": Workload(trace="code", window="together")},
         {"workload": {"trace": "code", "window": "together"}},
-        {"trace": "code", "trace_window": "together"},
+        {"trace": "code", "workload.window": "together"},
     ),
     "background": (
         {"background": Background(load_sigma=0.1, start_hour=6.5)},
         {"background": {"load_sigma": 0.1, "start_hour": 6.5}},
-        {"load_sigma": 0.1, "start_hour": 6.5},
+        {"background.load_sigma": 0.1, "background.start_hour": 6.5},
     ),
     "cost": (
         {"cost": Cost(weights=CostWeights(backlog=1.0), voltage="l2")},
         {"cost": {"weights": {"backlog": 1.0}, "voltage": "l2"}},
-        {"weights": {"backlog": 1.0}, "voltage_cost": "l2"},
+        {"weights": {"backlog": 1.0}, "cost.voltage": "l2"},
     ),
-    "voltage": ({"source_voltage_pu": 1.01}, {"source_voltage_pu": 1}, {"v0_pu": 1.01}),
+    "voltage": ({"source_voltage_pu": 1.01}, {"source_voltage_pu": np.float64(1.01)}, {"source_voltage_pu": 1.01}),
 }
-WAYS["voltage"][1]["source_voltage_pu"] = 1.01
 
 
 @pytest.mark.parametrize("part", WAYS)
-def test_objects_mappings_and_flat_names_are_one_thing(part):
+def test_objects_mappings_and_paths_are_one_thing(part):
     one, two, three = (make_scenario("ieee33-weak", **given) for given in WAYS[part])
     assert one.difference(two) is None
     assert one.difference(three) is None
@@ -80,14 +80,24 @@ def test_a_mapping_changes_what_it_names_and_leaves_the_rest():
     changed = robust.replace(sensing={"noise_pu": 0.001})
     assert changed.sensing == dataclasses.replace(robust.sensing, noise_pu=0.001)
     training = make_scenario("training")
-    assert training.replace(cost={"weights": {"loss": 1.0}}).weights == training.weights._replace(loss=1.0)
+    assert training.replace(cost={"weights": {"loss": 1.0}}).cost.weights == training.cost.weights._replace(loss=1.0)
 
 
-def test_flat_names_read_what_the_parts_hold():
+def test_short_names_are_taken_and_former_names_refused_with_their_path():
     scenario = make_scenario("fault")
-    for name, (part, field) in FLAT.items():
-        assert getattr(scenario, name) is getattr(scenario.part(part), field)
-    assert {part for part, _ in FLAT.values()} == {"", "datacenter", "inverter", *PARTS}
+    for name, path in ALIASES.items():
+        assert scenario.replace(**{name: attrgetter(path)(scenario)}).difference(scenario) is None
+    for name, path in FORMER.items():
+        attrgetter(path)(scenario)
+        with pytest.raises(TypeError, match=f"^no scenario field '{name}': it is {path} now$"):
+            scenario.replace(**{name: None})
+
+
+def test_a_path_that_is_none_gets_the_nearest():
+    with pytest.raises(TypeError, match=r"^no scenario field 'sensin.noise_pu'; did you mean sensing.noise_pu"):
+        make_scenario("ieee33", **{"sensin.noise_pu": 0.1})
+    with pytest.raises(ScenarioError, match="no sensing field 'noise'; did you mean noise_pu"):
+        make_scenario("ieee33", **{"sensing.noise": 0.1})
 
 
 def test_a_scenario_of_parts_alone():
@@ -98,7 +108,7 @@ def test_a_scenario_of_parts_alone():
     assert own.difference(flat) is None
     alone = Scenario(name="alone", feeder="ieee33", source_voltage_pu=1.05, devices=(inverters,))
     assert alone.agents == ("inv_0", "inv_1", "inv_2", "inv_3")
-    assert alone.n_datacenters == 0
+    assert alone.datacenters.count == 0
 
 
 @pytest.mark.parametrize(
@@ -121,13 +131,13 @@ def test_a_part_checks_itself(make, message):
     ("given", "message"),
     [
         ({"sensing": {"noise": 0.1}}, r"^scenario 'ieee33': no sensing field 'noise'; did you mean noise_pu"),
-        ({"sensing": {"noise_pu": "0.1"}}, r"sensing.noise_pu is '0.1'; input should be a valid number"),
+        ({"sensing": {"noise_pu": "0.1"}}, r"sensing.noise_pu is '0.1'; give a finite number in"),
         ({"sensing": {"noise_pu": 2.0}}, r"sensing.noise_pu is 2.0; give a finite number in \[0, 1\]"),
-        ({"voltage_noise_pu": 2.0}, r"voltage_noise_pu is 2.0; give a finite number in \[0, 1\]"),
-        ({"sensing": {"preview": 1}}, "sensing.preview is 1; input should be a valid boolean"),
+        ({"sensing.noise_pu": 2.0}, r"sensing.noise_pu is 2.0; give a finite number in \[0, 1\]"),
+        ({"sensing": {"preview": 1}}, "sensing.preview is 1; choose one of True, False"),
         ({"sensing": Background()}, r"sensing is Background\(.*; give Sensing\(...\) or a mapping of its fields"),
-        ({"sensing": {"noise_pu": 0.1}, "voltage_noise_pu": 0.1}, "noise_pu and voltage_noise_pu are one field"),
-        ({"v0_pu": 1.0, "source_voltage_pu": 1.0}, "source_voltage_pu and v0_pu are one field; give one of them"),
+        ({"sensing": {"noise_pu": 0.1}, "sensing.noise_pu": 0.1}, "sensing.noise_pu is given twice; give it once"),
+        ({"observe": "local", "sensing.observe": "local"}, "sensing.observe is given twice; give it once"),
         ({"devices": ["datacenter"]}, r"devices\[0\] is 'datacenter'; give a device \(DataCenters, Inverters"),
         ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"no devices\[0\] field 'x'"),
         ({"sensing": None}, "sensing is None; leave it out"),

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import pickle
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.grid import FeederError
 from dcgrid_env.scenario.assembly import PARTS
-from dcgrid_env.scenario.flat_names import FLAT
+from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.plain import to_plain
 from dcgrid_env.traces import PowerTrace, generate_inference
 from helpers.three_phase import ieee13
@@ -34,84 +35,84 @@ FAULT = {"among": ["inverter", "dc_0"], "begin_s": [1.0, 2.0], "duration_s": [3.
 PLAIN = {
     "name": "mine",
     "feeder": "das69",
-    "v0_pu": 1.02,
-    "capacitors": False,
+    "source_voltage_pu": 1.02,
+    "background.capacitors": False,
     "n_datacenters": 2,
-    "datacenter_buses": [10, 22, 32],
-    "p_rated_kw": [100.0, 200, 300.0],
-    "idle_share": 0.3,
-    "f_min_mhz": 300,
-    "f_max_mhz": 1400.0,
-    "s_rated_share": 1.2,
-    "q_max_share": 0.2,
-    "dvfs": {"law": "prefill-decode", "decode_clock_share": 0.03},
-    "boost_share": 1.1,
-    "inverter_buses": [4, 5],
-    "inverter_s_kva": [10.0, 20.0, 30.0, 40.0],
-    "inverter_trace": [0.5] * 121,
+    "datacenters.buses": [10, 22, 32],
+    "datacenters.p_rated_kw": [100.0, 200, 300.0],
+    "datacenters.idle_share": 0.3,
+    "datacenters.f_min_mhz": 300,
+    "datacenters.f_max_mhz": 1400.0,
+    "datacenters.s_rated_share": 1.2,
+    "datacenters.q_max_share": 0.2,
+    "datacenters.clock_law": {"law": "prefill-decode", "decode_clock_share": 0.03},
+    "datacenters.boost_share": 1.1,
+    "inverters.buses": [4, 5],
+    "inverters.s_rated_kva": [10.0, 20.0, 30.0, 40.0],
+    "inverters.injection": [0.5] * 121,
     "faults": [{**FAULT, "duration_s": [3.0, 9.0]}, FAULT | {"duration_s": [float("inf")] * 2}],
-    "datacenter_ride_through": {"curve": "itic", "release": "agent"},
-    "datacenter_storage": {"p_rated_kw": [300.0, 200.0, 100.0], "energy_kwh": 5.0},
-    "datacenter_smoothing": {"floor_share": 0.4},
-    "datacenter_cooling": {"cooling_share": 0.2},
-    "datacenter_routing": {"movable_share": 0.5},
-    "datacenter_batching": {"reference": 128.0},
-    "datacenter_service": {"deadline_s": 40.0, "order": "fcfs"},
-    "inverter_ride_through": {"curve": {"under": [[0.88, 5.0]], "over": [[1.1, 2.0], [1.2, 0.16]]}},
+    "datacenters.ride_through": {"curve": "itic", "release": "agent"},
+    "datacenters.storage": {"p_rated_kw": [300.0, 200.0, 100.0], "energy_kwh": 5.0},
+    "datacenters.smoothing": {"floor_share": 0.4},
+    "datacenters.cooling": {"cooling_share": 0.2},
+    "datacenters.routing": {"movable_share": 0.5},
+    "datacenters.batching": {"reference": 128.0},
+    "datacenters.service": {"deadline_s": 40.0, "order": "fcfs"},
+    "inverters.ride_through": {"curve": {"under": [[0.88, 5.0]], "over": [[1.1, 2.0], [1.2, 0.16]]}},
     "sags": [{"begin_s": [1.0, 2.0], "duration_s": [0.05, 0.06], "retained_pu": [0.3, 0.4]}],
     "trace": "training",
-    "recording_split": "recording",
-    "trace_window": "together",
-    "site_correlation": 0.5,
-    "compute_share": 0.5,
-    "full_load_s": [2.0, 5.0],
-    "trace_scale": "as-recorded",
-    "load_sigma": 0.1,
-    "load_rho": 0.5,
-    "voltage_noise_pu": 0.001,
-    "measurement_delay": 2,
-    "start_hour": 6.5,
+    "workload.recording_split": "recording",
+    "workload.window": "together",
+    "workload.site_correlation": 0.5,
+    "workload.compute_share": 0.5,
+    "workload.full_load_s": [2.0, 5.0],
+    "workload.trace_scale": "as-recorded",
+    "background.load_sigma": 0.1,
+    "background.load_rho": 0.5,
+    "sensing.noise_pu": 0.001,
+    "sensing.delay_steps": 2,
+    "background.start_hour": 6.5,
     "horizon": 60,
     "dt_s": 2.0,
     "power_flow": "lindistflow",
     "split": "test",
     "weights": {"backlog": 1, "loss": 0.5},
-    "band_pu": 0.03,
-    "voltage_cost": "l2",
+    "cost.band_pu": 0.03,
+    "cost.voltage": "l2",
     "reward": "local",
-    "ramp_limit_kw_per_s": 100,
-    "ramp_window_s": 5.0,
-    "voltage_step_limit_pu": 0.02,
+    "cost.ramp_limit_kw_per_s": 100,
+    "cost.ramp_window_s": 5.0,
+    "cost.voltage_step_limit_pu": 0.02,
     "observe": "neighbours",
-    "preview": False,
-    "observe_loading": True,
-    "r_model_share": 0.9,
-    "x_model_share": 1.1,
+    "sensing.preview": False,
+    "sensing.loading": True,
+    "sensing.r_model_share": 0.9,
+    "sensing.x_model_share": 1.1,
 }
 """A plain value of every field, other than that of ieee33-weak."""
 OF_THREE_PHASES = {
-    "datacenter_phases": ["abc", "ab"],
-    "inverter_phases": ["b", "abc", "c", "a"],
-    "regulators": {"reg1": "agent"},
-    "capacitor_banks": {"cap2": "controlled"},
-    "capacitor_settings": {"on_below_pu": 0.96},
+    "datacenters.phases": ["abc", "ab"],
+    "inverters.phases": ["b", "abc", "c", "a"],
+    "grid_control.regulators": {"reg1": "agent"},
+    "grid_control.capacitors": {"cap2": "controlled"},
+    "grid_control.capacitor_settings": {"on_below_pu": 0.96},
 }
 """A plain value of every field that a three-phase feeder alone has, other than that of ``ieee13``."""
 WITH = {
-    "n_datacenters": {"datacenter_buses": None},
-    "feeder": {"datacenter_buses": [27, 65, 35]},
-    "recording_split": {},
-    "trace_scale": {"trace": str(Path(__file__).parent / "recording.csv")},
-    "ramp_window_s": {"ramp_limit_kw_per_s": 100.0},
-    "sags": {"datacenter_ride_through": "itic"},
-    "observe_loading": {"feeder": str(Path(__file__).parent / "rated_feeder")},
+    "n_datacenters": {"datacenters.buses": None},
+    "feeder": {"datacenters.buses": [27, 65, 35]},
+    "workload.recording_split": {},
+    "workload.trace_scale": {"trace": str(Path(__file__).parent / "recording.csv")},
+    "cost.ramp_window_s": {"cost.ramp_limit_kw_per_s": 100.0},
+    "sags": {"datacenters.ride_through": "itic"},
+    "sensing.loading": {"feeder": str(Path(__file__).parent / "rated_feeder")},
 }
 """What a field's value needs besides."""
 
 
 def test_every_field_has_its_plain_value_here():
-    own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices", "source_voltage_pu"}
-    assert set(PLAIN) | set(OF_THREE_PHASES) == own | set(FLAT)
+    own = {field.name for field in dataclasses.fields(Scenario)} - {*PARTS, "devices"}
+    assert set(PLAIN) | set(OF_THREE_PHASES) == own | set(ALIASES) | set(FORMER.values()) - {"source_voltage_pu"} | own
 
 
 @pytest.mark.parametrize("name", OF_THREE_PHASES)
@@ -120,7 +121,7 @@ def test_a_field_of_three_phases_goes_through_json_and_back(name):
     scenario = base.replace(**overrides)
     assert scenario.difference(base) is not None
     assert scenario.difference(base.replace(**json.loads(json.dumps(overrides)))) is None
-    again = json.loads(json.dumps({name: to_plain(getattr(scenario, name))}))
+    again = json.loads(json.dumps({name: to_plain(attrgetter(ALIASES.get(name, name))(scenario))}))
     assert scenario.difference(base.replace(**again)) is None
 
 
@@ -130,7 +131,7 @@ def test_a_field_goes_through_json_and_back(name):
     scenario = make_scenario("ieee33-weak", **overrides)
     assert scenario.difference(make_scenario("ieee33-weak")) is not None
     assert scenario.difference(make_scenario("ieee33-weak", **json.loads(json.dumps(overrides)))) is None
-    again = json.loads(json.dumps({key: to_plain(getattr(scenario, key)) for key in overrides}))
+    again = json.loads(json.dumps({key: to_plain(attrgetter(ALIASES.get(key, key))(scenario)) for key in overrides}))
     assert scenario.difference(make_scenario("ieee33-weak", **again)) is None
 
 
@@ -149,16 +150,18 @@ def test_objects_go_through_the_spec_of_an_environment_too():
     objects = {
         "weights": CostWeights(backlog=1),
         "faults": (fault,),
-        "dvfs": PrefillDecodeDvfs(),
+        "datacenters.clock_law": PrefillDecodeDvfs(),
         "feeder": load_feeder("ieee33"),
     }
-    env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", horizon=30, p_rated_kw=np.float64(900.0), **objects)
+    env: Any = gymnasium.make(
+        "dcgrid/IEEE33Weak-v0", horizon=30, **{"datacenters.p_rated_kw": np.float64(900.0)}, **objects
+    )
     again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.scenario.difference(env.unwrapped.scenario) is None
     assert again.unwrapped.scenario.faults == (fault,)
     assert again.unwrapped.scenario.horizon == 30
     batch: Any = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, **objects)
-    assert batch.spec.kwargs["dvfs"]["law"] == "prefill-decode"
+    assert batch.spec.kwargs["datacenters.clock_law"]["law"] == "prefill-decode"
     assert batch.spec.kwargs["weights"]["backlog"] == 1
     for made in (env, again, batch):
         made.close()
@@ -185,9 +188,9 @@ def test_what_has_no_plain_form_is_refused_by_name_where_a_spec_is_written():
 
 
 def test_weights_that_a_mapping_leaves_out_keep_their_value():
-    assert make_scenario("training", weights={"backlog": 1}).weights == CostWeights(backlog=1, leftover=90.0)
-    assert make_scenario("ieee33").replace(weights={"loss": 2.0}).weights == CostWeights(loss=2.0)
-    with pytest.raises(ScenarioError, match=r"no weights field 'volts'; did you mean voltage.* loss"):
+    assert make_scenario("training", weights={"backlog": 1}).cost.weights == CostWeights(backlog=1, leftover=90.0)
+    assert make_scenario("ieee33").replace(weights={"loss": 2.0}).cost.weights == CostWeights(loss=2.0)
+    with pytest.raises(ScenarioError, match=r"no cost.weights field 'volts'; did you mean voltage.* loss"):
         make_scenario("ieee33", weights={"volts": 1})
     with pytest.raises(ScenarioError, match=r"weights.backlog is 'dear'; give a finite number"):
         make_scenario("ieee33", weights={"backlog": "dear"})
@@ -196,16 +199,21 @@ def test_weights_that_a_mapping_leaves_out_keep_their_value():
 
 
 def test_clock_laws_by_name():
-    assert make_scenario("ieee33", dvfs="prefill-decode").dvfs == PrefillDecodeDvfs()
-    assert make_scenario("ieee33", dvfs="linear").dvfs == LinearDvfs()
-    assert make_scenario("ieee33", dvfs={"law": "linear"}).dvfs == LinearDvfs()
+    assert (
+        make_scenario("ieee33", datacenters={"clock_law": "prefill-decode"}).datacenters.clock_law
+        == PrefillDecodeDvfs()
+    )
+    assert make_scenario("ieee33", datacenters={"clock_law": "linear"}).datacenters.clock_law == LinearDvfs()
+    assert make_scenario("ieee33", datacenters={"clock_law": {"law": "linear"}}).datacenters.clock_law == LinearDvfs()
     assert to_plain(LinearDvfs()) == "linear"
-    with pytest.raises(ScenarioError, match=r"dvfs is \{'law': 'fast'\}; give 'linear', 'prefill-decode'"):
-        make_scenario("ieee33", dvfs={"law": "fast"})
+    with pytest.raises(
+        ScenarioError, match=r"datacenters.clock_law is \{'law': 'fast'\}; give 'linear', 'prefill-decode'"
+    ):
+        make_scenario("ieee33", datacenters={"clock_law": {"law": "fast"}})
     with pytest.raises(ScenarioError, match="'prefill-decode' has no parameter 'share'; there are decode_clock_share"):
-        make_scenario("ieee33", dvfs={"law": "prefill-decode", "share": 1})
+        make_scenario("ieee33", datacenters={"clock_law": {"law": "prefill-decode", "share": 1}})
     with pytest.raises(ScenarioError, match="decode_clock_share is 2; give a share"):
-        make_scenario("ieee33", dvfs={"law": "prefill-decode", "decode_clock_share": 2})
+        make_scenario("ieee33", datacenters={"clock_law": {"law": "prefill-decode", "decode_clock_share": 2}})
 
 
 def test_faults_as_mappings():
@@ -230,9 +238,9 @@ def test_recordings_and_feeders_by_path(tmp_path):
     wanted = PowerTrace.from_csv(path)
     for given in (str(path), path, [str(path)], (str(path),)):
         scenario = make_scenario("ieee33-weak", trace=given)
-        assert isinstance(scenario.trace, tuple)
-        np.testing.assert_array_equal(scenario.trace[0].power_kw, wanted.power_kw)
-    sun = make_scenario("ieee33-weak", inverter_trace=str(path)).inverter_trace
+        assert isinstance(scenario.workload.trace, tuple)
+        np.testing.assert_array_equal(scenario.workload.trace[0].power_kw, wanted.power_kw)
+    sun = make_scenario("ieee33-weak", inverters={"injection": str(path)}).inverters.injection
     assert isinstance(sun, PowerTrace)
     with pytest.raises(ScenarioError, match=r"trace is '.*none.csv'"):
         make_scenario("ieee33-weak", trace=[str(tmp_path / "none.csv")])
@@ -250,7 +258,7 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
         path.write_text("time_s,site_w\n" + "".join(f"{t},{watts + t % 2}\n" for t in range(900)))
         given = str(path) if watts == 100 else (str(path),)
         scenarios.append(make_scenario("ieee33-weak", trace=given))
-    assert [s.trace[0].power_kw[0] for s in scenarios] == [0.1, 0.2, 0.3]
+    assert [s.workload.trace[0].power_kw[0] for s in scenarios] == [0.1, 0.2, 0.3]
 
 
 @pytest.mark.parametrize(
@@ -258,10 +266,10 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     [
         ({"horizon": 5}, {"horizon": 5.0}),
         ({"horizon": 1}, {"horizon": True}),
-        ({"preview": True}, {"preview": 1}),
-        ({"measurement_delay": 1}, {"measurement_delay": True}),
-        ({"v0_pu": 1}, {"v0_pu": True}),
-        ({"p_rated_kw": (1, 1.0, 1)}, {"p_rated_kw": (True, 1.0, 1)}),
+        ({"sensing.preview": True}, {"sensing.preview": 1}),
+        ({"sensing.delay_steps": 1}, {"sensing.delay_steps": True}),
+        ({"source_voltage_pu": 1}, {"source_voltage_pu": True}),
+        ({"datacenters.p_rated_kw": (1, 1.0, 1)}, {"datacenters.p_rated_kw": (True, 1.0, 1)}),
         ({"weights": {"backlog": 1}}, {"weights": {"backlog": True}}),
     ],
 )
@@ -274,8 +282,10 @@ def test_what_is_refused_does_not_depend_on_what_was_made_before(good, bad):
 
 def test_an_hour_that_there_is_not():
     for hour in (24, -1, "noon", True, float("nan")):
-        with pytest.raises(ScenarioError, match=r"start_hour is .*; give an hour from 0 to less than 24, 'random', or"):
-            make_scenario("ieee33", start_hour=hour)
+        with pytest.raises(
+            ScenarioError, match=r"background.start_hour is .*; give an hour from 0 to less than 24, 'random', or"
+        ):
+            make_scenario("ieee33", background={"start_hour": hour})
 
 
 @pytest.mark.parametrize(
@@ -284,13 +294,13 @@ def test_an_hour_that_there_is_not():
         ({"name": None}, "name is None; give a text that is not empty"),
         ({"name": ""}, "name is ''; give a text"),
         ({"horizon": 10**12}, "horizon is 1000000000000; give a whole number of at least 1 and at most 100,000,000"),
-        ({"measurement_delay": 10**20}, "measurement_delay is .*; give a whole number of at least 0 and at most"),
-        ({"p_rated_kw": 10**400}, "p_rated_kw is 1000.*; give one positive number of at most"),
-        ({"f_max_mhz": 10**400}, "f_max_mhz is 1000.*; give a finite number"),
-        ({"inverter_buses": [[1]]}, r"inverter_buses has \[1\], no number or text"),
-        ({"inverter_buses": [7.0, 14]}, r"inverter_buses has 7\.0, no number or text"),
-        ({"dvfs": {"law": ["x"]}}, "dvfs is .*; give 'linear'"),
-        ({"dvfs": PrefillDecodeDvfs}, "dvfs is .*; give 'linear'"),
+        ({"sensing.delay_steps": 10**20}, "sensing.delay_steps is .*; give a whole number of at least 0 and at most"),
+        ({"datacenters.p_rated_kw": 10**400}, "datacenters.p_rated_kw is 1000.*; give one positive number of at most"),
+        ({"datacenters.f_max_mhz": 10**400}, "datacenters.f_max_mhz is 1000.*; give a finite number"),
+        ({"inverters.buses": [[1]]}, r"inverters.buses has \[1\], no number or text"),
+        ({"inverters.buses": [7.0, 14]}, r"inverters.buses has 7\.0, no number or text"),
+        ({"datacenters.clock_law": {"law": ["x"]}}, "datacenters.clock_law is .*; give 'linear'"),
+        ({"datacenters.clock_law": PrefillDecodeDvfs}, "datacenters.clock_law is .*; give 'linear'"),
         ({"trace": "x" * 5000}, "trace is .*; `dcgrid list traces` lists all"),
         ({"feeder": "x" * 5000}, "no feeder"),
     ],

@@ -1,6 +1,7 @@
 """The named scenarios: every constant of the design's table."""
 
 import math
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -83,18 +84,18 @@ BEYOND = {
     "ieee123-3ph": {"power_flow": "sweep"},
     "ieee123-3ph-day": {
         "power_flow": "sweep",
-        "inverter_trace": "pv",
-        "regulators": "agent",
-        "capacitor_banks": "agent",
-        "start_hour": 0.0,
+        "inverters.injection": "pv",
+        "grid_control.regulators": "agent",
+        "grid_control.capacitors": "agent",
+        "background.start_hour": 0.0,
         "dt_s": 60.0,
-        "weights": CostWeights(leftover=0.15, switching=10.0),
+        "cost.weights": CostWeights(leftover=0.15, switching=10.0),
     },
     "ride-through": {
         "power_flow": "sweep",
-        "inverter_trace": "pv",
+        "inverters.injection": "pv",
         "sags": virginia_2024(),
-        "datacenter_ride_through": UpsRideThrough(
+        "datacenters.ride_through": UpsRideThrough(
             curve="itic",
             release="agent",
             by_hand_s=60.0,
@@ -103,13 +104,13 @@ BEYOND = {
             away_weight=1.0,
             missing_weight=3.0,
         ),
-        "inverter_ride_through": RideThrough(
+        "inverters.ride_through": RideThrough(
             curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0
         ),
     },
     "smoothing": {
         "dt_s": 0.1,
-        "datacenter_smoothing": PowerSmoothing(
+        "datacenters.smoothing": PowerSmoothing(
             floor_share=0.9,
             ramp_up_w_per_s=12_000.0,
             ramp_down_w_per_s=12_000.0,
@@ -118,20 +119,20 @@ BEYOND = {
             change_every_s=10.0,
             burnt_weight=3.0,
         ),
-        "ramp_limit_kw_per_s": 60.0,
-        "ramp_window_s": 1.0,
-        "voltage_step_limit_pu": 0.01,
-        "weights": CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
+        "cost.ramp_limit_kw_per_s": 60.0,
+        "cost.ramp_window_s": 1.0,
+        "cost.voltage_step_limit_pu": 0.01,
+        "cost.weights": CostWeights(leftover=90.0, ramp_excess=1.0, voltage_step_excess=10.0),
     },
     "routing": {
-        "datacenter_routing": Routing(movable_share=0.5, move_latency_s=0.1),
-        "datacenter_service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
-        "weights": CostWeights(backlog=0.0),
+        "datacenters.routing": Routing(movable_share=0.5, move_latency_s=0.1),
+        "datacenters.service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
+        "cost.weights": CostWeights(backlog=0.0),
     },
-    "toy6": {"trace_window": "start"},
-    "sync": {"site_correlation": 1.0},
-    "training": {"dt_s": 0.1, "weights": CostWeights(leftover=90.0)},
-    "mixed": {"inverter_trace": "pv"},
+    "toy6": {"workload.window": "start"},
+    "sync": {"workload.site_correlation": 1.0},
+    "training": {"dt_s": 0.1, "cost.weights": CostWeights(leftover=90.0)},
+    "mixed": {"inverters.injection": "pv"},
     "fault": {
         "faults": (
             Fault(("inverter", "capacitor"), (10.0, 60.0)),
@@ -139,21 +140,25 @@ BEYOND = {
         )
     },
     "robust": {
-        "voltage_noise_pu": 0.005,
-        "measurement_delay": 2,
-        "preview": False,
-        "r_model_share": 0.8,
-        "x_model_share": 1.2,
+        "sensing.noise_pu": 0.005,
+        "sensing.delay_steps": 2,
+        "sensing.preview": False,
+        "sensing.r_model_share": 0.8,
+        "sensing.x_model_share": 1.2,
     },
 }
 COMMON = {
-    "capacitors": True, "idle_share": 0.23, "f_min_mhz": 210.0, "f_max_mhz": 1410.0, "q_max_share": 0.33,
-    "boost_share": 1.0, "trace_window": "random", "site_correlation": 0.0, "inverter_trace": None, "faults": (),
-    "load_rho": 0.9, "voltage_noise_pu": 0.0, "measurement_delay": 0, "dt_s": 1.0, "power_flow": "distflow",
-    "regulators": "controlled", "capacitor_banks": "fixed", "start_hour": None,
-    "split": "train", "weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "band_pu": 0.05,
-    "voltage_cost": "l1", "reward": "shared", "observe": "local", "preview": True, "r_model_share": 1.0,
-    "x_model_share": 1.0,
+    "background.capacitors": True, "datacenters.idle_share": 0.23, "datacenters.f_min_mhz": 210.0,
+    "datacenters.f_max_mhz": 1410.0, "datacenters.q_max_share": 0.33,
+    "datacenters.boost_share": 1.0, "workload.window": "random", "workload.site_correlation": 0.0,
+    "inverters.injection": None, "faults": (),
+    "background.load_rho": 0.9, "sensing.noise_pu": 0.0, "sensing.delay_steps": 0, "dt_s": 1.0,
+    "power_flow": "distflow",
+    "grid_control.regulators": "controlled", "grid_control.capacitors": "fixed", "background.start_hour": None,
+    "split": "train", "cost.weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "cost.band_pu": 0.05,
+    "cost.voltage": "l1", "cost.reward": "shared",
+    "sensing.observe": "local", "sensing.preview": True, "sensing.r_model_share": 1.0,
+    "sensing.x_model_share": 1.0,
 }  # fmt: skip
 
 
@@ -170,18 +175,18 @@ def test_constants_of_a_preset(name):
     buses = None if buses is None else tuple(map(str, buses))
     assert s.name == name
     assert s.feeder == (load_feeder(feeder) if isinstance(feeder, str) else feeder)
-    assert s.v0_pu == v0
-    assert (s.n_datacenters, s.p_rated_kw, s.datacenter_buses) == (n, rating, buses)
-    assert (s.inverter_buses, s.inverter_s_kva) == (tuple(map(str, inverters)), kvar)
-    assert (s.trace, s.load_sigma, s.horizon) == (trace, sigma, horizon)
+    assert s.source_voltage_pu == v0
+    assert (s.datacenters.count, s.datacenters.p_rated_kw, s.datacenters.buses) == (n, rating, buses)
+    assert (s.inverters.buses, s.inverters.s_rated_kva) == (tuple(map(str, inverters)), kvar)
+    assert (s.workload.trace, s.background.load_sigma, s.horizon) == (trace, sigma, horizon)
     for field, value in (COMMON | BEYOND.get(name, {})).items():
-        assert getattr(s, field) == value, field
+        assert attrgetter(field)(s) == value, field
     # What follows from them, in kW and kvar.
-    np.testing.assert_allclose(s.datacenter.p_rated_kw, [rating] * n)
-    np.testing.assert_allclose(s.datacenter.p_idle_kw, [0.23 * rating] * n)
-    np.testing.assert_allclose(s.datacenter.s_rated_kva, [s_share * rating] * n)
-    np.testing.assert_allclose(s.datacenter.q_max_kvar, [0.33 * rating] * n)
-    np.testing.assert_allclose(s.inverter.s_rated_kva, np.broadcast_to(kvar, len(inverters)))
+    np.testing.assert_allclose(s.datacenters.parameters.p_rated_kw, [rating] * n)
+    np.testing.assert_allclose(s.datacenters.parameters.p_idle_kw, [0.23 * rating] * n)
+    np.testing.assert_allclose(s.datacenters.parameters.s_rated_kva, [s_share * rating] * n)
+    np.testing.assert_allclose(s.datacenters.parameters.q_max_kvar, [0.33 * rating] * n)
+    np.testing.assert_allclose(s.inverters.parameters.s_rated_kva, np.broadcast_to(kvar, len(inverters)))
 
 
 def test_in_sync_all_sites_draw_alike_and_with_pv_more_load_helps_at_noon():
@@ -191,7 +196,11 @@ def test_in_sync_all_sites_draw_alike_and_with_pv_more_load_helps_at_noon():
     calm = make_scenario("mixed", split="test")
     apart = [
         rollout(scenario, NoControl(), range(20)).costs().mean()
-        for scenario in (calm, calm.replace(p_rated_kw=400.0), calm.replace(inverter_trace=None))
+        for scenario in (
+            calm,
+            calm.replace(datacenters={"p_rated_kw": 400.0}),
+            calm.replace(inverters={"injection": None}),
+        )
     ]
     assert apart[0] < apart[1]  # a third less load, a higher cost
     assert apart[2] < apart[0]  # without PV there is less to do
@@ -210,7 +219,7 @@ def test_what_controllers_know_of_a_robust_feeder_is_wrong():
 
 def test_ieee123_is_regulated_and_compensated():
     s = make_scenario("ieee123")
-    assert s.v0_pu == 1.0 + 7 * 0.00625  # tap +7 of a regulator of 32 steps over 10 %
+    assert s.source_voltage_pu == 1.0 + 7 * 0.00625  # tap +7 of a regulator of 32 steps over 10 %
     assert s.feeder.capacitor_kvar.sum() > 0
     assert s.feeder.n_bus == 123
     # 1 to 5 sites by option.
@@ -223,7 +232,7 @@ def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep
     from dcgrid_env.engine.exogenous import episode
     from dcgrid_env.engine.physics import dynamics
 
-    s = make_scenario("ieee33-weak", load_sigma=0.0)
+    s = make_scenario("ieee33-weak", background={"load_sigma": 0.0})
     zero = np.zeros(1, np.uint64)
     drawn = episode.draw(s, zero, zero)
     outside, _ = episode.exogenous(s, drawn, np.zeros(1, int), np.zeros((1, 33)), np.full((1, 3), 1000.0))
@@ -248,7 +257,14 @@ def test_every_preset_and_split_plays(name):
 
 
 def test_overrides_reach_the_scenario_and_leave_the_preset():
-    s = make_scenario("toy6", horizon=5, feeder="ieee33", datacenter_buses=(18,), inverter_buses=(7, 14), v0_pu=1.05)
+    s = make_scenario(
+        "toy6",
+        horizon=5,
+        feeder="ieee33",
+        datacenters={"buses": (18,)},
+        inverters={"buses": (7, 14)},
+        source_voltage_pu=1.05,
+    )
     assert s.horizon == 5
     assert s.feeder is load_feeder("ieee33")
     assert make_scenario("toy6").horizon == 100
@@ -293,4 +309,4 @@ def test_presets_are_made_anew_but_alike(name):
     assert isinstance(one, Scenario)
     assert one.feeder is two.feeder
     assert one.agents == two.agents
-    assert math.isfinite(one.v0_pu)
+    assert math.isfinite(one.source_voltage_pu)

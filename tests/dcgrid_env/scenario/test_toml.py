@@ -20,13 +20,17 @@ from dcgrid_env.scenario import toml
 from dcgrid_env.traces import PowerTrace
 
 CHANGES = {
-    "noise": {"voltage_noise_pu": 0.005, "measurement_delay": 1},
-    "devices": {"datacenter_buses": (7, 18, 25), "inverter_buses": (3,), "p_rated_kw": (100.0, 200.0, 300.0)},
-    "drawn": {"datacenter_buses": None},
-    "law": {"dvfs": PrefillDecodeDvfs(decode_clock_share=0.03)},
+    "noise": {"sensing.noise_pu": 0.005, "sensing.delay_steps": 1},
+    "devices": {
+        "datacenters.buses": (7, 18, 25),
+        "inverters.buses": (3,),
+        "datacenters.p_rated_kw": (100.0, 200.0, 300.0),
+    },
+    "drawn": {"datacenters.buses": None},
+    "law": {"datacenters.clock_law": PrefillDecodeDvfs(decode_clock_share=0.03)},
     "faults": {"faults": (Fault(("dc_0",), (1.0, 2.0)), Fault(("inverter",), (1.0, 2.0), (3.0, 4.0)))},
-    "hour": {"start_hour": 6.5, "weights": {"loss": 1.0}},
-    "pv": {"inverter_trace": "pv", "feeder": "ieee33", "horizon": 30},
+    "hour": {"background.start_hour": 6.5, "weights": {"loss": 1.0}},
+    "pv": {"inverters.injection": "pv", "feeder": "ieee33", "horizon": 30},
 }
 
 
@@ -54,7 +58,7 @@ def test_what_differs_from_a_preset_comes_back_the_same(name, tmp_path):
 
 
 def test_an_hour_taken_back_is_written_as_none(tmp_path):
-    text = make_scenario("ieee33", start_hour=3.0).replace(start_hour=None).to_toml()
+    text = make_scenario("ieee33", background={"start_hour": 3.0}).replace(background={"start_hour": None}).to_toml()
     assert 'start_hour = "none"' in text
 
 
@@ -73,8 +77,8 @@ def test_paths_begin_where_the_file_stands(tmp_path):
     )
     scenario = make_scenario(path)
     assert (scenario.name, scenario.feeder.name, scenario.agents) == ("mine", "own", ("dc_0", "inv_0"))
-    assert isinstance(scenario.trace[0], PowerTrace)
-    np.testing.assert_allclose(scenario.datacenter.p_rated_kw, [50.0])
+    assert isinstance(scenario.workload.trace[0], PowerTrace)
+    np.testing.assert_allclose(scenario.datacenters.parameters.p_rated_kw, [50.0])
     # Written elsewhere it names folder and file, as long as they hold what was read.
     (tmp_path / "far").mkdir()
     scenario.to_toml(tmp_path / "far" / "mine.toml")
@@ -108,12 +112,12 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('base = "ieee34"', "no scenario 'ieee34'; did you mean ieee33"),
         ('base = "ieee33"\nhorizont = 3', "no scenario field 'horizont'; did you mean horizon"),
         ('base = "ieee33"\n[sensing]\nnoise = 3', "no sensing field 'noise'; did you mean noise_pu"),
-        ('base = "ieee33"\n[sensing]\nnoise_pu = "high"', "sensing.noise_pu is 'high'; input should be a valid number"),
+        ('base = "ieee33"\n[sensing]\nnoise_pu = "high"', "sensing.noise_pu is 'high'; give a finite number"),
         ('base = "ieee33"\n[sensing]\nnoise_pu = -1.0', r"sensing.noise_pu is -1.0; give a finite number in \[0, 1\]"),
-        ('base = "ieee33"\n[cost]\nreward = "mine"', "cost.reward is 'mine'; input should be 'shared' or 'local'"),
+        ('base = "ieee33"\n[cost]\nreward = "mine"', "cost.reward is 'mine'; choose one of shared, local"),
         ('base = "ieee33"\n[cost.weights]\nvolts = 1', "no cost.weights field 'volts'; did you mean voltage"),
         ('base = "ieee33"\nsensing = 3', r"sensing is 3; give Sensing\(...\) or a mapping of its fields"),
-        ('base = "ieee33"\nvoltage_noise_pu = 0.1\n[sensing]\nnoise_pu = 0.1', "are one field; give one"),
+        ('base = "ieee33"\nobserve = "local"\n[sensing]\nobserve = "local"', "observe is given twice; give"),
         ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind: no kind of device 'wind'"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["99"]\ns_rated_kva = 1', "has no bus '?99'?; its"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["3"]', r"devices\[0\].s_rated_kva is 0.0; give"),
@@ -127,10 +131,10 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('base = "ieee33"\nfeeder = "."', "feeder.toml is missing"),
         ('base = "ieee33"\ntrace = "."', r"trace is '.*'; `dcgrid list traces` lists all; or give recordings"),
         ('base = "ieee33"\nfeeder = "a\\u0000b"', r"no feeder 'a\\x00b'; `dcgrid list feeders`"),
-        ('base = "ieee33"\ninverter_buses = [["3"]]', r"inverter_buses has \['3'\], no number or text; give buses"),
+        ('base = "ieee33"\n[inverters]\nbuses = [["3"]]', r"inverters.buses has \['3'\], no number or text; give"),
         ('base = "ieee33"\nsource_voltage_pu = 9.0', r"source_voltage_pu is 9.0; give a finite number in \[0.5"),
-        ('base = "ieee33"\nv0_pu = 9.0', r": v0_pu is 9.0; give a finite number in \[0.5"),
-        ('base = "toy6"\ninverter_buses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose datacenter, cap"),
+        ('base = "ieee33"\nv0_pu = 9.0', "no scenario field 'v0_pu': it is source_voltage_pu now"),
+        ('base = "toy6"\n[inverters]\nbuses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose data"),
     ],
 )  # fmt: skip
 def test_a_file_that_cannot_be_is_one_line_with_file_field_value_and_remedy(text, message, tmp_path):

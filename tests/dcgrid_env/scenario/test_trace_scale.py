@@ -29,8 +29,10 @@ def asked(scenario):
 @pytest.mark.parametrize(("rated_kw", "full_kw"), [(None, 450.0), (600.0, 600.0)])
 def test_power_is_scaled_to_the_rating_unless_it_is_to_stay_as_recorded(rated_kw, full_kw):
     trace = recording(rated_kw)
-    scaled = make_scenario("toy6", trace=trace, p_rated_kw=900.0, trace_window="start", horizon=100)
-    kept = scaled.replace(trace_scale="as-recorded")
+    scaled = make_scenario(
+        "toy6", trace=trace, datacenters={"p_rated_kw": 900.0}, workload={"window": "start"}, horizon=100
+    )
+    kept = scaled.replace(workload={"trace_scale": "as-recorded"})
     np.testing.assert_allclose(asked(kept), trace.resample(1.0)[:100], rtol=1e-12)
     np.testing.assert_allclose(asked(scaled), trace.resample(1.0)[:100] * 900.0 / full_kw, rtol=1e-12)
     (of_scaled,), (of_kept,) = scaled_recordings(scaled), scaled_recordings(kept)
@@ -44,28 +46,36 @@ def test_power_is_scaled_to_the_rating_unless_it_is_to_stay_as_recorded(rated_kw
 
 def test_sites_of_different_ratings_follow_the_same_kilowatts():
     scenario = make_scenario(
-        "ieee33-weak", trace=recording(), p_rated_kw=(500.0, 900.0, 1000.0), trace_scale="as-recorded",
-        trace_window="start", idle_share=0.2, horizon=50,
-    )  # fmt: skip
+        "ieee33-weak",
+        trace=recording(),
+        datacenters={"p_rated_kw": (500.0, 900.0, 1000.0), "idle_share": 0.2},
+        workload={"trace_scale": "as-recorded", "window": "start"},
+        horizon=50,
+    )
     course = rollout(scenario, NoControl(), [0]).lane(0)
     np.testing.assert_allclose(course.p_kw[:, :3], recording().resample(1.0)[1:51, None] * np.ones(3), rtol=1e-9)
 
 
 def test_the_default_changes_no_fingerprint():
     plain = make_scenario("toy6", trace=recording())
-    assert scenario_hash(plain.replace(trace_scale="rated")) == scenario_hash(plain)
-    kept = plain.replace(trace_scale="as-recorded", p_rated_kw=900.0)
-    assert scenario_hash(kept) != scenario_hash(plain.replace(p_rated_kw=900.0))
+    assert scenario_hash(plain.replace(workload={"trace_scale": "rated"})) == scenario_hash(plain)
+    kept = plain.replace(workload={"trace_scale": "as-recorded"}, datacenters={"p_rated_kw": 900.0})
+    assert scenario_hash(kept) != scenario_hash(plain.replace(datacenters={"p_rated_kw": 900.0}))
 
 
 @pytest.mark.parametrize(("changes", "said"), [
-    ({"trace": "inference"}, "trace_scale is 'as-recorded'; the trace 'inference' is generated, in shares"),
-    ({"p_rated_kw": 400.0}, "trace 'hall' rises to 450 kW, above the rating of a site, 400 kW; raise p_rated_kw"),
-    ({"trace_scale": "kW"}, "trace_scale is 'kW'; choose one of rated, as-recorded"),
+    ({"trace": "inference"}, "workload.trace_scale is 'as-recorded'; the trace 'inference' is generated, in shares"),
+    ({"datacenters.p_rated_kw": 400.0}, "trace 'hall' rises to 450 kW, above the rating of a site, 400 kW; raise"),
+    ({"workload.trace_scale": "kW"}, "workload.trace_scale is 'kW'; choose one of rated, as-recorded"),
 ])  # fmt: skip
 def test_what_cannot_be_as_recorded_is_refused(changes, said):
     with pytest.raises(ScenarioError, match=said):
-        make_scenario("toy6", **({"trace": recording(), "trace_scale": "as-recorded", "p_rated_kw": 900.0} | changes))
+        make_scenario(
+            "toy6",
+            **(
+                {"trace": recording(), "workload.trace_scale": "as-recorded", "datacenters.p_rated_kw": 900.0} | changes
+            ),
+        )
 
 
 def test_a_run_prints_and_stores_the_factor(tmp_path, capsys):

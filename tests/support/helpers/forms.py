@@ -6,7 +6,7 @@ from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, make_scenario
 
 FORMS = ("toy6", "ieee123", "ieee33-weak", "mixed", "fault")
 """Presets of every form on a balanced feeder: a scripted trace, drawn buses, given buses, PV, faults."""
-WORK_CLASSES = {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3, "trace": "mixed"}
+WORK_CLASSES = {"datacenters.clock_law": PrefillDecodeDvfs(), "datacenters.boost_share": 1.3, "trace": "mixed"}
 """Overrides that give data centres two classes of work, and draws above the rating."""
 KINDS = (
     "toy6", "ieee123", "mixed", "fault", "ieee34-3ph", "ieee33-weak-ups", "routing", "ride-through", "smoothing",
@@ -21,7 +21,7 @@ VARIANTS = {
     "faults": ("fault", {}),
     "pv": ("mixed", {"horizon": 20}),
     "steps of 0.1 s": ("training", {"horizon": 20}),
-    "two work classes": ("ieee33-weak", WORK_CLASSES | {"site_correlation": 0.5, "horizon": 20}),
+    "two work classes": ("ieee33-weak", WORK_CLASSES | {"workload.site_correlation": 0.5, "horizon": 20}),
     "neighbours": ("ieee123", {"observe": "neighbours", "horizon": 8}),
     "feeder, noise and delay": ("robust", {"observe": "feeder", "horizon": 8}),
     "feeder": ("toy6", {"observe": "feeder", "horizon": 8}),
@@ -29,7 +29,12 @@ VARIANTS = {
     "three phases": ("ieee13-3ph", {"horizon": 20}),
     "regulators as agents": (
         "ieee34-3ph",
-        {"regulators": "agent", "capacitor_banks": "agent", "weights": {"switching": 1.0}, "horizon": 8},
+        {
+            "grid_control.regulators": "agent",
+            "grid_control.capacitors": "agent",
+            "weights": {"switching": 1.0},
+            "horizon": 8,
+        },
     ),
     "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
 }

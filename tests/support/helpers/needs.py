@@ -16,7 +16,7 @@ def stays_connected(scenario: Scenario) -> bool:
 
 def can_be_planned(scenario: Scenario) -> bool:
     """Whether no site leaves the grid or draws something else than what its work takes, which no linear model has."""
-    sites = scenario.part("datacenter")
+    sites = scenario.datacenters
     return stays_connected(scenario) and sites.smoothing is None and sites.cooling is None
 
 

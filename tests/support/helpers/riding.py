@@ -11,11 +11,11 @@ def riding(name: str = "ieee33-weak", **changes: Any) -> Scenario:
     """A preset whose sites have the curve ``itic`` and whose inverters have that of IEEE 1547, in the sags of 2024."""
     given = {
         "horizon": 150,
-        "datacenter_ride_through": {"curve": "itic", "by_hand_s": 20.0, "battery_s": 30.0, "recharge_share": 0.2},
-        "inverter_ride_through": {"curve": "ieee1547-cat2", "return_delay_s": 5.0, "walk_in_s": 5.0},
+        "datacenters.ride_through": {"curve": "itic", "by_hand_s": 20.0, "battery_s": 30.0, "recharge_share": 0.2},
+        "inverters.ride_through": {"curve": "ieee1547-cat2", "return_delay_s": 5.0, "walk_in_s": 5.0},
         "sags": "virginia-2024",
     }
-    return make_scenario(name, **given | changes)
+    return make_scenario(name, **given).replace(**changes)
 
 
 def at_top_clock(scenario: Scenario, return_: float = 1.0) -> np.ndarray:
@@ -30,8 +30,8 @@ def ride_through_34(**changes: Any) -> Scenario:
     given = {
         "name": "ride-through",
         "horizon": 300,
-        "datacenter_ride_through": rule,
-        "inverter_ride_through": {"curve": "ieee1547-cat2"},
+        "datacenters.ride_through": rule,
+        "inverters.ride_through": {"curve": "ieee1547-cat2"},
         "sags": "virginia-2024",
     }
-    return make_scenario("ieee34-3ph", **given | changes)
+    return make_scenario("ieee34-3ph", **given).replace(**changes)

@@ -10,8 +10,8 @@ def routed(name: str = "ieee33", **changes: Any) -> Scenario:
     given = {
         "trace": "code",
         "horizon": 40,
-        "datacenter_routing": {"movable_share": 0.8, "move_latency_s": 0.2},
-        "datacenter_batching": {},
-        "datacenter_service": {"target_s": 2.0, "deadline_s": 12.0},
+        "datacenters.routing": {"movable_share": 0.8, "move_latency_s": 0.2},
+        "datacenters.batching": {},
+        "datacenters.service": {"target_s": 2.0, "deadline_s": 12.0},
     }
-    return make_scenario(name, **given | changes)
+    return make_scenario(name, **given).replace(**changes)

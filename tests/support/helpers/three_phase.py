@@ -10,7 +10,7 @@ from dcgrid_env.grid.three_phase_tables import PhaseLineTable
 
 
 def _scenario(number: int, source_voltage_pu: float, **given: Any) -> Any:
-    shares = {"s_rated_share": 1.1, "q_max_share": 0.33}
+    shares = {"datacenters.s_rated_share": 1.1, "datacenters.q_max_share": 0.33}
     return Scenario(
         name=f"ieee{number}-three-phase",
         feeder=load_feeder(f"ieee{number}-3ph"),
@@ -27,27 +27,32 @@ def _scenario(number: int, source_voltage_pu: float, **given: Any) -> Any:
 def ieee13() -> Any:
     """Two sites and four inverters on the IEEE 13 node feeder, two of them on one phase."""
     return _scenario(
-        13, 1.0001, n_datacenters=2, datacenter_buses=("671", "680"), p_rated_kw=500.0,
-        inverter_buses=("633", "675", "611", "652"), inverter_s_kva=(150.0, 200.0, 60.0, 60.0),
-    )  # fmt: skip
+        13,
+        1.0001,
+        n_datacenters=2,
+        datacenters={"buses": ("671", "680"), "p_rated_kw": 500.0},
+        inverters={"buses": ("633", "675", "611", "652"), "s_rated_kva": (150.0, 200.0, 60.0, 60.0)},
+    )
 
 
 @cache
 def ieee34() -> Any:
     """Two sites and five inverters on the IEEE 34 node feeder, which is long and weak."""
     return _scenario(
-        34, 1.05, n_datacenters=2, datacenter_buses=("840", "860"), p_rated_kw=250.0,
-        inverter_buses=("816", "834", "848", "822", "838"), inverter_s_kva=(100.0, 100.0, 100.0, 30.0, 30.0),
-    )  # fmt: skip
+        34,
+        1.05,
+        n_datacenters=2,
+        datacenters={"buses": ("840", "860"), "p_rated_kw": 250.0},
+        inverters={"buses": ("816", "834", "848", "822", "838"), "s_rated_kva": (100.0, 100.0, 100.0, 30.0, 30.0)},
+    )
 
 
 @cache
 def ieee123() -> Any:
     """The paper's study on the IEEE 123 node feeder itself: five sites at random, seven inverters."""
     return _scenario(
-        123, 1.0, n_datacenters=5, p_rated_kw=280.0,
-        inverter_buses=(2, 11, 40, 54, 87, 92, 103), inverter_s_kva=50.0,
-    )  # fmt: skip
+        123, 1.0, n_datacenters=5, datacenters={"p_rated_kw": 280.0},
+        inverters={"buses": (2, 11, 40, 54, 87, 92, 103), "s_rated_kva": 50.0}, )  # fmt: skip
 
 
 @cache
@@ -63,10 +68,15 @@ def one_phase() -> Any:
         phase_line=PhaseLineTable(["l", "m"], ["0", "1"], ["1", "2"], ["b"] * 2, [1.0] * 2, [r] * 2, [x] * 2, [b] * 2),
     )
     return Scenario(
-        name="one phase", feeder=ThreePhaseFeeder.from_network(network), power_flow="sweep", source_voltage_pu=1.0,
-        horizon=20, n_datacenters=1, datacenter_buses=("1",), datacenter_phases=("b",), p_rated_kw=50.0,
-        inverter_buses=("2",), inverter_s_kva=20.0, s_rated_share=1.1, q_max_share=0.33,
-    )  # fmt: skip
+        name="one phase",
+        feeder=ThreePhaseFeeder.from_network(network),
+        power_flow="sweep",
+        source_voltage_pu=1.0,
+        horizon=20,
+        n_datacenters=1,
+        datacenters={"buses": ("1",), "phases": ("b",), "p_rated_kw": 50.0, "s_rated_share": 1.1, "q_max_share": 0.33},
+        inverters={"buses": ("2",), "s_rated_kva": 20.0},
+    )
 
 
 SCENARIOS = {"ieee13": ieee13, "ieee34": ieee34, "ieee123": ieee123}

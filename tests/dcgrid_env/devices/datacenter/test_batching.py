@@ -8,7 +8,7 @@ from dcgrid_env import Batching, DcgridVectorEnv, Recorder, action_layout, make_
 
 def course(batch: float, **changes):
     """Metrics of an episode at one setting of the channel ``batch`` and the top clock, and its last state."""
-    s = make_scenario("bursty", horizon=30, datacenter_batching=Batching(**changes))
+    s = make_scenario("bursty", horizon=30, datacenters={"batching": Batching(**changes)})
     env = DcgridVectorEnv(1, s)
     env.reset(seed=[4])
     recorder, values = Recorder(s, env.transition), {"clock": 1.0, "batch": batch}
@@ -21,7 +21,7 @@ def course(batch: float, **changes):
 
 def test_at_rest_it_is_the_scenario_without_batches():
     s = make_scenario("bursty", horizon=5)
-    rest = next(c for c in s.replace(datacenter_batching={}).devices[0].channels if c.name == "batch")
+    rest = next(c for c in s.replace(datacenters={"batching": {}}).devices[0].channels if c.name == "batch")
     at = float(2.0 * (rest.rest[0] - rest.lowest[0]) / (rest.highest[0] - rest.lowest[0]) - 1.0)
     metrics, series = course(at)
     env = DcgridVectorEnv(1, s.replace(horizon=30))

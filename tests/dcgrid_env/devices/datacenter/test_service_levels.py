@@ -89,7 +89,7 @@ def test_lateness_of_a_course_that_is_known():
 @pytest.mark.parametrize("order", ["edf", "fcfs"])
 def test_late_work_and_what_is_left_at_the_end_are_charged(order):
     levels = ServiceLevels(target_s=1.0, deadline_s=4.0, order=order, late_weight=2.0)
-    s = routed(datacenter_service=levels, datacenter_batching=None, weights={"backlog": 0.0}, horizon=30)
+    s = routed(datacenters={"service": levels, "batching": None}, weights={"backlog": 0.0}, horizon=30)
     env = DcgridVectorEnv(1, s)
     env.reset(seed=[2])
     recorder, clock = Recorder(s, env.transition), action_layout(s).is_channel("clock")

@@ -15,7 +15,7 @@ STEPS = 20
 
 
 def scenario(**overrides):
-    return make_scenario("ieee33-weak", horizon=STEPS, **({"datacenter_storage": FIGURES} | overrides))
+    return make_scenario("ieee33-weak", horizon=STEPS, datacenters={"storage": FIGURES}).replace(**overrides)
 
 
 def history(s, actions, lanes=1):
@@ -108,13 +108,13 @@ def test_files_and_hashes(tmp_path):
     again = make_scenario(tmp_path / "a.toml")
     assert again.difference(s) is None
     assert dcgrid_env.scenario_hash(again) == dcgrid_env.scenario_hash(s)
-    assert dcgrid_env.scenario_hash(s) != dcgrid_env.scenario_hash(s.replace(datacenter_storage=None))
+    assert dcgrid_env.scenario_hash(s) != dcgrid_env.scenario_hash(s.replace(datacenters={"storage": None}))
 
 
 def test_laws_leave_it_at_rest_and_hindsight_refuses_it():
     figures = rollout(scenario(), find_controller("droop", scenario()), [0]).metrics()[0]
     assert figures["site_storage_throughput_kwh"] == 0.0
-    with pytest.raises(ValueError, match=r"hindsight plans storages that are agents; .* leave datacenter_storage out"):
+    with pytest.raises(ValueError, match=r"hindsight plans storages that are agents; .* leave datacenters.storage out"):
         hindsight(scenario(), 0)
 
 
@@ -126,14 +126,14 @@ def test_laws_leave_it_at_rest_and_hindsight_refuses_it():
         (FIGURES | {"energy_kwh": -1.0}, "energy_kwh is -1.0; give one positive number"),
         (FIGURES | {"charge_efficiency": 1.1}, "charge_efficiency is 1.1; give one finite number"),
         (FIGURES | {"p_rated_kw": (1.0, 2.0)}, "or one for each of the 3 devices"),
-        (300.0, r"datacenter_storage is 300.0; give SiteStorage\(p_rated_kw=.., energy_kwh=..\), a mapping of its"),
+        (300.0, r"datacenters.storage is 300.0; give SiteStorage\(p_rated_kw=.., energy_kwh=..\), a mapping of its"),
     ],
 )
 def test_bad_figures_are_refused_by_name(given, message):
     with pytest.raises(ScenarioError, match=message):
-        scenario(datacenter_storage=given)
+        scenario(datacenters={"storage": given})
 
 
 def test_beside_a_ups_it_is_refused():
     with pytest.raises(ScenarioError, match="leave it out beside ride_through, or give Storages, agents of their own"):
-        scenario(datacenter_ride_through="itic")
+        scenario(datacenters={"ride_through": "itic"})

@@ -54,7 +54,7 @@ def test_at_rest_every_site_keeps_its_own_work():
     assert not own.received_kw.any()
     plain = make_scenario("ieee33", trace="code", horizon=20)
     figures = []
-    for s in (plain, plain.replace(datacenter_routing=Routing())):
+    for s in (plain, plain.replace(datacenters={"routing": Routing()})):
         env = DcgridVectorEnv(2, s)
         env.reset(seed=[3, 4])
         names = action_layout(s).names
@@ -89,7 +89,12 @@ def test_it_has_a_derivative_by_what_is_given_and_taken():
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"dvfs": "prefill-decode", "boost_share": 1.2}, {"faults": [Fault(("datacenter",), (2.0, 6.0))]}]
+    "changes",
+    [
+        {},
+        {"datacenters.clock_law": "prefill-decode", "datacenters.boost_share": 1.2},
+        {"faults": [Fault(("datacenter",), (2.0, 6.0))]},
+    ],
 )
 def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
     s = routed(**changes)
@@ -97,7 +102,7 @@ def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
     actions = rng.uniform(-1.0, 1.0, (s.horizon, 2, n)).astype(np.float32)
     batch, one = DcgridVectorEnv(2, s), DcgridVectorEnv(1, s)
     tensors = TensorEnv(s, like=torch.empty(0, dtype=torch.float64))
-    plain = DcgridVectorEnv(2, s.replace(datacenter_routing=None, datacenter_batching=None, datacenter_service=None))
+    plain = DcgridVectorEnv(2, s.replace(datacenters={"routing": None, "batching": None, "service": None}))
     batch.reset(seed=[6, 7])
     one.reset(seed=[7])
     plain.reset(seed=[6, 7])
@@ -124,17 +129,20 @@ def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"datacenter_routing": {"movable_share": 1.2}}, "routing.movable_share is 1.2.*in \\[0, 1\\]"),
-        ({"datacenter_routing": {"move_latency_s": -1.0}}, "move_latency_s is -1.0; give a finite number"),
-        ({"datacenter_routing": {"move_latency_s": 2.0}}, "move_latency_s is 2.0; give at most one step, dt_s = 1"),
-        ({"datacenter_routing": {"share": 1.0}}, "no datacenter_routing field 'share'; .*its fields are movable_share"),
-        ({"datacenter_routing": 3}, "routing is 3; give Routing\\(..\\), a mapping of its fields, or None"),
-        ({"datacenter_batching": {"lowest": 64.0, "highest": 8.0}}, "lowest is 64.0; give less than highest = 8"),
-        ({"datacenter_batching": {"reference": 1024.0}}, "reference is 1024.0; give a size from 8 to 512"),
-        ({"datacenter_service": {"deadline_s": 0.0}}, "deadline_s is 0.0; give a finite number"),
-        ({"datacenter_service": {"deadline_s": 1.0}}, "deadline_s is 1.0; give more than target_s = 2"),
-        ({"datacenter_service": {"deadline_s": 601.0}}, "deadline_s is 601.0; give at most 600 steps, 600 s"),
-        ({"datacenter_service": {"order": "lifo"}}, "order is 'lifo'; choose one of edf, fcfs"),
+        ({"datacenters.routing": {"movable_share": 1.2}}, "routing.movable_share is 1.2.*in \\[0, 1\\]"),
+        ({"datacenters.routing": {"move_latency_s": -1.0}}, "move_latency_s is -1.0; give a finite number"),
+        ({"datacenters.routing": {"move_latency_s": 2.0}}, "move_latency_s is 2.0; give at most one step, dt_s = 1"),
+        (
+            {"datacenters.routing": {"share": 1.0}},
+            "no datacenters.routing field 'share'; .*its fields are movable_share",
+        ),
+        ({"datacenters.routing": 3}, "routing is 3; give Routing\\(..\\), a mapping of its fields, or None"),
+        ({"datacenters.batching": {"lowest": 64.0, "highest": 8.0}}, "lowest is 64.0; give less than highest = 8"),
+        ({"datacenters.batching": {"reference": 1024.0}}, "reference is 1024.0; give a size from 8 to 512"),
+        ({"datacenters.service": {"deadline_s": 0.0}}, "deadline_s is 0.0; give a finite number"),
+        ({"datacenters.service": {"deadline_s": 1.0}}, "deadline_s is 1.0; give more than target_s = 2"),
+        ({"datacenters.service": {"deadline_s": 601.0}}, "deadline_s is 601.0; give at most 600 steps, 600 s"),
+        ({"datacenters.service": {"order": "lifo"}}, "order is 'lifo'; choose one of edf, fcfs"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(changes, message):

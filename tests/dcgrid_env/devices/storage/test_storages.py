@@ -50,7 +50,7 @@ def test_one_environment_a_batch_agents_and_tensors_agree(base):
     s = base
     if s is None:
         grid = ieee13().replace(horizon=10)
-        at = grid.datacenter_buses[0]
+        at = grid.datacenters.buses[0]
         storages = Storages(buses=(at, "692"), phases=("abc", "c"), s_rated_kva=300.0, **FIGURES)
         s = grid.replace(name="storage", devices=(*grid.devices, storages))
     n, rng = dcgrid_env.action_layout(s).n, np.random.default_rng(0)
@@ -158,7 +158,10 @@ def test_sizes_from_a_capacitor_to_hours():
     [
         ({"energy_kwh": -5.0}, "energy_kwh is -5.0; give one positive number of at most 1e"),
         ({"p_rated_kw": 0.0}, "p_rated_kw is 0.0; give one positive number"),
-        ({"p_rated_kw": (1.0, 2.0, 3.0)}, r"p_rated_kw is \(1.0, 2.0, 3.0\); .* or one for each of the 2 devices"),
+        (
+            {"p_rated_kw": (1.0, 2.0, 3.0)},
+            r"p_rated_kw is \(1.0, 2.0, 3.0\); .* or one for each of the 2 devices",
+        ),
         ({"charge_efficiency": 1.1}, r"charge_efficiency is 1.1; give one finite number in \[0.01, 1\]"),
         ({"discharge_efficiency": (0.9, float("nan"))}, r"discharge_efficiency is \(0.9, nan\); give one finite"),
         ({"standby_share_per_h": 1.0}, r"standby_share_per_h is 1.0; give one finite number in \[0, 0.99\]"),
@@ -194,7 +197,13 @@ def test_bad_sizes_are_refused_by_name(make, message):
 
 
 def test_a_bad_figure_of_a_scenario_file_is_named_with_its_path():
-    wrong = {"kind": "storage", "buses": ["2"], "p_rated_kw": 1.0, "energy_kwh": 1.0, "charge_efficiency": 2.0}
+    wrong = {
+        "kind": "storage",
+        "buses": ["2"],
+        "p_rated_kw": 1.0,
+        "energy_kwh": 1.0,
+        "charge_efficiency": 2.0,
+    }
     with pytest.raises(ScenarioError, match=r"devices\[0\].charge_efficiency is 2.0; give one finite number"):
         make_scenario("toy6").replace(devices=[wrong])
 

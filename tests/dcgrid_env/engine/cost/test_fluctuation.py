@@ -81,7 +81,9 @@ def test_asked_for_where_it_cannot_be_had_is_one_clear_error(overrides, message)
 
 
 def test_an_episode_that_ends_early_has_its_figures_all_the_same():
-    scenario = make_scenario("toy6", p_rated_kw=25_000.0, **TENTHS)  # whose load cannot be carried from t = 20 s on
+    scenario = make_scenario(
+        "toy6", **{"datacenters.p_rated_kw": 25_000.0}, **TENTHS
+    )  # whose load cannot be carried from t = 20 s on
     metrics = rollout(scenario, NoControl(), [0]).metrics()[0]
     assert metrics["steps"] < 400
     assert 0.0 < metrics["pst_max"] < np.inf
@@ -89,7 +91,7 @@ def test_an_episode_that_ends_early_has_its_figures_all_the_same():
 
 
 def test_without_sites_there_is_no_swing():
-    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=None, **TENTHS)
+    scenario = make_scenario("toy6", n_datacenters=0, **{"datacenters.buses": None}, **TENTHS)
     n_node, n_agent = scenario.feeder.n_node, scenario.n_agents
     whole = StreamingFluctuation(scenario)
     whole.add(np.ones((6001, n_node)), np.ones((6001, n_agent)))
@@ -131,13 +133,13 @@ def test_a_band_that_cannot_be_shown_is_refused(band_hz):
 
 
 def limited(**overrides: Any) -> Scenario:
-    return make_scenario("ieee33-weak", **{"horizon": 15, "ramp_limit_kw_per_s": 2.0, **overrides})
+    return make_scenario("ieee33-weak", **{"horizon": 15, "cost.ramp_limit_kw_per_s": 2.0}).replace(**overrides)
 
 
 @pytest.mark.parametrize("window_s", [1.0, 4.0])
 def test_figures_of_ramps_are_what_would_be_charged(window_s):
     weights = {"ramp_excess": 1.0, "voltage_step_excess": 1.0}
-    scenario = limited(ramp_window_s=window_s, voltage_step_limit_pu=1e-4, weights=weights)
+    scenario = limited(cost={"ramp_window_s": window_s, "voltage_step_limit_pu": 1e-4}, weights=weights)
     for metrics in rollout(scenario, NoControl(), range(2)).metrics():
         assert metrics["ramp_excess_pct"] == pytest.approx(100.0 * metrics["cost_ramp_excess"])
         assert metrics["voltage_step_excess_pct"] == pytest.approx(100.0 * metrics["cost_voltage_step_excess"])
@@ -150,5 +152,6 @@ def test_figures_of_ramps_take_a_limit_and_no_weight():
     assert metrics["ramp_excess_pct"] > 0.0
     assert not {"cost_ramp_excess", "voltage_step_max_pu"} & set(metrics)
     assert not any(
-        name.startswith("ramp") for name in rollout(limited(ramp_limit_kw_per_s=None), NoControl(), [0]).metrics()[0]
+        name.startswith("ramp")
+        for name in rollout(limited(cost={"ramp_limit_kw_per_s": None}), NoControl(), [0]).metrics()[0]
     )

@@ -17,13 +17,13 @@ def named(*beginnings: str) -> set[str]:
 
 
 LIMITED = {
-    "ramp_limit_kw_per_s": 10.0,
-    "voltage_step_limit_pu": 0.02,
+    "cost.ramp_limit_kw_per_s": 10.0,
+    "cost.voltage_step_limit_pu": 0.02,
     "weights": {"ramp_excess": 1.0, "voltage_step_excess": 1.0},
 }
 RATED = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, 100.0))
-SITES = {f"datacenter_{name}": {} for name in ("smoothing", "cooling", "routing", "batching", "service")} | {
-    "datacenter_storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}
+SITES = {f"datacenters.{name}": {} for name in ("smoothing", "cooling", "routing", "batching", "service")} | {
+    "datacenters.storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}
 }
 GROUPS = {
     "requests": named("requests", "ttft", "e2e"),

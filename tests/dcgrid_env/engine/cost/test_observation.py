@@ -45,7 +45,7 @@ def play(scenario: Scenario, lanes: int, steps: int, seed: int = 0, first_seed: 
     def transitions() -> Any:
         yield simulation.reset(range(first_seed, first_seed + lanes))
         for _ in range(steps):
-            action = rng.uniform(-1, 1, (lanes, 2 * scenario.n_datacenters + scenario.n_inverters))
+            action = rng.uniform(-1, 1, (lanes, 2 * scenario.datacenters.count + scenario.inverters.count))
             yield simulation.step(action)
 
     return simulation, transitions()
@@ -69,14 +69,19 @@ def test_fields_and_their_order():
 
 
 def test_two_classes_add_their_fields_after_the_backlog():
-    names = field_names(make_scenario("ieee33-weak", dvfs=PrefillDecodeDvfs(), observe="neighbours"))
+    names = field_names(
+        make_scenario("ieee33-weak", datacenters={"clock_law": PrefillDecodeDvfs()}, observe="neighbours")
+    )
     assert names["dc_1"][:11] == TWO_CLASSES
     assert names["dc_1"][11] == "neighbour0_v_deviation"
     assert names["inv_0"][:8] == (*COMMON, "neighbour0_v_deviation")
 
 
 def test_a_boost_widens_what_it_may_exceed():
-    plain, wide = (make_scenario("toy6", horizon=30, dvfs=PrefillDecodeDvfs(), boost_share=b) for b in (1.0, 1.3))
+    plain, wide = (
+        make_scenario("toy6", horizon=30, datacenters={"clock_law": PrefillDecodeDvfs(), "boost_share": b})
+        for b in (1.0, 1.3)
+    )
     (low, high), (low_wide, high_wide) = (observation.bounds(s)["dc_0"] for s in (plain, wide))
     np.testing.assert_array_equal(low, low_wide)
     grown = {name for name, a, b in zip(TWO_CLASSES, high, high_wide, strict=True) if b != a}
@@ -85,7 +90,7 @@ def test_a_boost_widens_what_it_may_exceed():
 
 
 def test_bounds_of_the_fields():
-    scenario = make_scenario("toy6", horizon=30, dt_s=2.0, band_pu=0.04)
+    scenario = make_scenario("toy6", horizon=30, dt_s=2.0, cost={"band_pu": 0.04})
     low, high = observation.bounds(scenario)["dc_0"]
     assert low.dtype == high.dtype == np.float32
     assert dict(zip(SITE, low.tolist(), strict=True)) == {
@@ -112,12 +117,12 @@ def test_bounds_of_the_fields():
 
 def test_without_a_band_voltages_are_in_per_unit():
     nothing_outside = CostWeights(violation=0.0)
-    scenario = make_scenario("toy6", band_pu=0.0, weights=nothing_outside, observe="neighbours")
+    scenario = make_scenario("toy6", cost={"band_pu": 0.0}, weights=nothing_outside, observe="neighbours")
     low, high = observation.bounds(scenario)["dc_0"]
     assert (low[0], high[0], low[1], high[1]) == (-1.0, 1.0, -1.0, 1.0)
     for scope in ("neighbours", "feeder"):
         found = toy6_observed(
-            **{"band_pu": 0.0, "weights": nothing_outside, "observe": scope},
+            **{"cost.band_pu": 0.0, "weights": nothing_outside, "observe": scope},
             **({} if scope == "neighbours" else {"measured": hand_made()["state"].v_pu}),
         )
         assert found["dc_0"]["v_deviation"] == pytest.approx(0.02)
@@ -131,7 +136,9 @@ def test_a_feeder_without_resistance_has_a_narrow_range_of_it():
         name="bare", base_kv=1.0, substation=0, v0_pu=1.0, bus_ids=[0, 1], p_load_kw=[0.0, 1.0],
         q_load_kvar=[0.0, 0.0], from_bus=[0], to_bus=[1], r_ohm=[0.0], x_ohm=[0.1],
     )  # fmt: skip
-    scenario = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenter_buses=(), inverter_buses=(1,))
+    scenario = make_scenario(
+        "toy6", feeder=feeder, n_datacenters=0, datacenters={"buses": ()}, inverters={"buses": (1,)}
+    )
     _, high = observation.bounds(scenario)["inv_0"]
     assert high[COMMON.index("r")] == np.float32(1e-6)
     assert high[COMMON.index("x")] == pytest.approx(0.1 / 0.05)
@@ -209,7 +216,7 @@ def test_local_figures():
 
 
 def test_a_narrower_band_widens_the_voltages():
-    found = toy6_observed(band_pu=0.02)
+    found = toy6_observed(cost={"band_pu": 0.02})
     for agent, wanted in WANTED.items():
         for name in ("v_deviation", "v_change", "r", "x"):
             assert found[agent][name] == pytest.approx(2.5 * wanted[name], abs=1e-12)
@@ -217,11 +224,11 @@ def test_a_narrower_band_widens_the_voltages():
 
 
 def test_no_preview_hides_the_power_to_come():
-    found = toy6_observed(preview=False)
+    found = toy6_observed(sensing={"preview": False})
     for agent, wanted in WANTED.items():
         hidden = {"p_ref_next": 0.0} if agent == "dc_0" else {}
         assert found[agent] == pytest.approx({**wanted, **hidden}, abs=1e-12)
-    scenario = make_scenario("toy6", preview=False)
+    scenario = make_scenario("toy6", sensing={"preview": False})
     inputs = hand_made()
     one = observation.observe(scenario, placed=placed_at(scenario, [4, 3, 5]), **inputs)
     inputs["given_next"] = given(np.array([[575.0]]))
@@ -232,7 +239,7 @@ def test_no_preview_hides_the_power_to_come():
 @pytest.mark.parametrize("preview", [True, False])
 def test_compute_bound_parts_of_what_comes_and_waits(preview):
     # 2000 kW less 575 idle, 0.4 of it compute-bound; 1500 of the 5000 kW s.
-    scenario = make_scenario("toy6", dvfs=PrefillDecodeDvfs(), preview=preview)
+    scenario = make_scenario("toy6", datacenters={"clock_law": PrefillDecodeDvfs()}, sensing={"preview": preview})
     inputs = hand_made()
     inputs["state"] = with_fields(inputs["state"], class_backlog_kws=np.array([[[1500.0, 3500.0]]]))
     share = np.array([[0.4]])
@@ -336,8 +343,8 @@ def test_neighbours_are_of_the_own_lane():
     *_, last = transitions
     state, n = last.state, scenario.n_agents
     found = named(scenario, last.observation)
-    scale_p = np.concatenate((scenario.datacenter.p_rated_kw, scenario.inverter.s_rated_kva))
-    scale_q = np.concatenate((scenario.datacenter.q_max_kvar, scenario.inverter.s_rated_kva))
+    scale_p = np.concatenate((scenario.datacenters.parameters.p_rated_kw, scenario.inverters.parameters.s_rated_kva))
+    scale_q = np.concatenate((scenario.datacenters.parameters.q_max_kvar, scenario.inverters.parameters.s_rated_kva))
     for lane in range(4):
         for i, agent in enumerate(scenario.agents):
             for rank in range(3):
@@ -413,7 +420,7 @@ def test_fields_follow_the_episode():
 
 def test_measurement_noise_has_its_standard_deviation_and_reaches_no_physics():
     sigma = 0.004
-    noisy, clean = (make_scenario("ieee33-weak", horizon=30, voltage_noise_pu=s) for s in (sigma, 0.0))
+    noisy, clean = (make_scenario("ieee33-weak", horizon=30, sensing={"noise_pu": s}) for s in (sigma, 0.0))
     lanes, errors, changes = 150, [], []
     for a, b in zip(play(noisy, lanes, 30)[1], play(clean, lanes, 30)[1], strict=True):
         np.testing.assert_array_equal(a.state.v_pu, b.state.v_pu)
@@ -438,7 +445,7 @@ def test_measurement_noise_has_its_standard_deviation_and_reaches_no_physics():
 
 
 def test_measurement_noise_is_reproducible():
-    scenario = make_scenario("toy6", horizon=8, voltage_noise_pu=0.01)
+    scenario = make_scenario("toy6", horizon=8, sensing={"noise_pu": 0.01})
     one, again = (
         np.array([t.observation for t in play(scenario, 3, 8)[1]]),
         np.array([t.observation for t in play(scenario, 3, 8)[1]]),
@@ -453,7 +460,7 @@ def test_measurement_noise_is_reproducible():
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_delayed_measurement_is_that_of_so_many_steps_ago(delay, noise):
     late, prompt = (
-        make_scenario("ieee33-weak", horizon=10, measurement_delay=d, voltage_noise_pu=noise) for d in (delay, 0)
+        make_scenario("ieee33-weak", horizon=10, sensing={"delay_steps": d, "noise_pu": noise}) for d in (delay, 0)
     )
     old = [named(late, t.observation) for t in play(late, 4, 10)[1]]
     new = [named(prompt, t.observation) for t in play(prompt, 4, 10)[1]]
@@ -473,7 +480,7 @@ def test_a_delayed_measurement_is_that_of_so_many_steps_ago(delay, noise):
 @pytest.mark.parametrize("scope", ["local", "neighbours", "feeder"])
 @pytest.mark.parametrize("name", FORMS)
 def test_numpy_and_torch_observe_alike(name, scope, law):
-    scenario = make_scenario(name, observe=scope, voltage_noise_pu=0.01, measurement_delay=1, **LAWS[law])
+    scenario = make_scenario(name, observe=scope, **{"sensing.noise_pu": 0.01, "sensing.delay_steps": 1}, **LAWS[law])
     simulation, transitions = play(scenario, 4, 6)
     for _ in transitions:
         now = simulation.now

@@ -125,7 +125,9 @@ def test_every_weight_scales_its_own_term_and_no_other():
 
 
 def test_several_sites_and_lanes():
-    scenario = make_scenario("ieee33-weak", p_rated_kw=(1000.0, 500.0, 500.0), weights=CostWeights(clock=1.0))
+    scenario = make_scenario(
+        "ieee33-weak", datacenters={"p_rated_kw": (1000.0, 500.0, 500.0)}, weights=CostWeights(clock=1.0)
+    )
     lanes, n_bus = 2, 33
     v = np.full((lanes, n_bus), 1.01)
     v[1] = 0.90
@@ -151,7 +153,7 @@ def test_several_sites_and_lanes():
 
 @pytest.mark.parametrize("band", [0.02, 0.05, 0.1])
 def test_violation_begins_at_the_band(band):
-    scenario = make_scenario("toy6", band_pu=band)
+    scenario = make_scenario("toy6", cost={"band_pu": band})
     for excess in (-0.01, 0.0, 0.01):
         for side in (1.0, -1.0):
             state = hand_made_state(v_pu=[1.0, 1.0 + side * (band + excess), 1.0, 1.0, 1.0, 1.0])
@@ -162,14 +164,16 @@ def test_violation_begins_at_the_band(band):
 
 def test_the_rating_that_reactive_power_is_a_share_of():
     # A data centre's is s, not q_max; an inverter's is its limit at zero active power, whatever it injects.
-    scenario = make_scenario("toy6", s_rated_share=1.2, q_max_share=0.5, inverter_s_kva=(400.0, 800.0))
+    scenario = make_scenario(
+        "toy6", datacenters={"s_rated_share": 1.2, "q_max_share": 0.5}, inverters={"s_rated_kva": (400.0, 800.0)}
+    )
     state = hand_made_state(q_kvar=[300.0, 100.0, -400.0], q_limit_kvar=[1.0, 100.0, 400.0])
     found = figures(team_costs(scenario, state, solution_with_loss(0.0), NOT_LAST))
     assert found["effort"] == pytest.approx(0.02 * (0.1 + 0.25 + 0.5) / 3)
 
 
 def test_no_datacenter_has_no_backlog_to_pay_for():
-    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=())
+    scenario = make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()})
     course = play(scenario, 2, lambda k: np.ones((2, 2)))
     for transition in course:
         assert np.all(transition.costs.backlog == 0.0)
@@ -197,7 +201,7 @@ def test_local_costs_worked_by_hand():
 
 
 def test_local_backlog_is_a_share_of_the_own_rating():
-    scenario = make_scenario("ieee33-weak", p_rated_kw=(1000.0, 500.0, 250.0))
+    scenario = make_scenario("ieee33-weak", datacenters={"p_rated_kw": (1000.0, 500.0, 250.0)})
     state = with_fields(
         hand_made_state(),
         v_pu=np.ones((1, 33)), v_agent_pu=np.ones((1, 7)), v_agent_last_pu=np.ones((1, 7)), q_kvar=np.zeros((1, 7)),
@@ -211,7 +215,7 @@ def test_local_backlog_is_a_share_of_the_own_rating():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_torch_counts_the_same_costs(kind):
-    scenario = make_scenario("toy6", weights=EVERY, voltage_cost=kind)
+    scenario = make_scenario("toy6", weights=EVERY, cost={"voltage": kind})
     state, solution = hand_made_state(), solution_with_loss(125.0)
     tensors = state.map(torch.tensor)
     solution_t = Solution(*map(torch.tensor, solution))
@@ -272,7 +276,7 @@ def test_voltage_cost_is_continuous_positive_and_grows(kind):
         jump = np.delete(np.abs(np.diff(cost)), 1000).max()
     assert jump < 2.5e-4
     # By itself it takes no side: the feeder's cost above 1 is that below it.
-    scenario = make_scenario("toy6", voltage_cost=kind)
+    scenario = make_scenario("toy6", cost={"voltage": kind})
     above, below = (
         figures(team_costs(scenario, hand_made_state(v_pu=[1.0] + [1.0 + d] * 5), solution_with_loss(0.0), LAST))
         for d in (0.04, -0.04)
@@ -307,17 +311,17 @@ def test_costs_of_an_episode_add_up_to_the_cost_of_the_definition(name, dt_s):
                 abs(q) / s
                 for q, s in zip(
                     t.state.q_kvar[lane],
-                    [*scenario.datacenter.s_rated_kva, *scenario.inverter.s_rated_kva],
+                    [*scenario.datacenters.parameters.s_rated_kva, *scenario.inverters.parameters.s_rated_kva],
                     strict=True,
                 )
             ]
             c.append(
                 100 * np.mean(deviation)
                 + 1000 * np.mean([max(d - 0.05, 0.0) for d in deviation])
-                + 0.3 * sum(t.state.backlog_kws[lane]) / sum(scenario.datacenter.p_rated_kw)
+                + 0.3 * sum(t.state.backlog_kws[lane]) / sum(scenario.datacenters.parameters.p_rated_kw)
                 + 0.02 * np.mean(effort)
             )
-        left = sum(course[-1].state.backlog_kws[lane]) / sum(scenario.datacenter.p_rated_kw)
+        left = sum(course[-1].state.backlog_kws[lane]) / sum(scenario.datacenters.parameters.p_rated_kw)
         j = sum(c) / horizon + 9 * left / horizon
         assert sum(t.cost_j[lane] for t in course) == pytest.approx(j * horizon)
         assert sum(t.reward[lane] for t in course) == pytest.approx(-j * horizon)
@@ -332,7 +336,7 @@ def test_local_rewards_are_each_agents_own():
     scenario = make_scenario("ieee33-weak", horizon=6, reward="local")
     rng = np.random.default_rng(1)
     course = play(scenario, 3, lambda k: actions(scenario, 3, rng))[1:]
-    s_rated = np.concatenate((scenario.datacenter.s_rated_kva, scenario.inverter.s_rated_kva))
+    s_rated = np.concatenate((scenario.datacenters.parameters.s_rated_kva, scenario.inverters.parameters.s_rated_kva))
     for k, t in enumerate(course):
         deviation = np.abs(t.state.v_agent_pu - 1.0)
         wanted = 100 * deviation + 1000 * np.maximum(deviation - 0.05, 0.0) + 0.02 * np.abs(t.state.q_kvar) / s_rated
@@ -351,7 +355,7 @@ def test_local_rewards_are_each_agents_own():
 @pytest.mark.parametrize("name", FORMS)
 def test_largest_costs_bound_every_step(name, kind):
     weights = CostWeights(clock=1.0, step=1.0, loss=1.0)
-    scenario = make_scenario(name, voltage_cost=kind, weights=weights, horizon=30)
+    scenario = make_scenario(name, cost={"voltage": kind}, weights=weights, horizon=30)
     bound = largest_costs(scenario)
     rng = np.random.default_rng(2)
     lanes = 12
@@ -385,14 +389,17 @@ def test_largest_costs_worked_by_hand():
     [("l1", 1.0), ("l2", 1.0), ("bowl", 1.905), ("courant_beltrami", 0.95**2), ("bump", math.exp(-1))],
 )
 def test_the_largest_voltage_cost_is_that_of_no_voltage(kind, largest):
-    scenario = make_scenario("toy6", voltage_cost=kind)
+    scenario = make_scenario("toy6", cost={"voltage": kind})
     assert largest_costs(scenario).voltage == pytest.approx(100.0 * largest)
-    grid = voltage_cost(kind, np.linspace(0.0, 1.0, 1001), scenario.band_pu)
+    grid = voltage_cost(kind, np.linspace(0.0, 1.0, 1001), scenario.cost.band_pu)
     assert largest_costs(scenario).voltage == 100.0 * grid.max()
 
 
 def test_a_boost_may_queue_and_lose_more():
-    plain, wide = (largest_costs(make_scenario("toy6", weights=EVERY, horizon=40, boost_share=b)) for b in (1.0, 1.3))
+    plain, wide = (
+        largest_costs(make_scenario("toy6", weights=EVERY, horizon=40, datacenters={"boost_share": b}))
+        for b in (1.0, 1.3)
+    )
     assert wide.backlog == pytest.approx(plain.backlog * 1.07 / 0.77)
     assert wide.leftover == pytest.approx(plain.leftover * 1.07 / 0.77)
     assert wide.loss == pytest.approx(plain.loss * 1.3)
@@ -402,7 +409,7 @@ def test_a_boost_may_queue_and_lose_more():
 
 def test_the_largest_backlog_is_reached():
     # Full load and a clock that serves next to nothing.
-    scenario = make_scenario("toy6", f_min_mhz=1e-6, horizon=60)
+    scenario = make_scenario("toy6", datacenters={"f_min_mhz": 1e-6}, horizon=60)
     bound = largest_costs(scenario)
     simulation = Simulation(scenario, 1)
     simulation.reset([0])
@@ -438,7 +445,7 @@ def test_charged_keeps_sound_lanes_and_charges_the_rest_for_all_that_remains(sha
 
 def weak_site(**overrides: Any) -> Scenario:
     """The site's full load, from t = 20 s on, is more than the feeder carries; throttled it has a solution."""
-    return make_scenario("toy6", p_rated_kw=25_000.0, horizon=30, **overrides)
+    return make_scenario("toy6", **{"datacenters.p_rated_kw": 25_000.0}, horizon=30).replace(**overrides)
 
 
 def test_a_collapsed_lane_is_terminated_and_charged_once():
@@ -478,7 +485,7 @@ def test_collapse_at_the_last_step_terminates_and_does_not_truncate():
 @pytest.mark.parametrize("kind", KINDS)
 def test_ending_early_never_pays(kind, reward_scope):
     # The same 19 steps, then one lane collapses and the others go on to the end as badly as they can.
-    scenario = weak_site(voltage_cost=kind, reward=reward_scope)
+    scenario = weak_site(cost={"voltage": kind}, reward=reward_scope)
     lanes, rng = 8, np.random.default_rng(3)
     paid, over = np.zeros((lanes, scenario.n_agents)), np.zeros(lanes, dtype=bool)
     simulation = Simulation(scenario, lanes)

@@ -16,7 +16,9 @@ DAY = {"horizon": 1440, "dt_s": 60.0}
 
 
 def test_the_base_load_has_the_course_of_a_day():
-    scenario = make_scenario("ieee33", start_hour=0, load_sigma=0.0, split="test", **DAY)
+    scenario = make_scenario(
+        "ieee33", **{"background.start_hour": 0, "background.load_sigma": 0.0}, split="test", **DAY
+    )
     found = forecast(scenario, 5).p_load_kw
     hours = np.arange(1, 1441) / 60.0
     np.testing.assert_allclose(found, load_share(hours)[:, None] * scenario.feeder.p_load_kw, rtol=1e-12)
@@ -24,26 +26,26 @@ def test_the_base_load_has_the_course_of_a_day():
 
 
 def test_capacitors_do_not_follow_the_day():
-    scenario = make_scenario("ieee123", start_hour=4.5, load_sigma=0.0, horizon=2)
+    scenario = make_scenario("ieee123", background={"start_hour": 4.5, "load_sigma": 0.0}, horizon=2)
     feeder = scenario.feeder
     wanted = 0.56 * feeder.q_load_kvar - feeder.capacitor_kvar
     np.testing.assert_allclose(forecast(scenario, 0).q_load_kvar[0], wanted, atol=1e-2)
 
 
 def test_the_sun_is_down_at_midnight_and_as_before_at_noon():
-    scenario = make_scenario("mixed", start_hour=0, split="test", **DAY)
+    scenario = make_scenario("mixed", **{"background.start_hour": 0}, split="test", **DAY)
     found = forecast(scenario, 0).p_inverter_kw
     hours = np.arange(1, 1441) / 60.0
     assert (found[(hours < 4.5) | (hours > 19.5)] == 0.0).all()
-    cap = sun_share(hours)[:, None] * scenario.inverter.s_rated_kva
+    cap = sun_share(hours)[:, None] * scenario.inverters.parameters.s_rated_kva
     assert (found <= cap + 1e-9).all()
     assert (found[(hours > 6) & (hours < 18)] > 0.0).all()
-    noon, still = (forecast(make_scenario("mixed", start_hour=h, horizon=5), 0) for h in (12.0, None))
+    noon, still = (forecast(make_scenario("mixed", background={"start_hour": h}, horizon=5), 0) for h in (12.0, None))
     np.testing.assert_allclose(noon.p_inverter_kw, still.p_inverter_kw, rtol=1e-5)
 
 
 def test_a_schedule_of_ones_own_is_left_as_it_is():
-    scenario = make_scenario("toy6", start_hour=0, inverter_trace=[0.5] * 6, horizon=5)
+    scenario = make_scenario("toy6", background={"start_hour": 0}, inverters={"injection": [0.5] * 6}, horizon=5)
     np.testing.assert_allclose(forecast(scenario, 0).p_inverter_kw, 500.0)
 
 
@@ -52,25 +54,27 @@ def test_short_episodes_stand_still_unless_an_hour_is_given():
     assert not scenario.follows_day
     drawn = episode.draw(scenario, np.arange(3, dtype=np.uint64), np.zeros(3, np.uint64))
     assert drawn.begin_h.tolist() == [0.0] * 3
-    assert make_scenario("ieee33", start_hour=0).follows_day
+    assert make_scenario("ieee33", background={"start_hour": 0}).follows_day
     assert not make_scenario("ieee33", horizon=3600).follows_day
     assert make_scenario("ieee33", horizon=3601).follows_day
 
 
 def test_long_episodes_draw_their_hour_and_given_ones_have_it():
     seeds = np.arange(200, dtype=np.uint64)
-    for fields in ({"start_hour": "random"}, {"horizon": 61, "dt_s": 60.0}):
+    for fields in ({"background.start_hour": "random"}, {"horizon": 61, "dt_s": 60.0}):
         drawn = episode.draw(make_scenario("toy6", **fields), seeds, np.zeros_like(seeds)).begin_h
         assert len(set(drawn.tolist())) == 200
         assert 0.0 <= drawn.min() < 1.0
         assert 23.0 < drawn.max() < 24.0
         assert abs(drawn.mean() - 12.0) < 1.5
-    given = make_scenario("toy6", start_hour=6.5, horizon=61, dt_s=60.0)
+    given = make_scenario("toy6", background={"start_hour": 6.5}, horizon=61, dt_s=60.0)
     assert episode.draw(given, seeds, np.zeros_like(seeds)).begin_h.tolist() == [6.5] * 200
 
 
 def test_sites_that_follow_the_day_are_at_the_episodes_hour():
-    scenario = make_scenario("toy6", trace="code", trace_window="random", start_hour=20.25, horizon=30, dt_s=60.0)
+    scenario = make_scenario(
+        "toy6", trace="code", workload={"window": "random"}, background={"start_hour": 20.25}, horizon=30, dt_s=60.0
+    )
     drawn = episode.draw(scenario, np.arange(4, dtype=np.uint64), np.zeros(4, np.uint64))
     pool = trace_pool(scenario)
     assert isinstance(pool, RowsOnDemand)
@@ -84,7 +88,9 @@ def test_sites_that_follow_the_day_are_at_the_episodes_hour():
 
 def test_a_snapshot_goes_on_where_its_rows_have_not_been_made():
     def fresh():
-        return Simulation(make_scenario("ieee33-weak", name="mine", horizon=70, dt_s=60.0, start_hour=3.0), 1)
+        return Simulation(
+            make_scenario("ieee33-weak", name="mine", horizon=70, dt_s=60.0, background={"start_hour": 3.0}), 1
+        )
 
     first = fresh()
     first.reset([0])
@@ -108,8 +114,8 @@ def test_a_batch_a_tensor_environment_and_a_forecast_have_the_same_day(name):
     recorder = rollout(scenario, NoControl(), range(3))
     env = TensorEnv(scenario, like=np.zeros(0))
     env.reset(range(3))
-    top = np.zeros((3, 2 * scenario.n_datacenters + scenario.n_inverters))
-    top[:, 0 : 2 * scenario.n_datacenters : 2] = 1.0
+    top = np.zeros((3, 2 * scenario.datacenters.count + scenario.inverters.count))
+    top[:, 0 : 2 * scenario.datacenters.count : 2] = 1.0
     cost = sum(env.step(top).cost_j for _ in range(130))
     np.testing.assert_allclose(recorder.costs(), cost / 130, rtol=1e-9)
     np.testing.assert_allclose(recorder.lane(1).v_pu[-1], env.state.v_pu[1], rtol=1e-9)

@@ -23,7 +23,7 @@ def recording(values: list[float] | np.ndarray, name: str = "recording", dt_s: f
 
 
 def actions(scenario: Scenario, lanes: int, seed: int = 0) -> np.ndarray:
-    n = 2 * scenario.n_datacenters + scenario.n_inverters
+    n = 2 * scenario.datacenters.count + scenario.inverters.count
     return np.random.default_rng(seed).uniform(-1, 1, (lanes, n))
 
 
@@ -114,7 +114,7 @@ def test_placements_are_distinct_candidates_and_reach_all_of_them():
     at = drawn.buses[:, :5]
     assert all(len(set(row)) == 5 for row in at.tolist())
     candidates = {
-        i for i, load in enumerate(feeder.p_load_kw) if load > 0 and feeder.bus_ids[i] not in scenario.inverter_buses
+        i for i, load in enumerate(feeder.p_load_kw) if load > 0 and feeder.bus_ids[i] not in scenario.inverters.buses
     } - {0}
     assert set(at.ravel().tolist()) == candidates
     # Each as often as the others: 10,000 draws over the candidates.
@@ -124,7 +124,7 @@ def test_placements_are_distinct_candidates_and_reach_all_of_them():
     # And each slot on its own: slots are not sorted by bus.
     for slot in range(5):
         assert set(at[:, slot].tolist()) == candidates
-    fixed = [feeder.index(bus) for bus in scenario.inverter_buses]
+    fixed = [feeder.index(bus) for bus in scenario.inverters.buses]
     assert np.all(drawn.buses[:, 5:] == fixed)
 
 
@@ -162,8 +162,8 @@ def test_any_number_of_datacenters(n):
 
 def test_more_datacenters_than_buses_is_refused():
     free = len(make_scenario("ieee123").candidates)
-    assert make_scenario("ieee123", n_datacenters=free).n_datacenters == free
-    with pytest.raises(ScenarioError, match=rf"n_datacenters is {free + 1}.*{free} load buses"):
+    assert make_scenario("ieee123", n_datacenters=free).datacenters.count == free
+    with pytest.raises(ScenarioError, match=rf"datacenters.count is {free + 1}.*{free} load buses"):
         make_scenario("ieee123", n_datacenters=free + 1)
 
 
@@ -194,7 +194,7 @@ def test_splits_share_no_window_and_no_key(name):
     # The step of toy6 is the same in all; what tells its rows apart is the idle part, which every episode begins with.
     heads = [tuple(row[:window]) for row in rows]
     assert len(set(heads)) == len(rows) == 3 * (12 if make_scenario(name).follows_day else 24)
-    if make_scenario(name).trace_window == "random":
+    if make_scenario(name).workload.window == "random":
         # No window of one split is one of another: no run of 30 steps comes twice, anywhere in any row.
         digests = [digest for pool in pools.values() for digest in np.unique(run_digests(pool, 30))]
         assert len(np.unique(digests)) == len(digests)
@@ -234,13 +234,13 @@ def test_last_window_of_a_row_is_reached_but_not_passed():
     # Rows of 12 steps and an episode that needs 12 or 11 of them: one place, or two.
     trace = recording(np.linspace(0.1, 1.0, 20))
     for horizon, places in ((10, {0}), (9, {0, 1}), (7, {0, 1, 2, 3})):
-        scenario = make_scenario("toy6", trace=(trace,), trace_window="random", horizon=horizon)
+        scenario = make_scenario("toy6", trace=(trace,), workload={"window": "random"}, horizon=horizon)
         assert trace_pool(scenario).p_share.shape == (1, 12)
         assert set(draw(scenario, range(300)).start.ravel().tolist()) == places
 
 
 def test_p_ref_is_the_rows_power_times_the_rating():
-    scenario = make_scenario("ieee123", horizon=30, p_rated_kw=(100.0, 200.0, 300.0, 400.0, 500.0))
+    scenario = make_scenario("ieee123", horizon=30, datacenters={"p_rated_kw": (100.0, 200.0, 300.0, 400.0, 500.0)})
     pool = trace_pool(scenario).p_share
     drawn = draw(scenario, [1, 2])
     row, offset = np.divmod(drawn.start, pool.shape[1])
@@ -287,7 +287,7 @@ def test_load_noise_keeps_its_correlation_in_seconds_for_any_dt():
     # 0.9 over a second: 0.9^0.1 over a tenth, whose tenth power it is again.
     found = {}
     for dt_s in (1.0, 0.1, 5.0):
-        scenario = make_scenario("ieee33-weak", dt_s=dt_s, horizon=20, load_rho=0.9)
+        scenario = make_scenario("ieee33-weak", dt_s=dt_s, horizon=20, background={"load_rho": 0.9})
         lanes = 400
         drawn, z = draw(scenario, range(lanes)), np.zeros((lanes, 33))
         course = []
@@ -300,7 +300,7 @@ def test_load_noise_keeps_its_correlation_in_seconds_for_any_dt():
 
 
 def test_loads_are_the_feeders_own_times_the_noise_less_capacitors():
-    on, off = make_scenario("ieee123"), make_scenario("ieee123", capacitors=False)
+    on, off = make_scenario("ieee123"), make_scenario("ieee123", background={"capacitors": False})
     feeder = on.feeder
     assert feeder.capacitor_kvar.sum() > 0
     step = np.array([0, 0])
@@ -321,7 +321,7 @@ def test_loads_are_the_feeders_own_times_the_noise_less_capacitors():
 def test_sites_take_the_first_ones_window_as_often_as_asked():
     lanes = 4000
     apart, half, together = (
-        draw(make_scenario("ieee123", site_correlation=c), range(lanes)).start for c in (0.0, 0.5, 1.0)
+        draw(make_scenario("ieee123", workload={"site_correlation": c}), range(lanes)).start for c in (0.0, 0.5, 1.0)
     )
     np.testing.assert_array_equal(together, np.repeat(apart[:, :1], 5, axis=1))
     follows = half == half[:, :1]
@@ -331,13 +331,15 @@ def test_sites_take_the_first_ones_window_as_often_as_asked():
     counts = np.bincount(follows[:, 1:].sum(axis=1), minlength=5) / lanes
     np.testing.assert_allclose(counts, np.array([1, 4, 6, 4, 1]) / 16, atol=0.03)
     # And each as in any company.
-    alone = draw(make_scenario("ieee123", site_correlation=0.5), [17])
+    alone = draw(make_scenario("ieee123", workload={"site_correlation": 0.5}), [17])
     assert alone.start[0].tolist() == half[17].tolist()
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_correlation_needs_no_other_site(n):
-    scenario = make_scenario("toy6", n_datacenters=n, datacenter_buses=(4,) * n, site_correlation=1.0)
+    scenario = make_scenario(
+        "toy6", n_datacenters=n, datacenters={"buses": (4,) * n}, workload={"site_correlation": 1.0}
+    )
     assert draw(scenario, range(3)).start.shape == (3, n)
 
 
@@ -345,7 +347,7 @@ def test_correlation_needs_no_other_site(n):
 
 
 def test_composition_is_the_rows_own():
-    scenario = make_scenario("ieee33-weak", dvfs=PrefillDecodeDvfs(), trace="mixed", horizon=30)
+    scenario = make_scenario("ieee33-weak", datacenters={"clock_law": PrefillDecodeDvfs()}, trace="mixed", horizon=30)
     pool, drawn = trace_pool(scenario), draw(scenario, [1, 2])
     assert pool.compute_share is not None
     row, offset = np.divmod(drawn.start, pool.p_share.shape[1])
@@ -359,7 +361,9 @@ def test_composition_is_the_rows_own():
 
 def test_recordings_have_the_scenarios_composition():
     trace = recording(np.linspace(0.3, 1.0, 100))
-    scenario = make_scenario("toy6", dvfs=PrefillDecodeDvfs(), trace=trace, horizon=5, compute_share=0.25)
+    scenario = make_scenario(
+        "toy6", datacenters={"clock_law": PrefillDecodeDvfs()}, trace=trace, horizon=5, workload={"compute_share": 0.25}
+    )
     simulation = Simulation(scenario, 2)
     simulation.reset([0, 1])
     for _ in range(5):
@@ -368,19 +372,24 @@ def test_recordings_have_the_scenarios_composition():
 
 
 def test_boost_reaches_the_traces():
-    plain, boosted = (trace_pool(make_scenario("ieee123", trace="training", boost_share=b)).p_share for b in (1.0, 1.3))
+    plain, boosted = (
+        trace_pool(make_scenario("ieee123", trace="training", datacenters={"boost_share": b})).p_share
+        for b in (1.0, 1.3)
+    )
     assert plain.max() <= 1.0 < boosted.max() <= 1.3
     trace = recording(np.linspace(0.1, 1.0, 300))
-    pool = trace_pool(make_scenario("ieee123", trace=trace, boost_share=1.2, split="test", horizon=20))
+    pool = trace_pool(make_scenario("ieee123", trace=trace, datacenters={"boost_share": 1.2}, split="test", horizon=20))
     assert pool.p_share.max() == pytest.approx(1.2)
 
 
 def test_whole_recordings_for_each_split():
     traces = tuple(recording(np.full(50, level), str(level)) for level in (1.0, 2.0, 3.0))
     with pytest.raises(TraceError, match=r"needs at least 3 recordings.*got 2"):
-        Simulation(make_scenario("toy6", trace=traces[:2], recording_split="recording", horizon=20), 1)
+        Simulation(make_scenario("toy6", trace=traces[:2], workload={"recording_split": "recording"}, horizon=20), 1)
     for split in SPLITS:
-        scenario = make_scenario("toy6", trace=traces, recording_split="recording", split=split, horizon=45)
+        scenario = make_scenario(
+            "toy6", trace=traces, workload={"recording_split": "recording"}, split=split, horizon=45
+        )
         assert trace_pool(scenario).p_share.shape == (1, 50)
     with pytest.raises(TraceError, match="shorter episode"):
         Simulation(make_scenario("toy6", trace=traces, horizon=45), 1)
@@ -392,7 +401,9 @@ def test_whole_recordings_for_each_split():
 def test_recordings_are_scaled_to_the_rating():
     one = recording(np.tile([10.0, 20.0, 40.0], 50), "one")  # kW, its peak 40
     two = recording(np.full(150, 7.0), "two")
-    scenario = make_scenario("ieee33-weak", trace=(one, two), horizon=5, p_rated_kw=(100.0, 200.0, 300.0))
+    scenario = make_scenario(
+        "ieee33-weak", trace=(one, two), horizon=5, datacenters={"p_rated_kw": (100.0, 200.0, 300.0)}
+    )
     simulation = Simulation(scenario, 20)
     simulation.reset(range(20))
     seen = [simulation.now.p_ref_next_kw]
@@ -442,7 +453,7 @@ def test_unknown_trace_source_lists_those_that_exist():
 
 def test_inverter_schedule_is_injected():
     trace = recording([0.2, 0.4, 0.8, 1.0, 1.0, 0.5, 0.3, 0.1, 0.1, 0.1, 0.1], "sun")
-    scenario = make_scenario("toy6", inverter_trace=trace, inverter_s_kva=(1000.0, 500.0), horizon=8)
+    scenario = make_scenario("toy6", inverters={"injection": trace, "s_rated_kva": (1000.0, 500.0)}, horizon=8)
     simulation = Simulation(scenario, 2)
     simulation.reset([0, 1])
     shares = [0.2, 0.4, 0.8, 1.0, 1.0, 0.5, 0.3, 0.1, 0.1]
@@ -459,27 +470,27 @@ def test_inverter_schedule_is_injected():
 
 
 def test_without_a_schedule_inverters_inject_nothing():
-    scenario = make_scenario("ieee33", inverter_trace=None, horizon=4)
+    scenario = make_scenario("ieee33", inverters={"injection": None}, horizon=4)
     drawn = draw(scenario, range(20))
     assert not drawn.sun.any()
     step = np.full(20, 4)
     outside, _ = episode.exogenous(scenario, drawn, step, np.zeros((20, 33)), episode.p_ref_kw(scenario, drawn, step))
-    assert outside.p_inverter_kw.shape == (20, scenario.n_inverters)
+    assert outside.p_inverter_kw.shape == (20, scenario.inverters.count)
     assert not outside.p_inverter_kw.any()
 
 
 def test_unusable_inverter_schedules_are_refused_before_the_first_episode():
-    with pytest.raises(ScenarioError, match=r"inverter_trace rises to 30.*scaled_to"):
-        make_scenario("toy6", inverter_trace=recording([10.0, 30.0, 20.0], "kilowatts"))
-    short = make_scenario("toy6", inverter_trace=recording([0.1, 0.2, 0.3], "short"))
+    with pytest.raises(ScenarioError, match=r"inverters.injection rises to 30.*scaled_to"):
+        make_scenario("toy6", inverters={"injection": recording([10.0, 30.0, 20.0], "kilowatts")})
+    short = make_scenario("toy6", inverters={"injection": recording([0.1, 0.2, 0.3], "short")})
     with pytest.raises(TraceError, match="short"):
         Simulation(short, 1)
-    with pytest.raises(ScenarioError, match="inverter_trace is 'sun'; give 'pv', a PowerTrace"):
-        make_scenario("toy6", inverter_trace="sun")
+    with pytest.raises(ScenarioError, match=r"inverters\.injection is 'sun'; give 'pv', a PowerTrace"):
+        make_scenario("toy6", inverters={"injection": "sun"})
 
 
 def test_storage_follows_a_schedule_that_may_charge():
-    scenario = make_scenario("toy6", inverter_trace=[-0.5, -1.0, 0.0, 0.6], horizon=3)
+    scenario = make_scenario("toy6", inverters={"injection": [-0.5, -1.0, 0.0, 0.6]}, horizon=3)
     simulation = Simulation(scenario, 1)
     simulation.reset([0])
     for share, left in ((-0.5, 0.75**0.5), (-1.0, 0.0), (0.0, 1.0), (0.6, 0.8)):
@@ -488,14 +499,14 @@ def test_storage_follows_a_schedule_that_may_charge():
         np.testing.assert_allclose(state.q_limit_kvar[0, 1:], 1000.0 * left)
         if not simulation.now.over.any():
             simulation.step(np.ones((1, 4)))
-    with pytest.raises(ScenarioError, match="inverter_trace has 3 shares; give 4 numbers from -1 to 1"):
-        make_scenario("toy6", inverter_trace=(0.0, 0.0, 0.0), horizon=3)
+    with pytest.raises(ScenarioError, match=r"inverters\.injection has 3 shares; give 4 numbers from -1 to 1"):
+        make_scenario("toy6", inverters={"injection": (0.0, 0.0, 0.0)}, horizon=3)
     with pytest.raises(ScenarioError, match=r"1\.5 among them"):
-        make_scenario("toy6", inverter_trace=(0.0, 0.0, 1.5, 0.0), horizon=3)
+        make_scenario("toy6", inverters={"injection": (0.0, 0.0, 1.5, 0.0)}, horizon=3)
 
 
 def test_together_is_another_row_at_the_same_time():
-    scenario = make_scenario("ieee33-weak", trace_window="together")
+    scenario = make_scenario("ieee33-weak", workload={"window": "together"})
     drawn = episode.draw(scenario, np.arange(50, dtype=np.uint64), np.zeros(50, np.uint64))
     row, start = np.divmod(drawn.start, trace_pool(scenario).p_share.shape[1])
     assert (start == start[:, :1]).all()
@@ -506,7 +517,7 @@ def test_together_is_another_row_at_the_same_time():
 def test_sites_generated_side_by_side_stay_so_together():
     site = Site("H100", 16, (Tenant("code", "llama3-70b", 1.0, 0.2),), daily_swing=0.0)
     sites = generate_sites(3, 900.0, 7, site, correlation=1.0)
-    scenario = make_scenario("ieee33-weak", trace=tuple(sites), trace_window="together", horizon=100)
+    scenario = make_scenario("ieee33-weak", trace=tuple(sites), workload={"window": "together"}, horizon=100)
     seeds = np.arange(20, dtype=np.uint64)
     drawn = episode.draw(scenario, seeds, np.zeros_like(seeds))
     course = np.array([episode.p_ref_kw(scenario, drawn, np.full(20, k)) for k in range(100)])
@@ -515,7 +526,7 @@ def test_sites_generated_side_by_side_stay_so_together():
 
 
 def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
-    scenario = make_scenario("ieee33", inverter_trace="pv", horizon=3579)
+    scenario = make_scenario("ieee33", inverters={"injection": "pv"}, horizon=3579)
     length = sun_rows(scenario).shape[1]
     begins = draw(scenario, range(1000)).sun % length
     # The last of its 3580 seconds is the row's last at the latest.
@@ -524,7 +535,7 @@ def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
 
 def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
     plain = make_scenario("ieee33-weak", trace="chat", horizon=20, dt_s=0.5)
-    full = plain.replace(full_load_s=(2.0, 4.0))
+    full = plain.replace(workload={"full_load_s": (2.0, 4.0)})
     drawn = draw(plain, range(3))
     asked, without = (np.array([episode.p_ref_kw(s, drawn, np.full(3, k)) for k in range(22)]) for s in (full, plain))
     inside = (np.arange(22) > 4) & (np.arange(22) <= 8)  # steps that end after 2 s and until 4 s
@@ -533,12 +544,12 @@ def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
     assert (without[inside] < plain.site_rated_kw).any()
     course, before = (rollout(s, NoControl(), [0]).lane(0) for s in (full, plain))
     assert course.metrics()["unserved_kws"] == 0.0
-    np.testing.assert_allclose(course.p_kw[5, : plain.n_datacenters], plain.site_rated_kw)
+    np.testing.assert_allclose(course.p_kw[5, : plain.datacenters.count], plain.site_rated_kw)
     assert "ttft_mean_s" in before.metrics()
     assert "ttft_mean_s" not in course.metrics()  # no request stands for that work
 
 
 @pytest.mark.parametrize("period", [(4.0, 2.0), (1.0,), (0.0, float("nan")), (-1.0, 2.0), "all"])
 def test_a_period_that_is_none_is_refused(period):
-    with pytest.raises(ScenarioError, match=r"full_load_s is .*; give its begin and its end"):
-        make_scenario("toy6", full_load_s=period)
+    with pytest.raises(ScenarioError, match=r"workload.full_load_s is .*; give its begin and its end"):
+        make_scenario("toy6", workload={"full_load_s": period})

@@ -16,7 +16,10 @@ from dcgrid_env.engine.physics.state import Exogenous, State
 from helpers.forms import FORMS
 from helpers.states import fields_of
 
-LAWS: dict[str, dict[str, Any]] = {"linear": {}, "work_classes": {"dvfs": PrefillDecodeDvfs(), "boost_share": 1.3}}
+LAWS: dict[str, dict[str, Any]] = {
+    "linear": {},
+    "work_classes": {"datacenters.clock_law": PrefillDecodeDvfs(), "datacenters.boost_share": 1.3},
+}
 
 
 class Outside(NamedTuple):
@@ -34,7 +37,10 @@ def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, s
         step = np.full(lanes, k)
         p_ref = episode.p_ref_kw(scenario, drawn, step)
         if full:
-            p_ref = rng.uniform(0.6, scenario.boost_share, p_ref.shape) * scenario.datacenter.p_rated_kw
+            p_ref = (
+                rng.uniform(0.6, scenario.datacenters.boost_share, p_ref.shape)
+                * scenario.datacenters.parameters.p_rated_kw
+            )
         exogenous, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
         if full and exogenous.compute_share is not None:
             exogenous = exogenous._replace(compute_share=rng.uniform(0.0, 1.0, p_ref.shape))
@@ -131,7 +137,7 @@ def team_cost(scenario: Scenario, given: list[Exogenous], actions: Any, start: S
 )
 @pytest.mark.usefixtures("exact")
 def test_gradient_through_three_steps_matches_finite_differences(name, cost, law):
-    scenario = make_scenario(name, voltage_cost=cost, **LAWS[law])
+    scenario = make_scenario(name, **{"cost.voltage": cost}, **LAWS[law])
     given = outside(scenario, 2, 3, full=True, seed=1)
     # Within (-0.8, 0.8): away from the ends, where the derivative has no one value.
     actions = 0.8 * random_actions(scenario, 2, 3, seed=1)
@@ -154,7 +160,7 @@ def test_gradient_through_three_steps_matches_finite_differences(name, cost, law
     scale = np.abs(numeric).max()
     assert scale > 1e-3
     np.testing.assert_allclose(gradient, numeric, rtol=1e-5, atol=1e-6 * scale)
-    clocks = gradient[..., 0 : 2 * scenario.n_datacenters : 2]
+    clocks = gradient[..., 0 : 2 * scenario.datacenters.count : 2]
     assert (clocks != 0.0).mean() > 0.5  # a site that has nothing to be throttled knows no slope
 
 
@@ -235,10 +241,13 @@ def test_lanes_do_not_touch_each_other(law):
 @pytest.mark.parametrize("capacitors", [True, False])
 @pytest.mark.parametrize("name", FORMS)
 def test_substation_imports_what_is_drawn_and_lost(name, capacitors):
-    scenario = make_scenario(name, capacitors=capacitors)
-    feeder, n_dc = scenario.feeder, scenario.n_datacenters
+    scenario = make_scenario(name, background={"capacitors": capacitors})
+    feeder, n_dc = scenario.feeder, scenario.datacenters.count
     given = outside(scenario, 4, 4, full=True)
-    injected = np.random.default_rng(2).uniform(0.0, 0.9, (4, scenario.n_inverters)) * scenario.inverter.s_rated_kva
+    injected = (
+        np.random.default_rng(2).uniform(0.0, 0.9, (4, scenario.inverters.count))
+        * scenario.inverters.parameters.s_rated_kva
+    )
     given = [e._replace(p_inverter_kw=injected) for e in given.steps]
     roots = feeder.parent == 0
     for (state, solution), e in zip(run(scenario, given, random_actions(scenario, 4, 4)), given, strict=True):
@@ -264,7 +273,7 @@ def test_power_flow_gets_the_loads_at_the_agents_buses():
         for agent, bus in enumerate(given.buses[lane]):
             p_net[lane, bus] += state.p_kw[lane, agent]
             q_net[lane, bus] -= state.q_kvar[lane, agent]  # an injection against a load
-    again = distflow(scenario.feeder, p_net, q_net, scenario.v0_pu)
+    again = distflow(scenario.feeder, p_net, q_net, scenario.source_voltage_pu)
     np.testing.assert_allclose(state.v_pu, again.v_pu, atol=1e-8)
     np.testing.assert_allclose(state.v_agent_pu, np.take_along_axis(state.v_pu, given.buses, 1), rtol=0)
     assert np.all(state.v_pu[:, 0] == 1.04375)
@@ -273,7 +282,7 @@ def test_power_flow_gets_the_loads_at_the_agents_buses():
 def test_toy6_voltages_worked_by_hand():
     # Without losses, each branch 0.01 + j0.02: v = 1 - 2 (R p + X q), MW and Mvar on shared paths. The site at bus 4
     # draws 2.5 MW and gives 0.33 x 2.5 x 0.8 = 0.66 Mvar; the inverter at 5 gives 0.5 Mvar, the one at 3 takes 0.25.
-    scenario = make_scenario("toy6", power_flow="lindistflow", load_sigma=0.0)
+    scenario = make_scenario("toy6", power_flow="lindistflow", background={"load_sigma": 0.0})
     given = outside(scenario, 1, 1).steps
     full = given[1]._replace(p_ref_kw=np.array([[2500.0]]))
     state, _ = dynamics.initial_state(scenario, given[0])
@@ -294,7 +303,7 @@ def test_toy6_voltages_worked_by_hand():
 def test_capacitors_raise_the_voltage():
     voltages, feeder = [], make_scenario("ieee123").feeder
     for capacitors in (True, False):
-        scenario = make_scenario("ieee123", capacitors=capacitors)
+        scenario = make_scenario("ieee123", background={"capacitors": capacitors})
         voltages.append(dynamics.initial_state(scenario, outside(scenario, 1, 0).steps[0])[0].v_pu[0])
     rise = voltages[0] - voltages[1]
     assert np.all(rise >= -1e-9)
@@ -320,7 +329,7 @@ def test_actions_beyond_the_ends_act_as_the_ends(name):
 
 
 def test_clock_and_setpoint_of_an_action():
-    scenario = make_scenario("ieee33-weak", f_min_mhz=300.0, f_max_mhz=1500.0)
+    scenario = make_scenario("ieee33-weak", datacenters={"f_min_mhz": 300.0, "f_max_mhz": 1500.0})
     given = outside(scenario, 1, 1).steps
     state, _ = dynamics.initial_state(scenario, given[0])
     idle = given[1]._replace(p_ref_kw=np.array([[230.0, 100.0, 0.0]]))
@@ -366,16 +375,16 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, la
     given = outside(scenario, 3, 0, full=True).steps[0]
     state, solution = dynamics.initial_state(scenario, given if kind == "numpy" else as_torch(given))
     state = state.map(np.asarray)
-    n_dc, n_bus = scenario.n_datacenters, scenario.feeder.n_bus
-    assert np.all(state.f_mhz == scenario.f_max_mhz)
-    assert np.all(state.f_last_mhz == scenario.f_max_mhz)
+    n_dc, n_bus = scenario.datacenters.count, scenario.feeder.n_bus
+    assert np.all(state.f_mhz == scenario.datacenters.f_max_mhz)
+    assert np.all(state.f_last_mhz == scenario.datacenters.f_max_mhz)
     assert np.all(state.q_kvar == 0.0)
     np.testing.assert_allclose(state.backlog_kws, 0.0, atol=1e-9)
     assert state.class_backlog_kws.shape == ((3, n_dc, 2) if law == "work_classes" else (3, n_dc))
     np.testing.assert_allclose(state.p_kw[:, :n_dc], given.p_ref_kw)
     np.testing.assert_array_equal(state.v_last_pu, state.v_pu)
     np.testing.assert_array_equal(state.v_agent_last_pu, state.v_agent_pu)
-    assert np.all(state.v_pu[:, 0] == scenario.v0_pu)
+    assert np.all(state.v_pu[:, 0] == scenario.source_voltage_pu)
     assert state.v_pu.shape == (3, n_bus)
     assert state.restart.shape == (3, n_bus - 1)
     assert state.p_kw.shape == state.q_kvar.shape == state.v_agent_pu.shape == (3, scenario.n_agents)
@@ -385,9 +394,9 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, la
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n_dc", [0, 1])
 def test_no_datacenter_or_no_inverter_at_all(n_dc, law):
-    scenario = make_scenario("toy6", n_datacenters=n_dc, datacenter_buses=(4,) * n_dc, **LAWS[law])
+    scenario = make_scenario("toy6", n_datacenters=n_dc, **{"datacenters.buses": (4,) * n_dc}, **LAWS[law])
     if n_dc:
-        scenario = scenario.replace(inverter_buses=())
+        scenario = scenario.replace(inverters={"buses": ()})
     given = outside(scenario, 2, 2).steps
     actions = random_actions(scenario, 2, 2)
     for arrays, tensors in zip(
@@ -412,7 +421,9 @@ def test_one_work_class_has_the_same_arrays_by_work_class_and_in_total():
 
 def test_composition_decides_speed_and_draw():
     # One site all compute-bound, one all memory-bound, one half and half, all full at half the clock: see the law.
-    scenario = make_scenario("ieee33-weak", f_min_mhz=705.0, dvfs=PrefillDecodeDvfs(0.1, 0.2, 0.4))
+    scenario = make_scenario(
+        "ieee33-weak", datacenters={"f_min_mhz": 705.0, "clock_law": PrefillDecodeDvfs(0.1, 0.2, 0.4)}
+    )
     given = outside(scenario, 1, 1).steps
     state, _ = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.full((1, 3), 230.0)))
     full = given[1]._replace(p_ref_kw=np.full((1, 3), 1000.0), compute_share=np.array([[1.0, 0.0, 0.5]]))
@@ -431,7 +442,7 @@ def test_composition_decides_speed_and_draw():
 
 @pytest.mark.parametrize("law", ["linear", "work_classes"])
 def test_a_short_draw_above_the_rating_is_served_at_once_and_leaves_no_reactive_power(law):
-    scenario = make_scenario("ieee33-weak", **(LAWS[law] | {"boost_share": 1.3}))
+    scenario = make_scenario("ieee33-weak", **(LAWS[law] | {"datacenters.boost_share": 1.3}))
     given = outside(scenario, 1, 1).steps
     state, _ = dynamics.initial_state(scenario, given[0])
     above = given[1]._replace(p_ref_kw=np.array([[1300.0, 1010.0, 900.0]]))
@@ -450,7 +461,7 @@ def test_a_short_draw_above_the_rating_is_served_at_once_and_leaves_no_reactive_
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
 def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
     convert: Callable[[Any], Any] = as_torch if kind == "torch" else lambda fields: fields
-    scenario = make_scenario("toy6", inverter_buses=(3,), load_sigma=0.0)
+    scenario = make_scenario("toy6", inverters={"buses": (3,)}, background={"load_sigma": 0.0})
     base = outside(scenario, 2, 1).steps
     at = np.array([[4, 5], [2, 3]])  # the site at buses 4 and 5, the inverter at 2 and 3
     nodes = at + 6 * np.arange(2)[:, None, None]
@@ -522,7 +533,7 @@ def test_collapse_keeps_the_last_voltages_and_spoils_no_other_lane(name, kind):
 
 @pytest.mark.parametrize("power_flow", ["distflow", "lindistflow"])
 def test_a_site_beyond_the_feeder_collapses_it_unless_it_is_throttled(power_flow):
-    scenario = make_scenario("toy6", p_rated_kw=100_000.0, power_flow=power_flow)
+    scenario = make_scenario("toy6", datacenters={"p_rated_kw": 100_000.0}, power_flow=power_flow)
     given = outside(scenario, 2, 1).steps
     state, solution = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.array([[1000.0], [1000.0]])))
     assert solution.converged.all()

@@ -18,9 +18,15 @@ from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.powerflow import Control, solve_unbalanced
 from helpers.three_phase import SCENARIOS, ieee13
 
-HEAVY = {"p_rated_kw": 1500.0, "trace": "step", "trace_window": "start", "load_sigma": 0.0, "horizon": 60}
+HEAVY = {
+    "datacenters.p_rated_kw": 1500.0,
+    "trace": "step",
+    "workload.window": "start",
+    "background.load_sigma": 0.0,
+    "horizon": 60,
+}
 """Two sites that draw some 2.3 MW more from second 20 on, so that regulators have to move."""
-AGENTS = {"regulators": "agent", "capacitor_banks": "agent"}
+AGENTS = {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
 
 
 def play(scenario, lanes=2, steps=None, action=None) -> Any:
@@ -48,7 +54,7 @@ def commanded(scenario, **channels):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_an_episode_begins_in_band_and_every_lane_as_it_would_alone(name):
-    scenario = SCENARIOS[name]().replace(start_hour="random")
+    scenario = SCENARIOS[name]().replace(background={"start_hour": "random"})
     together: Any = Simulation(scenario, 6).reset(list(range(6))).state
     regulators = together.three_phase.equipment.regulators
     assert (direction(relay_settings(scenario.feeder), regulators.relay_v, regulators.tap) == 0.0).all()
@@ -84,7 +90,9 @@ def test_controls_act_on_the_power_flow_of_the_step_before():
 
 
 def test_fixed_regulators_stay_and_metrics_and_info_count_what_moves():
-    fixed, controlled = (ieee13().replace(**HEAVY, regulators=who) for who in ("fixed", "controlled"))
+    fixed, controlled = (
+        ieee13().replace(**HEAVY, **{"grid_control.regulators": who}) for who in ("fixed", "controlled")
+    )
     base = fixed.feeder.base_tap
     assert (taps_of(play(fixed)) == base).all()
     transitions = play(controlled)
@@ -133,14 +141,14 @@ def test_agents_move_regulators_and_banks_and_see_where_they_stand():
     assert seen["cap_0"]["on"] == 0.0
     assert seen["cap_0"]["since_switching"] == pytest.approx(29.0 / 30.0)
     bus = list(scenario.feeder.nodes_of("rg60", "b"))
-    deviation = (last.state.v_pu[0, bus[0]] - 1.0) / scenario.band_pu
+    deviation = (last.state.v_pu[0, bus[0]] - 1.0) / scenario.cost.band_pu
     assert seen["reg_1"]["v_deviation"] == pytest.approx(deviation, abs=1e-5)
     assert (last.state.p_kw[:, -5:] == 0.0).all()
     assert (last.state.q_limit_kvar[:, -5:] == 0.0).all()
 
 
 def test_one_bank_is_an_agent_and_another_controlled():
-    scenario = SCENARIOS["ieee123"]().replace(regulators={"reg4": "agent", "reg2": "fixed"})
+    scenario = SCENARIOS["ieee123"]().replace(grid_control={"regulators": {"reg4": "agent", "reg2": "fixed"}})
     names, rows = scenario.feeder.network.regulator.name, scenario.devices[-1].rows
     assert [names[row] for row in rows] == ["creg4a", "creg4b", "creg4c"]
     transitions = play(scenario, lanes=1, steps=6, action=commanded(scenario, tap=1.0))
@@ -150,11 +158,15 @@ def test_one_bank_is_an_agent_and_another_controlled():
 
 def test_a_controlled_bank_switches_itself_and_a_lost_one_stays_off():
     settings = {"measures": "voltage", "on_below_pu": 0.6, "off_above_pu": 0.9, "delay_s": 3.0}
-    scenario = ieee13().replace(capacitor_banks={"cap1": "controlled"}, capacitor_settings=settings, horizon=10)
+    scenario = ieee13().replace(
+        grid_control={"capacitors": {"cap1": "controlled"}, "capacitor_settings": settings}, horizon=10
+    )
     on = [t.state.three_phase.equipment.banks.on[0].tolist() for t in play(scenario, lanes=1)]
     assert on == [[1.0, 1.0]] * 3 + [[0.0, 1.0]] * 8
-    struck = ieee13().replace(faults=(Fault(("capacitor",), begin_s=(0.0, 0.0)),), capacitor_banks="agent", horizon=4)
-    kept = ieee13().replace(capacitor_banks="agent", horizon=4)
+    struck = ieee13().replace(
+        faults=(Fault(("capacitor",), begin_s=(0.0, 0.0)),), grid_control={"capacitors": "agent"}, horizon=4
+    )
+    kept = ieee13().replace(grid_control={"capacitors": "agent"}, horizon=4)
     high, low = (play(s, lanes=1, action=commanded(s, on=1.0))[-1] for s in (kept, struck))
     assert low.state.three_phase.equipment.banks.on.tolist() == [[1.0, 1.0]]
     assert low.state.v_pu.mean() < high.state.v_pu.mean() - 1e-4
@@ -162,7 +174,9 @@ def test_a_controlled_bank_switches_itself_and_a_lost_one_stays_off():
 
 def test_switching_is_charged_to_the_team_and_to_who_moves():
     weights = CostWeights(switching=2.0)
-    scenario = ieee13().replace(regulators="agent", capacitor_banks={"cap2": "agent"}, cost={"weights": weights})
+    scenario = ieee13().replace(
+        grid_control={"regulators": "agent", "capacitors": {"cap2": "agent"}}, cost={"weights": weights}
+    )
     action = commanded(scenario, tap=[1.0, 0.5, 11.0 / 16.0], on=[-1.0])
     first = play(scenario, steps=1, action=action)[1]
     np.testing.assert_allclose(first.costs.switching, 2.0 * 2.0 / 4.0)  # reg1 up, cap2 off; reg2 and reg3 stay; of four
@@ -189,7 +203,9 @@ def test_effort_is_a_mean_over_agents_with_a_converter():
 
 @pytest.mark.parametrize("who", ["controlled", "agent"])
 def test_tensors_take_the_same_steps(who):
-    scenario = ieee13().replace(**HEAVY | {"horizon": 45}, regulators=who, capacitor_banks="agent")
+    scenario = ieee13().replace(
+        **HEAVY | {"horizon": 45}, **{"grid_control.regulators": who, "grid_control.capacitors": "agent"}
+    )
     joint = commanded(scenario, tap=0.3, on=-1.0)
     ours = play(scenario, action=joint)[-1].state
     env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
@@ -205,7 +221,7 @@ def test_tensors_take_the_same_steps(who):
 
 def test_the_gradient_passes_the_rounded_tap():
     """A regulator below its tap that is told to go up by less than half a tap stays, and its derivative says up."""
-    scenario = ieee13().replace(regulators="agent", load_sigma=0.0)
+    scenario = ieee13().replace(grid_control={"regulators": "agent"}, background={"load_sigma": 0.0})
     base = scenario.feeder.base_tap
     joint = torch.tensor(commanded(scenario, tap=base / 16.0)[None], requires_grad=True)
     env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
@@ -220,7 +236,7 @@ def test_the_gradient_passes_the_rounded_tap():
 
 
 def test_same_bits_in_any_lane():
-    scenario = ieee13().replace(**HEAVY | {"load_sigma": 0.05}, capacitor_banks="agent")
+    scenario = ieee13().replace(**HEAVY | {"background.load_sigma": 0.05}, **{"grid_control.capacitors": "agent"})
     batch: Any = DcgridVectorEnv(5, scenario)
     batch.reset(seed=3)
     one: Any = DcgridVectorEnv(1, scenario)
@@ -240,28 +256,36 @@ def test_same_bits_in_any_lane():
 @pytest.mark.parametrize("observe", ["local", "feeder"])
 def test_a_regulator_observes_what_its_relay_is_off_by(observe):
     """Line-drop compensation included, as the power flow has it, and free of the noise of other meters."""
-    scenario = SCENARIOS["ieee123"]().replace(regulators="agent", observe=observe, voltage_noise_pu=0.01, horizon=3)
+    scenario = SCENARIOS["ieee123"]().replace(
+        grid_control={"regulators": "agent"}, observe=observe, sensing={"noise_pu": 0.01}, horizon=3
+    )
     transitions = play(scenario, action=commanded(scenario, tap=0.3))
     names, last = observation.field_names(scenario), transitions[-1]
     at = [i for i, name in enumerate(name for own in names.values() for name in own) if name == "relay"]
     settings, solved = relay_settings(scenario.feeder), last.state.three_phase.equipment.regulators.relay_v
     assert np.abs(np.diff([t.observation[:, at] for t in transitions], axis=0)).min() > 1e-5
     deviation = solved / settings.target_v - 1.0
-    np.testing.assert_allclose(last.observation[:, at], deviation / scenario.band_pu, atol=1e-6)
+    np.testing.assert_allclose(last.observation[:, at], deviation / scenario.cost.band_pu, atol=1e-6)
     low, high = observation.bounds(scenario)["reg_0"]
     own = names["reg_0"]
     assert (low[own.index("relay")], high[own.index("relay")]) == (low[0], high[0]) == (-20.0, 20.0)
 
 
 def test_the_relay_keeps_its_last_value_where_the_power_flow_has_none():
-    scenario = ieee13().replace(regulators="agent", p_rated_kw=40_000.0, trace="step", trace_window="start", horizon=30)
+    scenario = ieee13().replace(
+        grid_control={"regulators": "agent"},
+        datacenters={"p_rated_kw": 40_000.0},
+        trace="step",
+        workload={"window": "start"},
+        horizon=30,
+    )
     *_, before, after = play(scenario, lanes=1, steps=20, action=commanded(scenario))
     assert not after.converged.any()
     np.testing.assert_array_equal(after.state.relay_v, before.state.relay_v)
 
 
 def test_tensors_observe_the_relay_and_its_derivative():
-    scenario = ieee13().replace(regulators="agent", load_sigma=0.0)
+    scenario = ieee13().replace(grid_control={"regulators": "agent"}, background={"load_sigma": 0.0})
     joint = torch.tensor(commanded(scenario, tap=scenario.feeder.base_tap / 16.0)[None], requires_grad=True)
     env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
     env.reset([0])
@@ -275,4 +299,4 @@ def test_tensors_observe_the_relay_and_its_derivative():
     found = joint.grad[0, torch.tensor(action_layout(scenario).is_channel("tap"))].numpy()
     settings = relay_settings(scenario.feeder)
     by_tap = settings.volts_per_tap[0, 0] / settings.target_v[0]
-    assert found[0] == pytest.approx(16.0 * by_tap / scenario.band_pu, rel=0.1)
+    assert found[0] == pytest.approx(16.0 * by_tap / scenario.cost.band_pu, rel=0.1)

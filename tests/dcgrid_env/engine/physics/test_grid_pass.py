@@ -33,7 +33,7 @@ def test_bits_of_the_parts(scenario, lanes):
         assert after.noise.tobytes() == noise.tobytes()
         assert after.state.map(np.ndarray.tobytes) == state.map(np.ndarray.tobytes)
         assert after.transition.loss_kw.tobytes() == solution.loss_kw.tobytes()
-        apart = voltage_figures(state.v_pu, 1, s.band_pu)
+        apart = voltage_figures(state.v_pu, 1, s.cost.band_pu)
         assert [a.tobytes() for a in after.transition.voltages] == [a.tobytes() for a in apart]
 
 

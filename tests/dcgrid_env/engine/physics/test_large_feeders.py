@@ -39,7 +39,7 @@ def feeder_with_ratio():
 @pytest.mark.parametrize("with_ratio", [False, True])
 def test_what_agents_and_controllers_know_is_the_same_without_matrices(monkeypatch, feeder_with_ratio, with_ratio):
     feeder = feeder_with_ratio if with_ratio else dcgrid_env.load_feeder("ieee33")
-    scenario = scenario_on(feeder).replace(r_model_share=0.9)
+    scenario = scenario_on(feeder).replace(sensing={"r_model_share": 0.9})
     buses = np.array([np.arange(1, scenario.n_agents + 1), np.arange(3, scenario.n_agents + 3)])
     names = ("sensitivity_to_agents", "sensitivity_between_agents", "between_agents")
 
@@ -61,7 +61,9 @@ def test_what_agents_and_controllers_know_is_the_same_without_matrices(monkeypat
 def test_rows_of_a_three_phase_feeder_are_those_of_its_matrices(monkeypatch):
     feeder = three_phase_feeder(200)
     chosen = scenario_on(feeder)
-    scenario = chosen.replace(datacenter_buses=[feeder.bus_ids[i] for i in chosen.candidates[: chosen.n_datacenters]])
+    scenario = chosen.replace(
+        datacenters={"buses": [feeder.bus_ids[i] for i in chosen.candidates[: chosen.datacenters.count]]}
+    )
     some = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar, at=[5, 17])
     every = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar)
     np.testing.assert_allclose(some.by_p_pu_per_mw, every.by_p_pu_per_mw[[5, 17]], rtol=1e-7, atol=1e-9)
@@ -152,8 +154,8 @@ def test_a_three_phase_feeder_of_8500_nodes_runs():
     feeder = three_phase_feeder(8500)
     assert isinstance(feeder, ThreePhaseFeeder)
     chosen = scenario_on(feeder)
-    sites = [feeder.bus_ids[i] for i in chosen.candidates[: chosen.n_datacenters]]
-    env = dcgrid_env.parallel_env(chosen.replace(datacenter_buses=sites, horizon=2))
+    sites = [feeder.bus_ids[i] for i in chosen.candidates[: chosen.datacenters.count]]
+    env = dcgrid_env.parallel_env(chosen.replace(datacenters={"buses": sites}, horizon=2))
     env.reset(seed=0)
     _, rewards, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
     assert all(np.isfinite(list(rewards.values())))

@@ -10,9 +10,17 @@ from dcgrid_env.engine.physics.parameters import inverse, parameters
 
 def test_figures_worked_by_hand():
     scenario = make_scenario(
-        "ieee33-weak", p_rated_kw=(1000.0, 500.0, 200.0), f_min_mhz=200.0, f_max_mhz=1000.0, idle_share=0.25,
-        s_rated_share=1.2, q_max_share=0.4, inverter_s_kva=(10.0, 20.0, 30.0, 40.0),
-    )  # fmt: skip
+        "ieee33-weak",
+        datacenters={
+            "p_rated_kw": (1000.0, 500.0, 200.0),
+            "f_min_mhz": 200.0,
+            "f_max_mhz": 1000.0,
+            "idle_share": 0.25,
+            "s_rated_share": 1.2,
+            "q_max_share": 0.4,
+        },
+        inverters={"s_rated_kva": (10.0, 20.0, 30.0, 40.0)},
+    )
     known = parameters(scenario, np.empty(0))
     np.testing.assert_allclose(known.middle, [600.0, 0.0] * 3 + [0.0] * 4)  # clock and reactive power, then inverters
     np.testing.assert_allclose(known.half_range, [400.0, 400.0, 400.0, 200.0, 400.0, 80.0, 10.0, 20.0, 30.0, 40.0])
@@ -40,12 +48,12 @@ def test_a_feeder_without_load_divides_nothing_by_zero():
         name="bare", base_kv=1.0, substation=0, v0_pu=1.0, bus_ids=[0, 1], p_load_kw=[0.0, 0.0],
         q_load_kvar=[0.0, 0.0], from_bus=[0], to_bus=[1], r_ohm=[0.1], x_ohm=[0.1],
     )  # fmt: skip
-    bare = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenter_buses=(), inverter_buses=(1,))
+    bare = make_scenario("toy6", feeder=feeder, n_datacenters=0, datacenters={"buses": ()}, inverters={"buses": (1,)})
     assert parameters(bare, np.empty(0)).p_all_kw == 1.0
 
 
 def test_no_datacenter_divides_nothing_by_zero():
-    known = parameters(make_scenario("toy6", n_datacenters=0, datacenter_buses=()), np.empty(0))
+    known = parameters(make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()}), np.empty(0))
     assert known.middle.shape == (2,)
     assert known.rest[0][0].shape == (0,)
     np.testing.assert_allclose(known.q_scale_kvar, [1000.0, 1000.0])
@@ -72,6 +80,6 @@ def test_kind_and_precision_are_those_asked_for(kind, precision):
 def test_writing_to_one_kind_leaves_the_scenario_alone():
     scenario = make_scenario("toy6")
     known = parameters(scenario, torch.zeros(1, dtype=torch.float64))
-    before = scenario.datacenter.p_rated_kw.copy()
+    before = scenario.datacenters.parameters.p_rated_kw.copy()
     known.devices[0].p_rated_kw.add_(1.0)
-    np.testing.assert_array_equal(scenario.datacenter.p_rated_kw, before)
+    np.testing.assert_array_equal(scenario.datacenters.parameters.p_rated_kw, before)

@@ -20,9 +20,9 @@ V_PU = RNG.normal(1.0, 0.06, (5, 33))
 
 @pytest.mark.parametrize("kind", ["l1", "l2", "bowl", "courant_beltrami", "bump"])
 def test_sums_over_voltages(kind):
-    scenario = make_scenario("ieee33", voltage_cost=kind)
+    scenario = make_scenario("ieee33", cost={"voltage": kind})
     judged = reward.terms(scenario).judged
-    figures = voltage_figures(V_PU, judged.start, scenario.band_pu)
+    figures = voltage_figures(V_PU, judged.start, scenario.cost.band_pu)
 
     def sums_of(v_pu, figures=None):
         state: Any = SimpleNamespace(v_pu=v_pu)
@@ -31,8 +31,8 @@ def test_sums_over_voltages(kind):
 
     sums = sums_of(V_PU, figures)
     deviation = np.abs(V_PU[:, judged] - 1.0)
-    np.testing.assert_array_equal(sums[0], voltage_cost(kind, deviation, scenario.band_pu).sum(-1))
-    np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.band_pu, 0.0).sum(-1))
+    np.testing.assert_array_equal(sums[0], voltage_cost(kind, deviation, scenario.cost.band_pu).sum(-1))
+    np.testing.assert_array_equal(sums[1], np.maximum(deviation - scenario.cost.band_pu, 0.0).sum(-1))
     tensors = sums_of(torch.tensor(V_PU))
     for ours, theirs in zip(sums, tensors, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-14)

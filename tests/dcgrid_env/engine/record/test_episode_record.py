@@ -38,7 +38,7 @@ def record(scenario: Scenario, lanes: int, action: Any, steps: int | None = None
 
 def random_action(scenario: Scenario, lanes: int, seed: int = 0) -> Any:
     rng = np.random.default_rng(seed)
-    return lambda k: rng.uniform(-1, 1, (lanes, 2 * scenario.n_datacenters + scenario.n_inverters))
+    return lambda k: rng.uniform(-1, 1, (lanes, 2 * scenario.datacenters.count + scenario.inverters.count))
 
 
 def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[str, float]:
@@ -48,16 +48,16 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     deviation = [abs(x - 1.0) for row in v[1:] for x in row]
     n, n_bus = len(deviation), scenario.feeder.n_bus - 1
     mean = sum(deviation) / n
-    ever = sum(any(abs(row[bus] - 1.0) > scenario.band_pu for row in v[1:]) for bus in range(n_bus))
+    ever = sum(any(abs(row[bus] - 1.0) > scenario.cost.band_pu for row in v[1:]) for bus in range(n_bus))
     moves = [abs(b - a) for before, after in pairwise(v) for a, b in zip(before, after, strict=True)]
-    ratings = [*scenario.datacenter.s_rated_kva, *scenario.inverter.s_rated_kva]
+    ratings = [*scenario.datacenters.parameters.s_rated_kva, *scenario.inverters.parameters.s_rated_kva]
     effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[lane], ratings, strict=True)]
-    clocks = [f / scenario.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
+    clocks = [f / scenario.datacenters.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
     loss = [float(t.loss_kw[lane]) for t in steps]
     # Work, parcel by parcel, each work class of a site in its own queue.
     waits: list[tuple[float, float]] = []
     unserved = 0.0
-    for own in range(scenario.n_datacenters * scenario.work_classes):
+    for own in range(scenario.datacenters.count * scenario.work_classes):
         queue: list[list[float]] = []
         for k, t in enumerate(steps):
             queue.append([k, float(t.state.class_arrived_kw[lane].flat[own]) * scenario.dt_s])
@@ -88,7 +88,7 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
         },
         "voltage_deviation_mean_pu": mean,
         "voltage_deviation_std_pu": math.sqrt(sum((d - mean) ** 2 for d in deviation) / n),
-        "outside_bus_seconds_pct": 100 * sum(d > scenario.band_pu for d in deviation) / n,
+        "outside_bus_seconds_pct": 100 * sum(d > scenario.cost.band_pu for d in deviation) / n,
         "outside_buses_pct": 100 * ever / n_bus,
         "voltage_min_pu": min(min(row) for row in v[1:]),
         "voltage_max_pu": max(max(row) for row in v[1:]),
@@ -108,7 +108,9 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
     }
 
 
-@pytest.mark.parametrize("extra", [{}, {"dvfs": PrefillDecodeDvfs(), "trace": "mixed"}], ids=["linear", "work_classes"])
+@pytest.mark.parametrize(
+    "extra", [{}, {"datacenters.clock_law": PrefillDecodeDvfs(), "trace": "mixed"}], ids=["linear", "work_classes"]
+)
 @pytest.mark.parametrize("dt_s", [1.0, 0.5])
 @pytest.mark.parametrize("name", FORMS)
 def test_metrics_of_a_short_episode(name, dt_s, extra):
@@ -137,7 +139,7 @@ def test_the_figures_say_something():
 
 
 def test_a_voltage_at_the_edge_of_the_band_is_within_it():
-    scenario = make_scenario("toy6", band_pu=0.0625, horizon=1)
+    scenario = make_scenario("toy6", cost={"band_pu": 0.0625}, horizon=1)
     _, (begun, ended) = record(scenario, 1, random_action(scenario, 1))
     # 1 +- 0.0625 are exact in binary; of five buses two are at the edges and one is beyond.
     v_pu = np.array([[1.0, 1.0625, 0.9375, 1.0, np.nextafter(1.0625, 2.0), 1.0]])
@@ -147,7 +149,7 @@ def test_a_voltage_at_the_edge_of_the_band_is_within_it():
 
 
 def test_no_datacenter_has_neither_work_nor_clock():
-    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
+    scenario = make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()}, horizon=5)
     recorder, course = record(scenario, 2, random_action(scenario, 2))
     for lane, found in enumerate(recorder.metrics()):
         assert found == pytest.approx(reckoned(scenario, course, lane))
@@ -220,7 +222,7 @@ def in_episode(pool: TraceRows, start: np.ndarray, steps: int) -> RequestTimes:
     return RequestTimes(*np.concatenate(found, axis=1))
 
 
-@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
+@pytest.mark.parametrize("dvfs", [{}, {"datacenters.clock_law": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
 def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.ones((3, 10)))
@@ -236,7 +238,7 @@ def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
         assert found["delay_mean_s"] == 0.0
 
 
-@pytest.mark.parametrize("dvfs", [{}, {"dvfs": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
+@pytest.mark.parametrize("dvfs", [{}, {"datacenters.clock_law": PrefillDecodeDvfs()}], ids=["linear", "work_classes"])
 def test_requests_of_a_throttled_site_wait(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.tile([-0.5, 0.0] * 3 + [0.0] * 4, (3, 1)))
@@ -264,13 +266,13 @@ def test_requests_of_a_lane_that_was_reset_are_its_new_episodes(pool):
 
 
 def test_no_site_has_no_requests(pool):
-    scenario = make_scenario("toy6", n_datacenters=0, datacenter_buses=(), horizon=5)
+    scenario = make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()}, horizon=5)
     assert set(record(scenario, 1, random_action(scenario, 1))[0].metrics()[0]) == NAMES
 
 
 def collapse() -> tuple[Scenario, Any]:
     """The site's full load, from t = 20 s on, is more than the feeder carries; only lane 1 asks for it."""
-    scenario = make_scenario("toy6", p_rated_kw=25_000.0, horizon=30)
+    scenario = make_scenario("toy6", datacenters={"p_rated_kw": 25_000.0}, horizon=30)
     return scenario, lambda k: np.array([[-1.0, 0, 0, 0], [1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
 
 

@@ -56,7 +56,7 @@ def test_inverters_and_sites_that_leave_and_equipment_that_acts():
 
 
 def test_limits_on_ramps_over_several_steps_and_on_changes_of_voltage():
-    limits = {"ramp_limit_kw_per_s": 0.5, "ramp_window_s": 7.0, "voltage_step_limit_pu": 1e-4}
+    limits = {"cost.ramp_limit_kw_per_s": 0.5, "cost.ramp_window_s": 7.0, "cost.voltage_step_limit_pu": 1e-4}
     whole, parts = both(make_scenario("ieee33-weak", **limits, **SHORT), part_steps=5)  # less than the window
     assert whole.metrics()[0]["ramp_excess_pct"] > 0.0
     check_alike(whole, parts)
@@ -65,7 +65,13 @@ def test_limits_on_ramps_over_several_steps_and_on_changes_of_voltage():
 def test_a_lane_that_ends_in_voltage_collapse_counts_to_its_end_alone():
     jumps = np.random.default_rng(0).random(3000) < 0.08
     trace = PowerTrace(np.arange(3000.0), np.where(jumps, 1.0, 0.2), name="jumps")
-    heavy = {"p_rated_kw": 9000.0, "n_datacenters": 1, "datacenter_buses": (18,), "horizon": 12, "trace": (trace,)}
+    heavy = {
+        "datacenters.p_rated_kw": 9000.0,
+        "n_datacenters": 1,
+        "datacenters.buses": (18,),
+        "horizon": 12,
+        "trace": (trace,),
+    }
     whole, parts = both(make_scenario("ieee33-weak", **heavy), lanes=8, part_steps=4)
     assert len({figures["steps"] for figures in whole.metrics()}) > 1
     check_alike(whole, parts)

@@ -67,7 +67,9 @@ def test_on_three_phases_each_conductor_transformer_and_regulator_counts():
             assert feeder.rating_a[node] == pytest.approx(of_kva[bus] / (np.sqrt(3.0) * kv_ll))
     assert kinds == {"line", "transformer", "regulator"}
     assert loading[feeder.regulated].max() > (solution.i_a / feeder.rating_a)[feeder.regulated].max()
-    course = rollout(scenario.replace(feeder=feeder, observe_loading=True, weights={"overload": 1.0}), NoControl(), [0])
+    course = rollout(
+        scenario.replace(feeder=feeder, sensing={"loading": True}, weights={"overload": 1.0}), NoControl(), [0]
+    )
     own = course.metrics()[0]
     assert own["loading_max_pct"] > 100.0
     assert own["cost_overload"] > 0.0
@@ -103,7 +105,7 @@ def test_the_cost_is_the_mean_excess_times_its_weight(reward):
 
 
 def test_an_agent_sees_the_loading_of_the_branch_that_feeds_it():
-    s = rated(rating_a=300.0, observe_loading=True)
+    s = rated(rating_a=300.0, sensing={"loading": True})
     assert field_names(s)["dc_0"][7] == "loading"
     assert field_names(s)["inv_0"][7] == "loading"
     assert len(field_names(rated())["dc_0"]) == len(field_names(s)["dc_0"]) - 1
@@ -132,7 +134,7 @@ def test_the_cost_has_a_derivative():
 
 @pytest.mark.parametrize(("overrides", "said"), [
     ({"weights": {"overload": 2.0}}, r"weights\.overload is 2\.0; feeder 'toy6' knows the rating of no branch; give"),
-    ({"observe_loading": True}, "observe_loading is True; feeder 'toy6' knows the rating of no branch; give"),
+    ({"sensing.loading": True}, "sensing.loading is True; feeder 'toy6' knows the rating of no branch; give"),
 ])  # fmt: skip
 def test_a_feeder_without_ratings_has_neither(overrides, said):
     with pytest.raises(ScenarioError, match=said):
@@ -144,4 +146,4 @@ def test_ratings_that_are_all_unknown_are_none():
     s = make_scenario("toy6", feeder=feeder, horizon=3)
     assert "loading_max_pct" not in rollout(s, NoControl(), [0]).metrics()[0]
     with pytest.raises(ScenarioError, match="knows the rating of no branch"):
-        s.replace(observe_loading=True)
+        s.replace(sensing={"loading": True})

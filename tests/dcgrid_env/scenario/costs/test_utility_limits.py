@@ -14,30 +14,35 @@ from dcgrid_env.scenario.costs.utility_limits import ramp_steps, sites
 from helpers.forms import FORMS
 
 WEIGHTS = {"ramp_excess": 2.0, "voltage_step_excess": 3.0}
-LIMITS = {"ramp_limit_kw_per_s": 20.0, "ramp_window_s": 3.0, "voltage_step_limit_pu": 1e-4, "weights": WEIGHTS}
+LIMITS = {
+    "cost.ramp_limit_kw_per_s": 20.0,
+    "cost.ramp_window_s": 3.0,
+    "cost.voltage_step_limit_pu": 1e-4,
+    "weights": WEIGHTS,
+}
 
 
 def limited(name: str = "ieee33-weak", **overrides: Any) -> Scenario:
-    return make_scenario(name, **{"horizon": 12, **LIMITS, **overrides})
+    return make_scenario(name, **{"horizon": 12, **LIMITS}).replace(**overrides)
 
 
 def play(scenario: Scenario, lanes: int = 2, seed: int = 0) -> list[Transition]:
     rng = np.random.default_rng(seed)
     simulation = Simulation(scenario, lanes)
-    n = simulation.reset(range(lanes)).state.q_kvar.shape[1] + scenario.n_datacenters
+    n = simulation.reset(range(lanes)).state.q_kvar.shape[1] + scenario.datacenters.count
     return [simulation.transition] + [simulation.step(rng.uniform(-1, 1, (lanes, n))) for _ in range(scenario.horizon)]
 
 
 def reckoned(scenario: Scenario, course: list[Transition], step: int, lane: int) -> tuple[float, float]:
     """Weighted terms of a step, site by site and node by node."""
-    window = round((scenario.ramp_window_s or scenario.dt_s) / scenario.dt_s)
+    window = round((scenario.cost.ramp_window_s or scenario.dt_s) / scenario.dt_s)
     now, begin = (course[max(at, 0)].state.p_kw[lane] for at in (step, step - window))
-    n = scenario.n_datacenters
+    n = scenario.datacenters.count
     ramps = [abs(now[i] - begin[i]) / (window * scenario.dt_s) for i in range(n)]
     at = scenario.feeder.load_nodes
     changes = np.abs(course[step].state.v_pu[lane, at] - course[step - 1].state.v_pu[lane, at])
-    ramp_excess = [max(ramp / scenario.ramp_limit_kw_per_s - 1.0, 0.0) for ramp in ramps]
-    step_excess = [max(change / scenario.voltage_step_limit_pu - 1.0, 0.0) for change in changes]
+    ramp_excess = [max(ramp / scenario.cost.ramp_limit_kw_per_s - 1.0, 0.0) for ramp in ramps]
+    step_excess = [max(change / scenario.cost.voltage_step_limit_pu - 1.0, 0.0) for change in changes]
     return 2.0 * sum(ramp_excess) / n, 3.0 * sum(step_excess) / len(step_excess)
 
 
@@ -46,7 +51,7 @@ def reckoned(scenario: Scenario, course: list[Transition], step: int, lane: int)
 @pytest.mark.parametrize("name", ["ieee33-weak", "ieee34-3ph"])
 def test_what_is_charged_is_the_excess_as_a_share_of_the_limit(name, window_s, dt_s):
     horizon = 40 if dt_s < 1.0 else 12
-    scenario = limited(name, ramp_limit_kw_per_s=1.0, ramp_window_s=window_s, dt_s=dt_s, horizon=horizon)
+    scenario = limited(name, cost={"ramp_limit_kw_per_s": 1.0, "ramp_window_s": window_s}, dt_s=dt_s, horizon=horizon)
     course = play(scenario)
     for step in range(1, len(course)):
         for lane in (0, 1):
@@ -61,7 +66,7 @@ def test_what_is_charged_is_the_excess_as_a_share_of_the_limit(name, window_s, d
 def test_a_ramp_over_a_window_worked_by_hand():
     # toy6's site stands at its idle 575 kW and takes 2500 kW from t = 20 s on: 1925 kW within a step.
     scenario = make_scenario(
-        "toy6", horizon=30, ramp_limit_kw_per_s=100.0, ramp_window_s=5.0, weights={"ramp_excess": 1.0}
+        "toy6", horizon=30, cost={"ramp_limit_kw_per_s": 100.0, "ramp_window_s": 5.0}, weights={"ramp_excess": 1.0}
     )
     simulation = Simulation(scenario, 1)
     simulation.reset([0])
@@ -73,15 +78,15 @@ def test_a_ramp_over_a_window_worked_by_hand():
 
 
 def test_a_window_of_one_step_is_the_default():
-    one, default = (play(limited(ramp_window_s=window_s)) for window_s in (1.0, None))
+    one, default = (play(limited(cost={"ramp_window_s": window_s})) for window_s in (1.0, None))
     assert [t.cost_j.tolist() for t in one] == [t.cost_j.tolist() for t in default]
-    assert ramp_steps(limited(ramp_window_s=None, dt_s=0.1)) == 1
+    assert ramp_steps(limited(cost={"ramp_window_s": None}, dt_s=0.1)) == 1
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_without_a_weight_nothing_is_kept_charged_or_shown(name):
     plain = make_scenario(name, horizon=4)
-    only_limits = plain.replace(ramp_limit_kw_per_s=20.0, voltage_step_limit_pu=0.02)
+    only_limits = plain.replace(cost={"ramp_limit_kw_per_s": 20.0, "voltage_step_limit_pu": 0.02})
     for t, other in zip(play(plain), play(only_limits), strict=True):
         assert t.costs._fields == other.costs._fields
         assert not set(WEIGHTS) & set(t.costs._fields)
@@ -93,11 +98,13 @@ def test_without_a_weight_nothing_is_kept_charged_or_shown(name):
 def test_limits_show_in_the_hash_and_their_absence_does_not():
     plain = make_scenario("ieee33-weak")
     hashes = {scenario_hash(plain.replace(**change)) for change in (
-        {}, {"ramp_limit_kw_per_s": 20.0}, {"ramp_limit_kw_per_s": 20.0, "ramp_window_s": 3.0},
-        {"voltage_step_limit_pu": 0.02}, LIMITS,
+        {}, {"cost.ramp_limit_kw_per_s": 20.0}, {"cost.ramp_limit_kw_per_s": 20.0, "cost.ramp_window_s": 3.0},
+        {"cost.voltage_step_limit_pu": 0.02}, LIMITS,
     )}  # fmt: skip
     assert len(hashes) == 5
-    assert scenario_hash(plain.replace(ramp_limit_kw_per_s=None, weights={"ramp_excess": 0.0})) == scenario_hash(plain)
+    assert scenario_hash(
+        plain.replace(cost={"ramp_limit_kw_per_s": None}, weights={"ramp_excess": 0.0})
+    ) == scenario_hash(plain)
 
 
 def test_local_rewards_charge_each_site_for_its_own_ramp_and_each_agent_for_its_own_voltage():
@@ -115,14 +122,18 @@ def test_local_rewards_charge_each_site_for_its_own_ramp_and_each_agent_for_its_
 
 
 def test_largest_costs_bound_what_is_charged_and_collapse_is_charged_with_them():
-    scenario = limited(ramp_window_s=None)
+    scenario = limited(cost={"ramp_window_s": None})
     bound: Any = largest_costs(scenario)
     assert bound.ramp_excess == pytest.approx(2.0 * (1000.0 / 1.0 / 20.0 - 1.0))
     assert bound.voltage_step_excess == pytest.approx(3.0 * (1e4 - 1.0))
     for t in play(scenario):
         assert all((getattr(t.costs, term) <= getattr(bound, term)).all() for term in WEIGHTS)
     lost = make_scenario(
-        "toy6", p_rated_kw=25_000.0, horizon=30, ramp_limit_kw_per_s=100.0, weights={"ramp_excess": 1.0}
+        "toy6",
+        datacenters={"p_rated_kw": 25_000.0},
+        horizon=30,
+        cost={"ramp_limit_kw_per_s": 100.0},
+        weights={"ramp_excess": 1.0},
     )
     simulation = Simulation(lost, 1)
     simulation.reset([0])
@@ -183,7 +194,7 @@ def test_a_saved_environment_goes_on_with_the_same_ramps_and_a_lane_that_begins_
 
 
 def test_the_cost_has_a_derivative_by_every_action_in_the_window():
-    scenario = limited("toy6", ramp_limit_kw_per_s=10.0, ramp_window_s=2.0, horizon=30)
+    scenario = limited("toy6", cost={"ramp_limit_kw_per_s": 10.0, "ramp_window_s": 2.0}, horizon=30)
     env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))
 
     def cost(clock: torch.Tensor) -> torch.Tensor:
@@ -209,7 +220,7 @@ def test_the_cost_has_a_derivative_by_every_action_in_the_window():
 
 
 def test_a_cut_stops_the_derivative_by_draws_before_it():
-    env = TensorEnv(limited("toy6", ramp_window_s=2.0), like=torch.empty(0, dtype=torch.float64))
+    env = TensorEnv(limited("toy6", cost={"ramp_window_s": 2.0}), like=torch.empty(0, dtype=torch.float64))
     env.reset([0])
     env.step(torch.zeros((1, 4), dtype=torch.float64, requires_grad=True))
     env.cut()
@@ -222,24 +233,33 @@ def test_a_cut_stops_the_derivative_by_draws_before_it():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"ramp_limit_kw_per_s": 0.0}, "ramp_limit_kw_per_s is 0.0; give a finite number above 0, or None"),
-        ({"ramp_limit_kw_per_s": "fast"}, "ramp_limit_kw_per_s is 'fast'; give a finite number above 0"),
-        ({"voltage_step_limit_pu": -0.02}, "voltage_step_limit_pu is -0.02; give a finite number above 0"),
-        ({"voltage_step_limit_pu": float("nan")}, "voltage_step_limit_pu is nan; give a finite number above 0"),
-        ({"weights": {"ramp_excess": 2.0}}, "weights.ramp_excess is 2.0; give ramp_limit_kw_per_s too"),
-        ({"weights": {"voltage_step_excess": 2.0}}, "weights.voltage_step_excess is 2.0; give voltage_step_limit_pu"),
-        ({"ramp_window_s": 5.0}, "ramp_window_s is 5.0; give ramp_limit_kw_per_s too, or leave it out"),
+        ({"cost.ramp_limit_kw_per_s": 0.0}, "cost.ramp_limit_kw_per_s is 0.0; give a finite number above 0, or None"),
+        ({"cost.ramp_limit_kw_per_s": "fast"}, "cost.ramp_limit_kw_per_s is 'fast'; give a finite number above 0"),
+        ({"cost.voltage_step_limit_pu": -0.02}, "cost.voltage_step_limit_pu is -0.02; give a finite number above 0"),
         (
-            {"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 2.5},
-            "ramp_window_s is 2.5; give a whole number of steps of 1 s, 10,000 of them at most",
+            {"cost.voltage_step_limit_pu": float("nan")},
+            "cost.voltage_step_limit_pu is nan; give a finite number above 0",
         ),
-        ({"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 0.1}, "ramp_window_s is 0.1; give a whole number of steps"),
+        ({"weights": {"ramp_excess": 2.0}}, "cost.weights.ramp_excess is 2.0; give ramp_limit_kw_per_s too"),
         (
-            {"ramp_limit_kw_per_s": 5.0, "ramp_window_s": 10_001.0},
-            "ramp_window_s is 10001.0; give a whole number of steps",
+            {"weights": {"voltage_step_excess": 2.0}},
+            "cost.weights.voltage_step_excess is 2.0; give voltage_step_limit_pu",
+        ),
+        ({"cost.ramp_window_s": 5.0}, "cost.ramp_window_s is 5.0; give ramp_limit_kw_per_s too, or leave it out"),
+        (
+            {"cost.ramp_limit_kw_per_s": 5.0, "cost.ramp_window_s": 2.5},
+            "cost.ramp_window_s is 2.5; give a whole number of steps of 1 s, 10,000 of them at most",
         ),
         (
-            {"ramp_limit_kw_per_s": 5.0, "n_datacenters": 0, "datacenter_buses": None},
+            {"cost.ramp_limit_kw_per_s": 5.0, "cost.ramp_window_s": 0.1},
+            "cost.ramp_window_s is 0.1; give a whole number of steps",
+        ),
+        (
+            {"cost.ramp_limit_kw_per_s": 5.0, "cost.ramp_window_s": 10_001.0},
+            "cost.ramp_window_s is 10001.0; give a whole number of steps",
+        ),
+        (
+            {"cost.ramp_limit_kw_per_s": 5.0, "n_datacenters": 0, "datacenters.buses": None},
             "it out: the scenario has no data",
         ),
     ],
