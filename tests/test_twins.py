@@ -81,6 +81,11 @@ def advance_lanes(rng):
     return state, v - 0.02, v, sags, pace, rule.figures(3), None, 1.0
 
 
+def setpoints(rng):
+    action = rng.uniform(-1.5, 1.5, (ROWS, 2 * SLOTS))
+    return action, *rng.uniform(1.0, 900.0, (2, 2 * SLOTS)), np.array(-1.0), np.array(1.0)
+
+
 def net_loads(rng):
     n, parts = 12, int(rng.choice([1, 3]))
     at = np.stack([rng.permutation(n)[: SLOTS * parts].reshape(SLOTS, parts) for _ in range(ROWS)])
@@ -95,7 +100,8 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, net_loads, by_phase,
+    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, setpoints, net_loads,
+    by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
 ROUNDED = {"serve_by_slack": 1e-9}

@@ -25,15 +25,14 @@ class Twins:
     def __call__(self, *args: Any) -> Any:
         """Run the twin if it takes these arguments, else the array form."""
         like = args[self._like]
-        like = like[0] if isinstance(like, tuple) else like
-        if not isinstance(like, np.ndarray) or like.ndim != 2 or like.dtype != _FLOAT64:
+        if type(like) is not np.ndarray:
+            like = like[0] if isinstance(like, tuple) else like
+        if type(like) is not np.ndarray or like.ndim != 2 or like.dtype != _FLOAT64:
             return self.array_form(*args)
-        if self._views:
-            values = list(args)
-            for at in self._views:
-                if values[at] is not None:
-                    values[at] = np.ascontiguousarray(values[at])
-            return self.kernel(*values)
+        for at in self._views:
+            value = args[at]
+            if value is not None and not value.flags.c_contiguous:
+                args = (*args[:at], np.ascontiguousarray(value), *args[at + 1 :])
         return self.kernel(*args)
 
     @cached_property

@@ -83,9 +83,8 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     state, solution
         State at the end and the power flow behind it. Where that has not converged the state keeps the last voltages.
     """
-    xp = namespace(action)
     params = parameters(scenario, action)
-    setpoint = params.middle + params.half_range * xp.minimum(xp.maximum(action, params.minus_one), params.one)
+    setpoint = setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
     by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:
@@ -235,6 +234,16 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
     """Where each device's agents stand among all."""
     ends = np.cumsum([0, *(device.count for device in scenario.devices)]).tolist()
     return tuple(map(slice, ends[:-1], ends[1:]))
+
+
+@compiled_as("dcgrid_env.engine.physics.step_kernels:setpoints", like="action")
+def setpoints(action: Array, middle: Array, half_range: Array, lowest: Array, highest: Array) -> Array:
+    """Setpoints of actions, which are cut to [-1, 1], (row, n_action): the middle of a range and a part of its half.
+
+    ``lowest`` and ``highest`` are -1 and 1, of no dimension.
+    """
+    xp = namespace(action)
+    return middle + half_range * xp.minimum(xp.maximum(action, lowest), highest)
 
 
 @compiled_as("dcgrid_env.engine.physics.step_kernels:net_loads", like="p_load_kw")

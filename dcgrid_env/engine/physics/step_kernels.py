@@ -21,6 +21,17 @@ def leg_loads(factor, leg_bus, p_kw, q_kvar):
 
 
 @compiled
+def setpoints(action, middle, half_range, lowest, highest):
+    """Setpoints (row, n_action) of actions, which are cut: the middle of a range and a part of its half."""
+    low, high = lowest[()], highest[()]
+    out = np.empty(action.shape)
+    for row in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            out[row, i] = middle[i] + half_range[i] * min(max(action[row, i], low), high)
+    return out
+
+
+@compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     """See ``dynamics.net_loads``."""
     p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()

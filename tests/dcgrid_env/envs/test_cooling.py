@@ -48,6 +48,7 @@ def test_it_has_settled_at_the_beginning_and_the_pue_is_stated():
     own = first.devices[0].features[0]
     assert own.cooling_kw[0, 0] == pytest.approx(0.3 * own.computing_kw[0, 0])
     assert first.p_kw[0, 0] == pytest.approx(1.3 * own.computing_kw[0, 0] + 250.0)
+    assert s.datacenters.cooling
     assert s.datacenters.cooling.pue_at_rating == pytest.approx(1.4)
     at_once = cooled({"cooling_share": 0.3, "time_constant_s": 0.0, "auxiliary_share": 0.0})
     assert rollout(at_once, NoControl(), [0]).metrics()[0]["pue"] == pytest.approx(1.3)

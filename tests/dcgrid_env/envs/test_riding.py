@@ -64,6 +64,7 @@ def test_energy_of_the_batteries_is_conserved_and_what_is_missing_is_charged():
     scenario = riding(horizon=60)
     series = episode(scenario)[0].lane(0)
     battery, rule = series.devices[0].battery, scenario.datacenters.ride_through
+    assert rule
     full = scenario.datacenters.parameters.p_rated_kw * rule.battery_s
     balance = full + (rule.charge_efficiency * battery.recharge_kw[1:] - battery.battery_kw[1:]).sum(0)
     assert battery.stored_kws[-1] == pytest.approx(balance, rel=1e-9)

@@ -176,6 +176,7 @@ def test_a_rule_of_ride_through_keeps_its_hash_when_fields_are_added():
     """The schema lists the rules' fields, so that a later one is left out at its default."""
     scenario = make_scenario("ride-through")
     for rule in (scenario.datacenters.ride_through, scenario.inverters.ride_through, scenario.sags[0]):
+        assert rule
         listed = fingerprint.SCHEMA_1[type(rule)]
         assert set(listed.fields) == {field.name for field in dataclasses.fields(rule)}
         assert fields(rule) is not None

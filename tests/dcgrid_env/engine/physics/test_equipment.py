@@ -83,8 +83,8 @@ def test_controls_act_on_the_power_flow_of_the_step_before():
     assert np.abs(np.diff(taps, axis=0)).max() == 1.0
     last, drawn = transitions[-1].state, episode.draw(scenario, np.zeros(1, np.uint64), np.zeros(1, np.uint64))
     *_, (_, outside) = episode.unroll(scenario, drawn)
-    net = dynamics.net_loads(outside.p_load_kw, outside.q_load_kvar, outside.legs, last.p_kw, last.q_kvar)
-    again = solve_unbalanced(feeder, *net, scenario.source_voltage_pu, Control(feeder.tap_ratio(taps[-1])))
+    p_kw, q_kvar = dynamics.net_loads(outside.p_load_kw, outside.q_load_kvar, outside.legs, last.p_kw, last.q_kvar)
+    again = solve_unbalanced(feeder, p_kw, q_kvar, scenario.source_voltage_pu, Control(feeder.tap_ratio(taps[-1])))
     np.testing.assert_allclose(again.v_pu, last.v_pu, atol=1e-7)
     np.testing.assert_allclose(relay_volts(settings, again), last.three_phase.equipment.regulators.relay_v, atol=1e-4)
 
