@@ -21,7 +21,7 @@ from dcgrid_env.traces.time_grid import GRID_S, check_range, grid_steps, rounded
 from dcgrid_env.traces.trace import PowerTrace
 
 SUN = "pv"
-"""Name of this generator, as a scenario's ``inverter_trace``."""
+"""Name of this generator, as a scenario's ``inverters.injection``."""
 
 _RANGES = {
     "clear_share": (0.0, 1.0),

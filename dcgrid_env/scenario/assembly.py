@@ -111,6 +111,8 @@ def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_
     changes = dict(by_path)
     if isinstance(given, Mapping):
         for field, value in given.items():
+            if field == "kind" and value == getattr(kind, "kind", None):
+                continue  # plain groups of devices name it
             if field in changes:
                 raise ScenarioError(f"scenario {scenario!r}: {path}.{field} is given twice; give it once")
             changes[field] = value
@@ -150,7 +152,7 @@ def _devices(
         listed = given if isinstance(given, list | tuple) else (given,)
         groups = [_device(scenario, f"devices[{i}]", device) for i, device in enumerate(listed)]
     for place, (name, kind) in enumerate(GROUPS.items()):
-        if name not in changes and not (base is None and given is None):
+        if name not in changes:
             continue
         there = [i for i, device in enumerate(groups) if device.kind == kind]
         if len(there) > 1:
@@ -158,7 +160,7 @@ def _devices(
                 f"scenario {scenario!r} has {len(there)} groups of kind {kind!r}; give devices, not {name}"
             )
         start = groups[there[0]] if there else None
-        group = _part(scenario, name, device_kind(kind), start, *changes.get(name, (None, {})))
+        group = _part(scenario, name, device_kind(kind), start, *changes[name])
         if there:
             groups[there[0]] = group
         else:

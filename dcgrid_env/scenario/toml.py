@@ -168,6 +168,7 @@ def _from_there(folder: Path, feeder: Any) -> Any:
 
 def _from_here(folder: Path, name: str, value: Any) -> Any:
     """Paths as they are from the folder of the file."""
+    name = name.rpartition(".")[2]
     if isinstance(value, dict):
         return {key: _from_here(folder, key, item) for key, item in value.items()}
     if isinstance(value, list) and name in ("devices", "trace"):

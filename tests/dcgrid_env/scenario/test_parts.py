@@ -150,3 +150,17 @@ def test_a_part_checks_itself(make, message):
 def test_what_cannot_be_is_named_as_it_was_given(given, message):
     with pytest.raises(ScenarioError, match=message):
         make_scenario("ieee33", **given)
+
+
+def test_a_group_of_devices_goes_through_the_spec_of_an_environment():
+    sites = DataCenters(count=1, buses=("18",), p_rated_kw=500.0, s_rated_share=1.1, q_max_share=0.3)
+    env: Any = gymnasium.make("dcgrid/IEEE33-v0", datacenters=sites)
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario.datacenters == env.unwrapped.scenario.datacenters == sites
+
+
+def test_inverters_alone_make_a_scenario():
+    alone = Scenario(
+        name="alone", feeder="ieee33", source_voltage_pu=1.0, inverters={"buses": ("7",), "s_rated_kva": 100.0}
+    )
+    assert alone.agents == ("inv_0",)

@@ -209,3 +209,12 @@ def test_a_feeder_beneath_the_file_is_named_from_there(folder, tmp_path, monkeyp
     (tmp_path / "a").rename(tmp_path / "moved")
     monkeypatch.chdir(tmp_path)
     assert scenario_hash(make_scenario("moved/mine.toml")) == scenario_hash(scenario)
+
+
+@pytest.mark.parametrize(
+    "key", ['trace = "site.csv"', '"workload.trace" = "site.csv"', '[workload]\ntrace = "site.csv"']
+)
+def test_a_recording_is_found_beside_the_file_however_it_is_named(key, tmp_path):
+    (tmp_path / "site.csv").write_text("time_s,site_w\n" + "".join(f"{t},{100 + t % 7}\n" for t in range(900)))
+    (tmp_path / "mine.toml").write_text(f'base = "ieee33"\nhorizon = 60\n{key}\n')
+    assert make_scenario(tmp_path / "mine.toml").workload.trace[0].name == "site"
