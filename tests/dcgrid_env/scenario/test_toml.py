@@ -1,6 +1,7 @@
 """Scenario files: written, read again the same, and refused with file, field, value and remedy."""
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -217,4 +218,5 @@ def test_a_feeder_beneath_the_file_is_named_from_there(folder, tmp_path, monkeyp
 def test_a_recording_is_found_beside_the_file_however_it_is_named(key, tmp_path):
     (tmp_path / "site.csv").write_text("time_s,site_w\n" + "".join(f"{t},{100 + t % 7}\n" for t in range(900)))
     (tmp_path / "mine.toml").write_text(f'base = "ieee33"\nhorizon = 60\n{key}\n')
-    assert make_scenario(tmp_path / "mine.toml").workload.trace[0].name == "site"
+    trace: Any = make_scenario(tmp_path / "mine.toml").workload.trace
+    assert trace[0].name == "site"
