@@ -49,7 +49,7 @@ class TuneAgent(OverWorkers):
         return GOES_ON
 
     def run(self) -> None:
-        """Search, print each trial, then the best. ValueError for a setting that cannot be, before anything is done."""
+        """Search, print each trial, then the best. ValueError for an invalid setting, before anything is done."""
         from dcgrid_env.agents.training.agent_search import (
             SECONDS,
             best_as_toml,

@@ -82,7 +82,7 @@ class Capacity(OverWorkers):
     """Folder for capacity.csv, capacity.png and results.json; made if it is not there."""
 
     def run(self) -> None:
-        """Search, print, write. ValueError for a setting that cannot be, before anything is written."""
+        """Search, print, write. ValueError for an invalid setting, before anything is written."""
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
         from dcgrid_env.baselines.tuning.tuned import require_tuned

@@ -33,7 +33,7 @@ class Check(OverWorkers):
     """Time after which nothing further is begun; all columns are then of fewer episodes, the same ones."""
 
     def run(self) -> None:
-        """Look, print the table and what it says. ValueError for a setting that cannot be."""
+        """Look, print the table and what it says. ValueError for an invalid setting."""
         from dcgrid_env.baselines.sanity.scenario_check import check_scenario
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 

@@ -67,7 +67,7 @@ class Dataset(OverWorkers):
     """Folder of all data sets, in Minari's layout; $MINARI_DATASETS_PATH where that is set, else results/datasets."""
 
     def run(self) -> None:
-        """Run and write. ValueError for a setting that cannot be, before anything is written."""
+        """Run and write. ValueError for an invalid setting, before anything is written."""
         from dcgrid_env.baselines.offline_data.minari_writer import CARD, dataset_id, default_root, new_dataset
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -97,7 +97,7 @@ class Dataset(OverWorkers):
 
 
 def _check(cfg: Dataset) -> None:
-    """ValueError for a setting that cannot be."""
+    """ValueError for an invalid setting."""
     from dcgrid_env.baselines.offline_data.minari_writer import require_minari
     from dcgrid_env.baselines.tuning.tuned import require_tuned
 

@@ -77,7 +77,7 @@ class Evaluate(OverWorkers):
         return GOES_ON if self.hindsight else ""
 
     def run(self) -> None:
-        """Run, print the table and what it says. ValueError for a setting that cannot be."""
+        """Run, print the table and what it says. ValueError for an invalid setting."""
         from dcgrid_env.agents import evaluate, find_controller
         from dcgrid_env.baselines import published
         from dcgrid_env.baselines.benchmark.benchmark_tables import headroom_lines

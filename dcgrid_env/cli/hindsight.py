@@ -54,7 +54,7 @@ class Hindsight(OverWorkers):
         return GOES_ON
 
     def run(self) -> None:
-        """Solve what is missing. ValueError for a setting that cannot be, or a file damaged or of another scenario."""
+        """Solve what is missing. ValueError for an invalid setting, or a file damaged or of another scenario."""
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         place = self.place

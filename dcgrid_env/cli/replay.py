@@ -68,7 +68,7 @@ class Replay(Command):
     """Open what was written."""
 
     def run(self) -> None:
-        """Run the episode again and write. ValueError for a setting that cannot be, before anything is run."""
+        """Run the episode again and write. ValueError for an invalid setting, before anything is run."""
         from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.rendering import replay

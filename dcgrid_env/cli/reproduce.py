@@ -46,7 +46,7 @@ class Reproduce(OverWorkers):
     phases."""
 
     def run(self) -> None:
-        """Run the study, write it down. ValueError for a setting that cannot be, before anything is written."""
+        """Run the study, write it down. ValueError for an invalid setting, before anything is written."""
         from dcgrid_env.baselines.reproduction.feeder_cases import TRUE, check_scenario
         from dcgrid_env.baselines.reproduction.load import choose_load
         from dcgrid_env.baselines.reproduction.study_runs import Setting

@@ -76,7 +76,7 @@ class Run(Command):
     """Open the figure at the end."""
 
     def run(self) -> None:
-        """Run, print the table, write. ValueError for a setting that cannot be, before anything is written."""
+        """Run, print the table, write. ValueError for an invalid setting, before anything is written."""
         from dcgrid_env import scenario_hash
         from dcgrid_env.agents.policy.guard import guard_line
         from dcgrid_env.baselines import find_controller

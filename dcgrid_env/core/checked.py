@@ -42,6 +42,9 @@ class FieldError(ValueError):
         self.owner, self.name, self.value, self.remedy = owner, name, value, remedy
         super().__init__(f"{owner}: {self.said(name)}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.owner, self.name, self.value, self.remedy)
+
     def said(self, name: str) -> str:
         """The message under another name of the field."""
         return f"{name} {self.remedy}" if self.value is ... else f"{name} is {self.value!r}; {self.remedy}"
@@ -65,6 +68,9 @@ class UnknownFieldError(FieldError):
     def __init__(self, owner: str, name: str, value: Any, names: Iterable[str]):
         self.names = list(names)
         super().__init__(owner, name, value, "")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.owner, self.name, self.value, self.names)
 
     def said(self, name: str) -> str:
         """The message under another name of the field."""
@@ -100,6 +106,11 @@ def choice(*options: Any, default: Any = MISSING) -> Any:
     return field(default=default, metadata={"check": _check_choice, "options": options})
 
 
+def as_plain(value: Any) -> Any:
+    """A NumPy scalar as Python's own number; any other value as it is."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
     """Make lists and arrays in the fields of a frozen dataclass instance tuples, NumPy's scalars Python's own, and
     plain data what they stand for: ``conversions`` gives a function for each field that has a plain form."""
@@ -109,8 +120,8 @@ def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
         if isinstance(value, np.ndarray):
             value = value.tolist()  # a number where it has no dimension
         if isinstance(value, list):
-            value = tuple(item.item() if isinstance(item, np.generic) else item for item in value)
-        value = value.item() if isinstance(value, np.generic) else value
+            value = tuple(map(as_plain, value))
+        value = as_plain(value)
         if value is not given:
             object.__setattr__(owner, f.name, value)
 

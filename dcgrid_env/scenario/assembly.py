@@ -71,6 +71,10 @@ def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any
         if field in by_path.setdefault(part, {}):
             raise ScenarioError(f"scenario {name!r}: {part}.{field} is given twice; give it once")
         by_path[part][field] = value
+    for part, changed in by_path.items():
+        if not isinstance(given.get(part, {}), Mapping):
+            paths = ", ".join(f"{part}.{field}" for field in changed)
+            raise ScenarioError(f"scenario {name!r}: {paths} is given, and {part} as a whole too; give one")
     for part in (*PARTS, *GROUPS, "devices"):
         if part in given and given[part] is None:
             raise ScenarioError(f"scenario {name!r}: {part} is None; leave it out, or give what it is to be")
@@ -124,6 +128,10 @@ def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_
         start = given
     with located(scenario, path):
         for field in changes:
+            if "." in field:
+                raise FieldError(
+                    path, field, ..., f"is too deep a path; give {path}.{field.partition('.')[0]} a mapping"
+                )
             if field not in _fields(kind):
                 raise UnknownFieldError(path, field, ..., _fields(kind))
         if (
@@ -159,6 +167,8 @@ def _devices(
             raise ScenarioError(
                 f"scenario {scenario!r} has {len(there)} groups of kind {kind!r}; give devices, not {name}"
             )
+        if there and given is not None and isinstance(changes[name][0], Device):
+            raise ScenarioError(f"scenario {scenario!r}: {name} is given, and devices has such a group; give one")
         start = groups[there[0]] if there else None
         group = _part(scenario, name, device_kind(kind), start, *changes[name])
         if there:

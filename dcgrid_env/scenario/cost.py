@@ -7,7 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, UnknownFieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import (
+    FieldError,
+    UnknownFieldError,
+    as_plain,
+    check_fields,
+    choice,
+    finite,
+    number,
+    refuse,
+    settle,
+)
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
@@ -83,4 +93,4 @@ def changed_weights(weights: CostWeights, given: Any) -> Any:
     for key in given:
         if key not in CostWeights._fields:
             raise UnknownFieldError("Cost", f"weights.{key}", given[key], CostWeights._fields)
-    return weights._replace(**given)
+    return weights._replace(**{key: as_plain(value) for key, value in given.items()})

@@ -178,7 +178,7 @@ class Ablate(Study):
     """Folder for ablations.md."""
 
     def run(self) -> None:
-        """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+        """Train, test, write. ValueError for an invalid setting, before anything is trained."""
         scenario = one_scenario(self.scenario)
         policies, others = _policies(self.policies), scenario_names(self.transfer)
         chosen = self.settings()

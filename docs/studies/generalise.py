@@ -124,7 +124,7 @@ class Generalise(Study):
     """Folder for generalise.md."""
 
     def run(self) -> None:
-        """Train, test, write. ValueError for a setting that cannot be, before anything is trained."""
+        """Train, test, write. ValueError for an invalid setting, before anything is trained."""
         scenarios = scenario_names(self.scenarios)
         if len(scenarios) < 2:
             raise ValueError(f"scenarios is {self.scenarios!r}; give at least two, one is left out")

@@ -104,7 +104,7 @@ class GradientCosine(Command):
     """Discount of the team's return."""
 
     def run(self) -> None:
-        """Print the table. ValueError for a setting that cannot be."""
+        """Print the table. ValueError for an invalid setting."""
         if self.num_envs < 2:
             raise ValueError(
                 f"num_envs is {self.num_envs}; give at least 2, as the team's return is measured from their mean"

@@ -250,7 +250,7 @@ class Pareto(Study):
     """Folder for pareto.md and images/pareto.png."""
 
     def run(self) -> None:
-        """Train, test, draw, write. ValueError for a setting that cannot be, before anything is trained."""
+        """Train, test, draw, write. ValueError for an invalid setting, before anything is trained."""
         scenario = one_scenario(self.scenario)
         limits_s = positive_numbers("delays", self.delays)
         chosen = self.settings()

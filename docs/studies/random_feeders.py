@@ -142,7 +142,7 @@ class RandomFeederTable(Command):
     """Buses of each."""
 
     def run(self) -> None:
-        """Print a table for each style. ValueError for a setting that cannot be."""
+        """Print a table for each style. ValueError for an invalid setting."""
         if self.draws < 1 or self.n_bus < 10:
             raise ValueError(f"draws is {self.draws} and n_bus {self.n_bus}; give at least 1 and at least 10")
         for style, published in PUBLISHED.items():

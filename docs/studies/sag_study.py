@@ -308,7 +308,7 @@ class Sags(OverWorkers):
     """Folder for sag-study.md and images/sag-study.png."""
 
     def run(self) -> None:
-        """Drive, draw, write. ValueError for a setting that cannot be."""
+        """Drive, draw, write. ValueError for an invalid setting."""
         if self.episodes < 1:
             raise ValueError(f"episodes is {self.episodes}; give at least 1")
         place, name, console = self.place, one_scenario(self.scenario), plain_console()

@@ -187,7 +187,7 @@ class Transfer(Command):
     """Folder for transfer.md."""
 
     def run(self) -> None:
-        """Run all pairs, print, write. ValueError for a setting that cannot be, before anything is run."""
+        """Run all pairs, print, write. ValueError for an invalid setting, before anything is run."""
         scenarios, algorithms = scenario_names(self.scenarios), split_names(self.algorithms)
         at_least(self, episodes=2)
         policies = {name: policies_of(name, scenarios) for name in algorithms}

@@ -208,7 +208,7 @@ class UnseenFeeders(OverWorkers):
     """Folder for unseen-feeders.md; nothing is written unless given."""
 
     def run(self) -> None:
-        """Drive, score, print. ValueError for a setting that cannot be, before anything is run."""
+        """Drive, score, print. ValueError for an invalid setting, before anything is run."""
         names, scenarios = split_names(self.controllers), scenario_names(self.scenarios)
         if not names:
             raise ValueError("controllers is empty; name at least one")

@@ -56,7 +56,7 @@ class Speed(Command):
     """File for the figures, if they are wanted as JSON too."""
 
     def run(self) -> None:
-        """Measure, print, write. ValueError for a setting that cannot be."""
+        """Measure, print, write. ValueError for an invalid setting."""
         console, rows = plain_console(), []
         with working(console, "measuring"):
             rows.extend(measure(self))
@@ -71,7 +71,7 @@ class Speed(Command):
 
 
 def measure(cfg: Speed) -> Iterator[Row]:
-    """Every line of the table. ValueError for a setting that cannot be."""
+    """Every line of the table. ValueError for an invalid setting."""
     counts = {"num_envs": cfg.num_envs, "feeders": cfg.feeders, "memory_num_envs": cfg.memory_num_envs}
     if not cfg.seconds > 0.0 or min(counts.values()) < 1:
         raise ValueError(f"seconds is {cfg.seconds} and {counts}; give more than 0 s and at least 1 of each")

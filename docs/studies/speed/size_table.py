@@ -65,7 +65,7 @@ class SpeedSizes(Command):
     """File for the figures, if they are wanted as JSON too."""
 
     def run(self) -> None:
-        """Measure, print, write. ValueError for a setting that cannot be."""
+        """Measure, print, write. ValueError for an invalid setting."""
         if min((*self.buses, *self.three_phase_nodes), default=0) < 20 or not self.seconds > 0.0:
             sizes = f"buses is {self.buses}, three_phase_nodes {self.three_phase_nodes} and seconds {self.seconds}"
             raise ValueError(f"{sizes}; give sizes of at least 20 and more than 0 s")

@@ -35,12 +35,12 @@ class TrainingSpeed(Command):
     """Where networks and grid are, as torch names it."""
 
     def run(self) -> None:
-        """Measure and print. ValueError for a setting that cannot be."""
+        """Measure and print. ValueError for an invalid setting."""
         plain_console().print(table(list(training_rows(self)), self.scenario))
 
 
 def training_rows(cfg: TrainingSpeed) -> Iterator[Row]:
-    """Rates for each size of batch; ValueError for a setting that cannot be."""
+    """Rates for each size of batch; ValueError for an invalid setting."""
     from dcgrid_env.agents.algorithms.analytic import Analytic, check_settings
 
     if cfg.batches < 1:

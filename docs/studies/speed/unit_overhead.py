@@ -147,7 +147,7 @@ class UnitOverhead(OverWorkers):
     """How often all is measured."""
 
     def run(self) -> None:
-        """Measure and print. ValueError for a setting that cannot be."""
+        """Measure and print. ValueError for an invalid setting."""
         at_least(self, units=1, seconds=0.001, repeats=1)
         places = [("this machine", workers.place(self.workers, None))]
         if self.ray is not None:

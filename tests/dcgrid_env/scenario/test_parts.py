@@ -22,8 +22,10 @@ from dcgrid_env import (
     Workload,
     make_scenario,
 )
+from dcgrid_env.core.checked import FieldError
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
 
+SITES = DataCenters(count=1, buses=("18",), p_rated_kw=500.0, s_rated_share=1.1, q_max_share=0.3)
 WAYS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     "sensing": (
         {"sensing": Sensing(noise_pu=0.005, delay_steps=1)},
@@ -140,6 +142,9 @@ def test_a_part_checks_itself(make, message):
         ({"observe": "local", "sensing.observe": "local"}, "sensing.observe is given twice; give it once"),
         ({"devices": ["datacenter"]}, r"devices\[0\] is 'datacenter'; give a device \(DataCenters, Inverters"),
         ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"no devices\[0\] field 'x'"),
+        ({"sensing": Sensing(), "sensing.noise_pu": 0.1}, "sensing.noise_pu is given, and sensing as a whole too; give"),
+        ({"devices": [SITES], "datacenters": SITES}, "datacenters is given, and devices has such a group; give one"),
+        ({"cost.weights.clock": 1.0}, "cost.weights.clock is too deep a path; give cost.weights a mapping"),
         ({"sensing": None}, "sensing is None; leave it out"),
         ({"devices": None}, "devices is None; leave it out"),
         ({"devices": [Inverters]}, r"devices\[0\] is <class .*; give a device"),
@@ -153,10 +158,21 @@ def test_what_cannot_be_is_named_as_it_was_given(given, message):
 
 
 def test_a_group_of_devices_goes_through_the_spec_of_an_environment():
-    sites = DataCenters(count=1, buses=("18",), p_rated_kw=500.0, s_rated_share=1.1, q_max_share=0.3)
-    env: Any = gymnasium.make("dcgrid/IEEE33-v0", datacenters=sites)
+    env: Any = gymnasium.make("dcgrid/IEEE33-v0", datacenters=SITES)
     again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.scenario.datacenters == env.unwrapped.scenario.datacenters == sites
+    assert again.unwrapped.scenario.datacenters == env.unwrapped.scenario.datacenters == SITES
+
+
+def test_a_weight_of_numpy_becomes_pythons_own():
+    weights = make_scenario("ieee33", weights={"backlog": np.float32(0.5)}).cost.weights
+    assert type(weights.backlog) is float
+
+
+def test_an_error_of_a_field_can_be_pickled():
+    for make in (lambda: Sensing(noise_pu=2.0), lambda: Cost(weights={"volts": 1})):
+        with pytest.raises(FieldError) as caught:
+            make()
+        assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 def test_inverters_alone_make_a_scenario():
