@@ -142,7 +142,7 @@ def test_a_part_checks_itself(make, message):
         ({"observe": "local", "sensing.observe": "local"}, "sensing.observe is given twice; give it once"),
         ({"devices": ["datacenter"]}, r"devices\[0\] is 'datacenter'; give a device \(DataCenters, Inverters"),
         ({"devices": {"kind": "inverter", "buses": ["3"], "s_rated_kva": 1.0, "x": 1}}, r"no devices\[0\] field 'x'"),
-        ({"sensing": Sensing(), "sensing.noise_pu": 0.1}, "sensing.noise_pu is given, and sensing as a whole too; give"),
+        ({"sensing": Sensing(), "sensing.noise_pu": 0.1}, "sensing.noise_pu is given, and sensing as a whole too"),
         ({"devices": [SITES], "datacenters": SITES}, "datacenters is given, and devices has such a group; give one"),
         ({"cost.weights.clock": 1.0}, "cost.weights.clock is too deep a path; give cost.weights a mapping"),
         ({"sensing": None}, "sensing is None; leave it out"),
