@@ -1,4 +1,4 @@
-"""Functions of arrays that have a compiled twin: the same figures of the same arguments, in one pass over the rows."""
+"""Functions of arrays that have a compiled twin: a kernel that computes the same from the same arguments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FLOAT64 = np.dtype(np.float64)
 
 
 class Twins:
-    """A function of arrays and its compiled twin, called as one of them."""
+    """A function of arrays that calls its compiled twin where that takes the arguments."""
 
     def __init__(self, array_form: Callable[..., Any], kernel: str, like: str, views: Sequence[str]):
         update_wrapper(self, array_form)
@@ -25,8 +25,8 @@ class Twins:
     def __call__(self, *args: Any) -> Any:
         """Run the twin if it takes these arguments, else the array form."""
         like = args[self._like]
-        if type(like) is not np.ndarray:
-            like = like[0] if isinstance(like, tuple) else like
+        if isinstance(like, tuple):
+            like = like[0]
         if type(like) is not np.ndarray or like.ndim != 2 or like.dtype != _FLOAT64:
             return self.array_form(*args)
         for at in self._views:

@@ -1,4 +1,4 @@
-"""A scenario's parts out of what it is given: objects, mappings of plain data, and fields by their paths."""
+"""Makes a scenario's parts from its arguments: objects, mappings of plain data, and fields by their paths."""
 
 from __future__ import annotations
 

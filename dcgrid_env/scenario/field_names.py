@@ -1,4 +1,4 @@
-"""Names of a scenario's fields: paths such as ``sensing.noise_pu``, short names of common ones, and names of the past.
+"""Names of a scenario's fields: paths such as ``sensing.noise_pu``, short names of common fields, and former names.
 
 A field of a part is given as ``sensing={"noise_pu": 0.005}``, as a table ``[sensing]`` of a scenario file, or by its
 path: ``--set sensing.noise_pu=0.005``, and ``**{"sensing.noise_pu": 0.005}`` in Python.
