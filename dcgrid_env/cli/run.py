@@ -21,62 +21,68 @@ if TYPE_CHECKING:
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
+DEFAULT_SCENARIO = "ieee33-weak"
+POLICY = "analytic"
+"""Bundled policy that the command compares by default."""
+
 
 @dataclass(frozen=True)
 class Run(Command):
     """Run controllers on the same episodes and compare them.
 
-    Prints a table of metrics and writes results.json and a figure.
+    Print a table of metrics, and write results.json and a figure of the first episode.
     """
 
     scenario: str | None = None
-    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; without one and without --feeder it is ieee123."""
+    """Scenario: a name (see dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function
+    that makes one. Default: ieee33-weak, or a new scenario if --feeder is given."""
     feeder: str | None = None
-    """Your own feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. What
-    --datacenters and --inverters do not say is chosen to suit its load, the source's voltage so that it centres the
-    band; all of it is printed and written as TOML, and --set changes any of it. With --scenario, that scenario's
-    devices stand on this feeder."""
+    """Feeder: the name of a bundled one, or a folder, for example one that dcgrid import wrote. Settings that
+    --datacenters and --inverters leave open are chosen to suit its load, and the source voltage is chosen to centre the
+    band. The result is printed and written as TOML; --set changes any field. With --scenario, the devices of that
+    scenario are placed on this feeder."""
     datacenters: str | None = None
-    """Data centres on --feeder: COUNT x SIZE kW or MW, then where: drawn in each episode (unless given), at ends, or at
-    BUS,BUS; parts of different sizes joined by +, or none. For instance '3 x 1 MW at ends'."""
+    """Data centres on --feeder: COUNT x SIZE kW or MW, then their buses: drawn in each episode (default), at ends, or
+    at BUS,BUS. Join groups of different size by +, or give none. Example: '3 x 1 MW at ends'."""
     inverters: str | None = None
-    """Inverters on --feeder: COUNT x SIZE kvar, Mvar, kVA or MVA, then where: spread over the load buses (unless
-    given), at ends, or at BUS,BUS; or none. For instance '5 x 200 kvar'."""
+    """Inverters on --feeder: COUNT x SIZE kvar, Mvar, kVA or MVA, then their buses: spread over the load buses
+    (default), at ends, or at BUS,BUS; or none. Example: '5 x 200 kvar'."""
     save_scenario: Path | None = None
-    """File to write what stands on --feeder to, instead of scenario.toml in the folder of --out."""
+    """File for the scenario on --feeder. Default: scenario.toml in the folder of --out."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Scenario fields to override, for example --set horizon=60 sensing.noise_pu=0.005."""
     horizon: int | None = None
-    """Steps of an episode instead of the scenario's own, as --set horizon=N has it; 86400 are a day of steps of 1 s."""
-    controllers: str = "none,inverters,droop"
-    """Controllers separated by commas: names, module:Class or file.py:Class of your own, in quotes with arguments, as
-    'file.py:Class(gain=0.5)', training runs' folders or policies' files (.safetensors); guarded: before a policy keeps
-    it near the tuned droop. A path must not hold a comma."""
+    """Steps per episode, the same as --set horizon=N. With steps of 1 s, 86400 is a day."""
+    controllers: str | None = None
+    """Controllers, separated by commas: names (see dcgrid list), module:Class or file.py:Class (in quotes with
+    arguments: 'file.py:Class(gain=0.5)'), folders of training runs, or policy files (.safetensors). The prefix guarded:
+    keeps a policy near the tuned droop. A path must not contain a comma. Default: none, droop and the bundled policy
+    analytic; inverters instead of the policy if the scenario has none."""
     episodes: int = 8
-    """Number of episodes for each controller: those of seeds seed, seed + 1, ..."""
+    """Number of episodes per controller, with seeds --seed, --seed + 1 and so on."""
     seed: int = 0
     """Seed of the first episode."""
     split: str = "test"
-    """Which episodes the seeds mean: train, validation, test, or ood (another GPU or service)."""
+    """Split that the seeds refer to: train, validation, test, or ood (another GPU or service)."""
     trace: str | None = None
-    """Load of the data centres instead of the scenario's: a generator, or recordings and files separated by commas."""
+    """Workload of the data centres: a generator, or recordings and files separated by commas. Default: the
+    scenario's."""
     dvfs: Literal["linear", "prefill-decode"] | None = None
-    """How the clock acts, the scenario's own way unless given: on all work alike, or by class of work (prefill and
-    training follow it, decode hardly does)."""
+    """Clock model: linear slows all work alike; prefill-decode slows prefill and training, but hardly decode. Default:
+    the scenario's."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
-    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    """File of dcgrid tune with the gains of tuned controllers. Default: results/tuned.json if it was tuned for this
+    scenario, else the bundled gains."""
     course: Literal["auto", "parquet", "none"] = "auto"
-    """Whether every step is written, to course/CONTROLLER/part-*.parquet in --out: auto where episodes are too long to
-    be kept in memory, parquet always (both take the extra parquet), or none."""
+    """Whether every step is written to course/CONTROLLER/part-*.parquet in --out: auto writes episodes that do not fit
+    into memory, parquet writes all, none writes nothing. Writing requires the extra parquet."""
     out: Path = Path("results/run")
-    """Folder for results.json, figure.png and, with --feeder, scenario.toml; made if it is not there."""
+    """Folder for results.json, figure.png and, with --feeder, scenario.toml. It is created if needed."""
     open: bool = False
     """Open the figure at the end."""
 
     def run(self) -> None:
-        """Run, print the table, write. ValueError for an invalid setting, before anything is written."""
+        """Run, print the table and write the files; check all settings first (ValueError)."""
         from dcgrid_env import scenario_hash
         from dcgrid_env.agents.policy.guard import guard_line
         from dcgrid_env.baselines import find_controller
@@ -86,14 +92,14 @@ class Run(Command):
         from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 
         if self.episodes < 1 or self.seed < 0:
-            raise ValueError(f"episodes is {self.episodes} and seed {self.seed}; give at least 1 and at least 0")
+            raise ValueError(f"episodes, seed: must be at least 1 and at least 0, got {self.episodes} and {self.seed}")
         _check_options(self)
         require_tuned(self.tuned)
         scenario = scenario_of(self)
-        names = split_names(self.controllers)
+        names = controller_names(self, scenario)
         controllers = {name: find_controller(name, scenario, self.tuned) for name in names}
         if not controllers:
-            raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
+            raise ValueError(f"controllers: must name at least one, got {self.controllers!r}; see dcgrid list")
         seeds = range(self.seed, self.seed + self.episodes)
         console = plain_console()
         runs = Runs(scenario, seeds, self.course, self.out, console)
@@ -132,21 +138,34 @@ class Run(Command):
             written.append(saved)
         say(console, f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}")
         if self.feeder is not None:
-            say(console, f"`dcgrid check {written[-1]}` says whether it is worth learning on")
+            say(console, f"run `dcgrid check {written[-1]}` to see whether control can gain anything there")
         offer(console, self.out / "figure.png", self.open, f"; `dcgrid replay {self.out}` shows its steps in a browser")
 
 
 def _check_options(cfg: Run) -> None:
-    """ValueError for options that nothing would heed, or a scenario file that cannot be."""
+    """Raise ValueError for options that would be ignored, or an invalid scenario file."""
     for option in ("datacenters", "inverters", "save_scenario"):
         if cfg.feeder is None and getattr(cfg, option) is not None:
-            raise ValueError(f"{option} says what stands on a feeder; give it with --feeder, or --set for a scenario")
+            raise ValueError(f"{option}: requires --feeder; to change a scenario's devices, use --set")
     if cfg.save_scenario is not None and cfg.save_scenario.suffix != ".toml":
-        raise ValueError(f"save_scenario is {str(cfg.save_scenario)!r}; give a file that ends in .toml")
+        raise ValueError(f"save_scenario: must end in .toml, got {str(cfg.save_scenario)!r}")
+
+
+def controller_names(cfg: Run, scenario: Scenario) -> list[str]:
+    """Return the names of the controllers that a command compares."""
+    from dcgrid_env.baselines import find_controller
+
+    if cfg.controllers is not None:
+        return split_names(cfg.controllers)
+    try:
+        find_controller(POLICY, scenario)
+    except ValueError:  # no policy was trained for the scenario
+        return ["none", "droop", "inverters"]
+    return ["none", "droop", POLICY]
 
 
 def scenario_of(cfg: Run) -> Scenario:
-    """The scenario that a command names; ValueError for one that cannot be."""
+    """Make the scenario that a command names; raise ValueError if it is invalid."""
     from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES
@@ -161,24 +180,26 @@ def scenario_of(cfg: Run) -> Scenario:
         names = [cfg.trace] if Path(cfg.trace).is_file() else [name.strip() for name in cfg.trace.split(",")]
         mixed = [name for name in names if name in TRACE_SOURCES]
         if mixed:
-            raise ValueError(f"trace {cfg.trace!r}: generator {mixed[0]!r} stands alone; give one, or recordings only")
+            raise ValueError(
+                f"trace: generator {mixed[0]!r} cannot be combined, got {cfg.trace!r}; give one generator, or files"
+            )
         chosen["trace"] = tuple(map(recorded_trace, names))
     changes = with_horizon(cfg.set, cfg.horizon)
     if cfg.feeder is not None:
         asked = Asked(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
         return scenario_on_feeder(asked, changes, cfg.split, chosen)
-    return ScenarioSpec("ieee123" if cfg.scenario is None else cfg.scenario, changes).make(cfg.split, **chosen)
+    return ScenarioSpec(DEFAULT_SCENARIO if cfg.scenario is None else cfg.scenario, changes).make(cfg.split, **chosen)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
-    """Where each row of the data centres' load comes from: parameters and seed, or hash, licence and citation."""
+    """Return the origin of each row of the workload: parameters and seed, or hash, licence and citation."""
     from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     return [provenance.record() for provenance in trace_pool(scenario).provenance]
 
 
 def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
-    """The controllers side by side, summed up over the episodes."""
+    """Return the table of metrics, one column per controller, over all episodes."""
     from dcgrid_env import metrics_in
     from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
@@ -186,22 +207,22 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
     length_s = scenario.horizon * scenario.dt_s
     title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
-    # Those of requests and of what sites have beside clock and queue are there where the scenario has any.
+    # Metrics of requests and of optional devices exist only in scenarios that have these.
     for metric in (metric for metric in metrics_in("run") if metric.name in records[0]):
         cells = []
         for name in names:
-            own = [r for r in records if r["controller"] == name]
+            episodes = [record for record in records if record["controller"] == name]
             if metric.name.startswith(("ttft", "e2e")):
-                own = [r for r in own if r["requests_sampled"]] or own[:1]
-            cells.append(metric.text(metric.of_episodes(r[metric.name] for r in own)))
+                episodes = [record for record in episodes if record["requests_sampled"]] or episodes[:1]
+            cells.append(metric.text(metric.of_episodes(record[metric.name] for record in episodes)))
         rows.append((metric.label, metric.unit, *cells))
     collapsed = sum(1 - r["power_flow_converged"] for r in records)
-    notes = (f"{collapsed:g} episodes ended in voltage collapse and are charged for it",) if collapsed else ()
+    notes = (f"{collapsed:g} episodes ended in voltage collapse; J includes the charge for it",) if collapsed else ()
     return Table(title, ("mean over episodes", "unit", *names), tuple(rows), notes)
 
 
 def linear_difference(scenario: Scenario, seeds: range) -> str:
-    """How far LinDistFlow's voltages are from DistFlow's on the same episodes without control."""
+    """Return the difference between LinDistFlow's and DistFlow's voltages on the same episodes without control."""
     import numpy as np
 
     from dcgrid_env.baselines import NoControl, rollout
@@ -210,4 +231,6 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
     lengths = [min(len(run.lane(i).v_pu) for run in runs) for i in range(len(seeds))]
     apart = [np.abs(runs[0].lane(i).v_pu[:n] - runs[1].lane(i).v_pu[:n]) for i, n in enumerate(lengths)]
     mean, most = np.mean([a.mean() for a in apart]), np.max([a.max() for a in apart])
-    return f"LinDistFlow, which leaves losses out, is off by {mean:.4f} p.u. on average and {most:.4f} at most (none)"
+    return (
+        f"error of LinDistFlow, which neglects losses: mean {mean:.4f} p.u., largest {most:.4f} p.u. (controller none)"
+    )

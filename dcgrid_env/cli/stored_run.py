@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.run import Run, scenario_of
+from dcgrid_env.cli.run import Run, controller_names, scenario_of
 from dcgrid_env.core.checked import finite
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ class StoredRun(NamedTuple):
 
     @property
     def controllers(self) -> list[str]:
-        """Their names as the run's command has them."""
-        return split_names(self.command.controllers)
+        """Names of the controllers in the run's command."""
+        return controller_names(self.command, self.scenario)
 
     def difference(self, name: str, seed: int, cost: float) -> str:
         """What to say where an episode comes out otherwise than it is stored; empty where it does not."""
@@ -106,7 +106,7 @@ def _check_code(path: Path, command: Run) -> None:
     from dcgrid_env.baselines.registry import split_prefix
     from dcgrid_env.baselines.user_code import parse
 
-    named = [command.scenario or "", *(split_prefix(name)[1] for name in split_names(command.controllers))]
+    named = [command.scenario or "", *(split_prefix(name)[1] for name in split_names(command.controllers or ""))]
     for name in named:
         if name and parse(name) is not None:
             raise ValueError(f"{path} names code, {name!r}, which a replay would run; if you trust it, add --trust")

@@ -1,4 +1,4 @@
-"""Rows of the figure of a run: voltages, on a three-phase feeder phases, unbalance and taps, and what storages hold."""
+"""Rows of the figure of a run: voltages, power over the feeder, equipment and each agent's figures."""
 
 from __future__ import annotations
 
@@ -15,12 +15,23 @@ from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.history import node_words
-from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks, taps_act
+from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks
+from dcgrid_env.rendering.replay_course import agent_figures, p_ref_kw
 from dcgrid_env.scenario.scenario import Scenario
 
 _SMALL: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _NAMED = 10
-"""Storages named in the legend at most."""
+"""Agents named in a legend at most; with more, colours repeat."""
+AGENT_LABELS = {
+    "on_grid_pct": "connected (%)",
+    "f_mhz": "GPU clock (MHz)",
+    "backlog_kws": "backlog (kW s)",
+    "stored_pct": "stored (%)",
+    "burnt_kw": "burnt power (kW)",
+}
+"""Label of the row of each figure of agents, by its name in ``replay_course.SHOWN``, in the order of the rows."""
+HELD = ("f_mhz", "burnt_kw")
+"""Figures that hold over an interval; the others are amounts at its end."""
 
 
 class Row(NamedTuple):
@@ -59,34 +70,97 @@ def fit_voltages(ax: Axes, scenario: Scenario, runs: list[Series]) -> None:
     ax.set_ylim(min(lowest, 1.0 - scenario.cost.band_pu) - 0.01, 1.0 + 1.9 * scenario.cost.band_pu)
 
 
-def phase_rows(scenario: Scenario) -> list[Row]:
-    """The rows of a three-phase feeder: its phases, and what it has of unbalance and of regulators that act."""
+def phase_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
+    """The rows of a three-phase feeder: its phases, its unbalance, and taps that move in any of the episodes."""
     feeder: Any = scenario.feeder
     rows = [_phase(scenario, name, nodes) for name, nodes in phases_of_feeder(feeder).items()]
     if len(three_phase_nodes(feeder)):
         rows.append(_unbalance(feeder))
-    if taps_act(scenario):
+    if any(np.ptp(run.three_phase.equipment.regulators.tap, axis=0).any() for run in runs):
         rows.append(_taps(feeder))
     return rows
 
 
-def storage_rows(scenario: Scenario) -> list[Row]:
-    """The row of storages that are agents, if there are any: stored energy as a share, each in its own colour."""
-    group = next((device for device in scenario.devices if device.kind == "storage" and device.count), None)
-    if group is None:
-        return []
-    energy_kwh = group.parameters.energy_kwh
+def voltage_row(scenario: Scenario) -> Row:
+    """The row of a balanced feeder's voltages."""
 
     def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
-        for i, share in enumerate((run.stored_kwh / energy_kwh).T):
-            ax.plot(t, 100.0 * share, color=agent_colour(i), linewidth=1.2, label=f"sto_{i}")
+        voltages(ax, scenario, run, t, scenario.feeder.load_nodes)
 
     def finish(across: np.ndarray, runs: list[Series]) -> None:
-        across[0].set_ylim(-2.0, 102.0)
-        if len(energy_kwh) <= _NAMED:
-            across[0].legend(loc="lower left", ncols=min(len(energy_kwh), 5), **_SMALL)
+        fit_voltages(across[0], scenario, runs)
+        across[0].legend(loc="upper right", ncols=2, columnspacing=1.0, **_SMALL)
 
-    return [Row("stored (%)", 1.8, draw, finish)]
+    return Row("voltage (p.u.)", 2.8, draw, finish)
+
+
+def total_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
+    """The rows of sums over the feeder: power of the data centres, and reactive power of all agents."""
+    rows = []
+    if scenario.n_sites:
+        rows.append(_total_power(scenario))
+    if any(run.q_kvar.any() for run in runs):
+        rows.append(_total_reactive_power())
+    return rows
+
+
+def agent_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
+    """A row for each figure of ``AGENT_LABELS`` that changes in any of the episodes, with one curve for each agent."""
+    figures = {id(run): agent_figures(run) for run in runs}
+    names = _agent_names(scenario)
+
+    def changes(name: str) -> bool:
+        curves = [own[name] for of_run in figures.values() for own in of_run if name in own]
+        return any(np.ptp(curve[1:]) > 0.0 for curve in curves) or len({float(curve[-1]) for curve in curves}) > 1
+
+    def row(name: str) -> Row:
+        shown = [i for i, own in enumerate(figures[id(runs[0])]) if name in own]
+
+        def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
+            for place, i in enumerate(shown):
+                values, look = figures[id(run)][i][name], {"color": agent_colour(place), "linewidth": 1.2}
+                if name in HELD:
+                    ax.step(t[1:], values[1:], where="pre", label=names[i], **look)
+                else:
+                    ax.plot(t, values, label=names[i], **look)
+
+        def finish(across: np.ndarray, runs: list[Series]) -> None:
+            peak = max(float(own[name].max()) for run in runs for own in figures[id(run)] if name in own)
+            top = {"f_mhz": scenario.datacenters.f_max_mhz, "on_grid_pct": 100.0, "stored_pct": 100.0}.get(name, peak)
+            across[0].set_ylim(-0.02 * max(top, 1.0), 1.05 * max(top, 1.0))
+            if 0 < len(shown) <= _NAMED:
+                across[0].legend(loc="best", ncols=min(len(shown), 5), **_SMALL)
+
+        return Row(AGENT_LABELS[name], 1.8, draw, finish)
+
+    return [row(name) for name in AGENT_LABELS if changes(name)]
+
+
+def _agent_names(scenario: Scenario) -> list[str]:
+    """Name of each agent by its kind: ``dc_0`` and the like."""
+    short = {"datacenter": "dc", "inverter": "inv", "storage": "sto"}
+    return [f"{short.get(device.kind, device.kind)}_{i}" for device in scenario.devices for i in range(device.count)]
+
+
+def _total_power(scenario: Scenario) -> Row:
+    workload = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
+
+    def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
+        ax.step(t[1:], p_ref_kw(run)[1:].sum(axis=1), where="pre", color="#B5B5B5", linewidth=2.4, label="demand")
+        ax.step(t[1:], run.p_kw[:, workload].sum(axis=1), where="pre", color="#1A1A1A", linewidth=1.2, label="drawn")
+
+    def finish(across: np.ndarray, runs: list[Series]) -> None:
+        across[0].set_ylim(0.0, 1.3 * across[0].get_ylim()[1])
+        across[0].legend(loc="upper right", ncols=2, **_SMALL)
+
+    return Row("data centres (kW)", 1.8, draw, finish)
+
+
+def _total_reactive_power() -> Row:
+    def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
+        ax.step(t[1:], run.q_kvar.sum(axis=1), where="pre", color="#8C6BB1", linewidth=1.2)
+
+    return Row("Q injected (kvar)", 1.5, draw, lambda across, runs: None)
 
 
 def _phase(scenario: Scenario, name: str, nodes: np.ndarray) -> Row:

@@ -31,6 +31,7 @@ SHOWN = {
     "f_mhz": Shown("GPU clock", "MHz", 0),
     "backlog_kws": Shown("backlog", "kW s", 0),
     "stored_pct": Shown("stored energy", "%", 1),
+    "burnt_kw": Shown("power burnt", "kW", 1),
     "on_grid_pct": Shown("share on the grid", "%", 0),
 }
 """What a page shows of agents, in its order."""
@@ -111,7 +112,8 @@ def p_ref_kw(run: Series) -> np.ndarray:
 
 def _site_figures(run: Series, state: Any, first: int, count: int) -> dict[str, np.ndarray]:
     asked = p_ref_kw(run)[:, first : first + count]
-    return {"p_ref_kw": asked, "f_mhz": state.f_mhz, "backlog_kws": state.backlog_kws}
+    burnt = {"burnt_kw": state.burnt_kw} if hasattr(state, "burnt_kw") else {}
+    return {"p_ref_kw": asked, "f_mhz": state.f_mhz, "backlog_kws": state.backlog_kws, **burnt}
 
 
 def _stored(device: Any, state: Any) -> dict[str, np.ndarray]:

@@ -1,80 +1,130 @@
-"""The figure of a run: one episode under several controllers, voltages, clocks and backlog over time."""
+"""The figure of a run: one episode under several controllers, side by side."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dcgrid_env.engine.exogenous.forecast import forecast
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.banded_figure import long_figure
 from dcgrid_env.rendering.envelope import Envelope
-from dcgrid_env.rendering.feeder_map import agent_colour
-from dcgrid_env.rendering.figure_rows import Row, fit_voltages, phase_rows, storage_rows, voltages
+from dcgrid_env.rendering.figure_rows import agent_rows, phase_rows, total_rows, voltage_row
+from dcgrid_env.rendering.replay_course import agent_figures
 from dcgrid_env.scenario.scenario import Scenario
-
-MOST_NAMED = 10
-"""Data centres up to which a figure names each; beyond, colours have repeated and a legend would hide the curves."""
 
 MOST_STEPS = 6000
 """Steps up to which a line is drawn through each of them."""
-_REST_IN = 8.2 / 3.0
-"""Height of a row of the devices, inches."""
+ZOOM_S = 10.0
+"""Seconds that are shown of an episode in steps below 1 s."""
+CAPTION = (
+    "J: mean cost per step, lower is better; it adds the deviation of voltages from 1 p.u., the excess over the limits "
+    "(dashed), waiting work and control effort, weighted."
+)
+
+
+class Event(NamedTuple):
+    """A kind of event that the figure marks."""
+
+    label: str
+    marker: str
+    colour: str
+
+
+SAG = Event("sag", "v", "#E69F00")
+TRIP = Event("trip", "x", "#D00000")
 
 
 def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figure:
-    """Columns are controllers; rows are voltages, clocks and backlog, each on one scale for all.
+    """Draw one episode under several controllers.
 
-    The voltages of a three-phase feeder take a row for each phase, and its unbalance and taps one each. What storages
-    hold has a row of its own. Episodes of more than ``MOST_STEPS`` are drawn as ``long_figure`` has it.
+    Columns are controllers. The first rows show voltages, then power over the whole feeder, then figures of the agents.
+    All columns share the axes of a row. Rows in which nothing changes are left out. Marks at the lower edge of the
+    voltages show sags and trips. An episode in steps below 1 s is shown for the ``ZOOM_S`` around the
+    largest change of demand. Episodes of more than ``MOST_STEPS`` are drawn by ``long_figure``.
+
+    Parameters
+    ----------
+    scenario
+        The scenario of all episodes.
+    series
+        The recorded episode by the name of its controller.
+    seed
+        Seed of the episode.
     """
     if scenario.horizon > MOST_STEPS:
         return long_figure(scenario, {name: Envelope.of(run) for name, run in series.items()}, seed)
     by_phase = isinstance(scenario.feeder, ThreePhaseFeeder)
-    rows = [*(phase_rows(scenario) if by_phase else _balanced_rows(scenario)), *storage_rows(scenario)]
-    heights = [row.height_in for row in rows] + [2.0 if by_phase else _REST_IN] * 2
-    width = 1.6 + 4.0 * len(series) + 0.8 * by_phase  # the taps' legend stands beside them
-    figure = Figure(figsize=(width, sum(heights)), layout="constrained")
+    runs = list(series.values())
+    rows = [
+        *(phase_rows(scenario, runs) if by_phase else [voltage_row(scenario)]),
+        *total_rows(scenario, runs),
+        *agent_rows(scenario, runs),
+    ]
+    heights = [row.height_in for row in rows]
+    width = 1.6 + 4.0 * len(series) + 0.8 * by_phase  # the taps' legend is to the right of them
+    figure = Figure(figsize=(width, 0.6 + sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(heights), len(series), sharex=True, sharey="row", squeeze=False, height_ratios=heights)
-    n_dc, dt = scenario.n_sites, scenario.dt_s
+    axes = figure.subplots(len(rows), len(series), sharex=True, sharey="row", squeeze=False, height_ratios=heights)
     for column, (name, run) in zip(axes.T, series.items(), strict=True):
-        t = np.arange(len(run.v_pu)) * dt
-        for ax, row in zip(column, rows, strict=False):
+        t = np.arange(len(run.v_pu)) * scenario.dt_s
+        for ax, row in zip(column, rows, strict=True):
             row.draw(ax, run, t)
-        column[0].set_title(f"{name}    J = {run.metrics()['J']:.3f}", fontsize=11)
-        clock, backlog = column[-2:]
-        for i in range(n_dc):
-            colour = agent_colour(i)
-            clock.step(t[1:], run.f_mhz[:, i], where="pre", color=colour, linewidth=1.2, label=f"dc_{i}")
-            backlog.plot(t, run.backlog_kws[:, i], color=colour, linewidth=1.2)
-        clock.set_ylim(0.0, 1.05 * scenario.datacenters.f_max_mhz)
-        backlog.set_xlabel("time (s)")
-        for ax in column:
             ax.grid(alpha=0.25, linewidth=0.6)
             ax.spines[["top", "right"]].set_visible(False)
-    column = axes[:, 0]
-    for ax, label in zip(column, (*(row.label for row in rows), "GPU clock (MHz)", "backlog (kW s)"), strict=True):
-        ax.set_ylabel(label)
-    for row, across in zip(rows, axes, strict=False):
-        row.finish(across, list(series.values()))
-    peak = max(float(run.backlog_kws.max(initial=0.0)) for run in series.values())
-    column[-1].set_ylim(-0.02 * max(peak, 1.0), 1.05 * max(peak, 1.0))
-    if 0 < n_dc <= MOST_NAMED:
-        column[-2].legend(loc="lower right", fontsize=8, frameon=False, ncols=min(n_dc, 5))
-    cut = "\n" if by_phase and len(series) == 1 else " "
-    figure.suptitle(f"{scenario.name}, {scenario.split} split, seed {seed}:{cut}the same episode under each controller")
+        column[0].set_title(f"{name}    J = {run.metrics()['J']:.3f}", fontsize=11)
+        column[-1].set_xlabel("time (s)")
+    for row, across in zip(rows, axes, strict=True):
+        across[0].set_ylabel(row.label)
+        row.finish(across, runs)
+    first, last = shown_s(scenario, runs)
+    _mark(axes[0], [_events(scenario, run, seed) for run in runs])
+    axes[0, 0].set_xlim(first, last)
+    shown = "" if last - first >= scenario.horizon * scenario.dt_s else f", {first:g} to {last:g} s"
+    cut = "\n" if len(series) == 1 else " "
+    figure.suptitle(
+        f"{scenario.name}, {scenario.split} split, seed {seed}{shown}:{cut}the same episode under each controller"
+    )
+    figure.supxlabel(CAPTION if len(series) > 1 else CAPTION.replace("; ", ";\n"), fontsize=8.5, color="#444444")
     return figure
 
 
-def _balanced_rows(scenario: Scenario) -> list[Row]:
-    def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
-        voltages(ax, scenario, run, t, scenario.feeder.load_nodes)
+def shown_s(scenario: Scenario, runs: list[Series]) -> tuple[float, float]:
+    """Return the beginning and the end of what is shown, s."""
+    length = scenario.horizon * scenario.dt_s
+    if scenario.dt_s >= 1.0 or length <= 2.0 * ZOOM_S:
+        return 0.0, length
+    drawn = runs[0].p_kw.sum(axis=1)
+    largest = int(np.abs(np.diff(drawn)).argmax()) * scenario.dt_s
+    first = float(np.floor(np.clip(largest - 0.5 * ZOOM_S, 0.0, length - ZOOM_S)))
+    return first, first + ZOOM_S
 
-    def finish(across: np.ndarray, runs: list[Series]) -> None:
-        fit_voltages(across[0], scenario, runs)
-        across[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2, columnspacing=1.0)
 
-    return [Row("voltage (p.u.)", 8.2 - 2 * _REST_IN, draw, finish)]
+def _events(scenario: Scenario, run: Series, seed: int) -> dict[Event, np.ndarray]:
+    """Return the times of each kind of event, s."""
+    on_grid: Any = [own["on_grid_pct"] for own in agent_figures(run) if "on_grid_pct" in own]
+    tripped = (np.diff(on_grid, axis=1) < 0.0) & (np.array(on_grid)[:, :-1] > 0.0) if on_grid else np.zeros((1, 0))
+    sags = forecast(scenario, seed).sags
+    return {
+        SAG: np.zeros(0) if sags is None else sags[:, 0],
+        TRIP: (np.flatnonzero(tripped.any(axis=0)) + 1) * scenario.dt_s,
+    }
+
+
+def _mark(across: np.ndarray, events: list[dict[Event, np.ndarray]]) -> None:
+    """Mark the events of each episode at the lower edge of its axes, each kind in its own line."""
+    kinds = [kind for kind in events[0] if any(len(of_run[kind]) for of_run in events)]
+    for i, kind in enumerate(kinds):
+        height = 0.04 + 0.07 * i
+        for ax, of_run in zip(across, events, strict=True):
+            ax.plot(
+                of_run[kind], np.full(len(of_run[kind]), height), kind.marker, color=kind.colour, markersize=6,
+                transform=ax.get_xaxis_transform(),
+            )  # fmt: skip
+        across[-1].annotate(
+            kind.label, (1.01, height), xycoords="axes fraction", va="center", fontsize=8, color=kind.colour
+        )

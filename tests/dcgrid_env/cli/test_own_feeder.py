@@ -70,7 +70,7 @@ def test_devices_in_words_are_placed_printed_and_written_as_a_file_for_all_comma
     printed = capsys.readouterr().out
     assert "3 data centres of 250 kW at buses 27, 65, 35; 2 inverters of 200 kVA at buses " in printed
     assert "source at 1.04375 p.u. (the feeder's own is 1)" in printed
-    assert "`dcgrid check mine.toml` says whether it is worth learning on\nopen out/figure.png" in printed
+    assert "run `dcgrid check mine.toml` to see whether control can gain anything there\nopen out/figure.png" in printed
     assert not (folders / "out" / "scenario.toml").exists()
     mine = make_scenario("mine.toml", split="test")
     assert scenario_hash(mine) == results["meta"]["scenario_hash"]
@@ -109,9 +109,9 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--datacenters", "3 x 1 MW"], "datacenters says what stands on a feeder; give it with --feeder"),
-        (["--save-scenario", "a.toml"], "save_scenario says what stands on a feeder; give it with --feeder"),
-        (["--feeder", "balanced", "--save-scenario", "a.txt"], "save_scenario is 'a.txt'; give a file that"),
+        (["--datacenters", "3 x 1 MW"], "datacenters: requires --feeder"),
+        (["--save-scenario", "a.toml"], "save_scenario: requires --feeder"),
+        (["--feeder", "balanced", "--save-scenario", "a.txt"], "save_scenario: must end in .toml, got 'a.txt'"),
         (["--feeder", "balanced", "--datacenters", "3 x 1 kvar"], "datacenters: '3 x 1 kvar' is in 'kvar'; give kW"),
         (
             ["--feeder", "balanced", "--inverters", "1 kvar at 700"],

@@ -48,8 +48,8 @@ def test_the_same_command_gives_the_same_records(tmp_path):
     [
         (["--scenario", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
         (["--controllers", "none,pid"], "no controller 'pid'; "),
-        (["--controllers", " , "], "name at least one"),
-        (["--episodes", "0"], "episodes is 0"),
+        (["--controllers", " , "], "must name at least one"),
+        (["--episodes", "0"], "episodes, seed: must be at least 1"),
         (["--split", "exam"], "split is 'exam'; choose one of train, validation, test"),
         (["--set", "horizn=3"], "horizn"),
         (["--set", "horizon"], "set: 'horizon' is no field with its value"),

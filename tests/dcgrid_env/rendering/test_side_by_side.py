@@ -1,0 +1,71 @@
+"""The figure of a run: its rows, the marks of events, and what it leaves out."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import make_scenario, sag_times
+from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.rendering import run_figure
+from helpers.storages import toy6_storage
+
+
+def figure_of(scenario, *names):
+    runs = {name: rollout(scenario, make_controller(name, scenario), [0]).lane(0) for name in names}
+    return runs, run_figure(scenario, runs, 0)
+
+
+def labels(figure):
+    return [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
+
+
+def test_storages_have_a_row_with_a_curve_each():
+    scenario = toy6_storage(6)
+    runs, figure = figure_of(scenario, "peak-shaving")
+    assert labels(figure) == ["voltage (p.u.)", "data centres (kW)", "stored (%)"]
+    curves = [np.asarray(line.get_ydata()) for line in figure.axes[-1].get_lines()]
+    np.testing.assert_allclose(np.array(curves).T, runs["peak-shaving"].stored_kwh / 5.0 * 100.0)
+
+
+def test_rows_in_which_nothing_changes_are_left_out():
+    """Without control, clocks and backlogs are constant and no reactive power is injected."""
+    scenario = make_scenario("toy6", horizon=20)
+    assert labels(figure_of(scenario, "none")[1]) == ["voltage (p.u.)", "data centres (kW)"]
+    changing = ["voltage (p.u.)", "data centres (kW)", "Q injected (kvar)", "GPU clock (MHz)", "backlog (kW s)"]
+    assert labels(figure_of(scenario, "none", "droop")[1]) == changing
+
+
+def test_the_power_row_shows_what_all_data_centres_draw():
+    scenario = make_scenario("toy6", horizon=20)
+    runs, figure = figure_of(scenario, "droop")
+    drawn = next(line for line in figure.axes[1].get_lines() if line.get_label() == "drawn")
+    workload = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
+    np.testing.assert_allclose(drawn.get_ydata(), runs["droop"].p_kw[:, workload].sum(axis=1))
+
+
+def test_sags_and_trips_are_marked_at_their_times():
+    scenario = make_scenario("ride-through", horizon=60)
+    runs, figure = figure_of(scenario, "none")
+    marked = {line.get_marker(): np.asarray(line.get_xdata()) for line in figure.axes[0].get_lines()}
+    np.testing.assert_array_equal(marked["v"], sag_times(scenario, 0))
+    share = runs["none"].devices[0].features[0].ups.share
+    assert (np.flatnonzero((np.diff(share, axis=0) < 0.0).any(axis=1)) + 1.0).tolist() == marked["x"].tolist()
+    assert "connected (%)" in labels(figure)
+
+
+@pytest.mark.parametrize(("dt_s", "shown"), [(0.1, 10.0), (1.0, 300.0)])
+def test_of_an_episode_in_short_steps_ten_seconds_are_shown(dt_s, shown):
+    """The largest change of the power drawn lies within them, so burnt power and ramps can be seen."""
+    scenario = make_scenario("smoothing", horizon=300, dt_s=dt_s)
+    runs, figure = figure_of(scenario, "smoothing")
+    first, last = figure.axes[-1].get_xlim()
+    assert last - first == pytest.approx(shown)
+    largest = np.abs(np.diff(runs["smoothing"].p_kw.sum(axis=1))).argmax() * dt_s
+    assert first <= largest <= last
+    assert "burnt power (kW)" in labels(figure)
+
+
+def test_the_caption_says_what_j_is():
+    assert (
+        "J: mean cost per step, lower is better"
+        in figure_of(make_scenario("toy6", horizon=4), "none")[1]._supxlabel.get_text()
+    )
