@@ -18,10 +18,12 @@ import hashlib
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import nullcontext
 from copy import copy
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 
@@ -134,7 +136,7 @@ def analytic():
     return block
 
 
-KINDS = {
+KINDS: dict[str, Callable[..., Any]] = {
     f.__name__: f
     for f in (make_vec, make, parallel_env, tensor, tensor_gradient, tensor_4096, tensor_4096_gradient, analytic)
 }
