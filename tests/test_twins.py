@@ -81,6 +81,25 @@ def advance_lanes(rng):
     return state, v - 0.02, v, sags, pace, rule.figures(3), None, 1.0
 
 
+def counted(rng):
+    state, _, _, _, _, figures, *_ = advance_lanes(rng)
+    ages = {name: rng.uniform(0.0, 120.0, getattr(state, name).shape) for name in ("event_age_s", "return_age_s")}
+    return state._replace(timer_s=rng.uniform(-2.0, 2.0, state.timer_s.shape).clip(0.0), **ages), figures
+
+
+def supplied(rng):
+    rated = rng.uniform(10.0, 900.0, SLOTS)
+    share = rng.choice([0.0, 0.3, 1.0], (ROWS, SLOTS))
+    stored = rng.choice([0.0, 0.5, 1.0], (ROWS, SLOTS)) * rng.uniform(0.0, 1.0, (ROWS, SLOTS)) * 30.0 * rated
+    p, idle, served = rng.uniform(-0.2, 1.1, (3, ROWS, SLOTS)).clip(0.0) * rated
+    return stored, share, p, idle, served, rated, 30.0, 0.1, 0.95, bool(rng.integers(2)), 1.0
+
+
+def relay_volts(rng):
+    settings = relay_settings(load_feeder(rng.choice(["ieee13-3ph", "ieee123-3ph"])))
+    return settings, *rng.normal(0.0, 1.0, (2, ROWS, 300)), *rng.normal(0.0, 300.0, (2, ROWS, 300))
+
+
 def setpoints(rng):
     action = rng.uniform(-1.5, 1.5, (ROWS, 2 * SLOTS))
     return action, *rng.uniform(1.0, 900.0, (2, 2 * SLOTS)), np.array(-1.0), np.array(1.0)
@@ -100,8 +119,8 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, setpoints, net_loads,
-    by_phase,
+    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, counted, supplied,
+    relay_volts, setpoints, net_loads, by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
 ROUNDED = {"serve_by_slack": 1e-9}

@@ -18,19 +18,21 @@ import hashlib
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import nullcontext
 from copy import copy
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 
 
-def make_vec(num_envs=512):
+def make_vec(preset, num_envs=512):
     """A block of the native batch."""
     import dcgrid_env
 
-    env = dcgrid_env.DcgridVectorEnv(num_envs, "ieee123")
+    env = dcgrid_env.DcgridVectorEnv(num_envs, preset)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (40, *env.action_space.shape)).astype(np.float32)
 
@@ -42,11 +44,11 @@ def make_vec(num_envs=512):
     return block
 
 
-def make():
-    """A block of one environment behind gymnasium's wrappers: ten episodes."""
+def make(preset):
+    """A block of one environment behind gymnasium's wrappers: 1,200 steps."""
     import gymnasium
 
-    env = gymnasium.make("dcgrid_env:dcgrid/IEEE123-v0")
+    env = gymnasium.make("dcgrid_env:dcgrid/IEEE123-v0", scenario=preset)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (1200, *env.action_space.shape)).astype(np.float32)
     env.reset(seed=0)
 
@@ -134,10 +136,12 @@ def analytic():
     return block
 
 
-KINDS = {
+KINDS: dict[str, Callable[..., Any]] = {
     f.__name__: f
     for f in (make_vec, make, parallel_env, tensor, tensor_gradient, tensor_4096, tensor_4096_gradient, analytic)
 }
+OF_PRESET = ("make_vec", "make")
+"""Kinds that step the preset of ``--preset``."""
 
 
 def left_to_torch(threads):
@@ -150,11 +154,11 @@ def left_to_torch(threads):
     torch_threads.one_torch_thread, torch_threads.rest_of_backward_on = nullcontext, lambda threads: None
 
 
-def serve(kind, torch_threads):
+def serve(kind, preset, torch_threads):
     """Run a block whenever a line comes in, and say what it did, how long it took, and what came out."""
     if torch_threads is not None:
         left_to_torch(torch_threads)
-    block = KINDS[kind]()
+    block = KINDS[kind](preset) if kind in OF_PRESET else KINDS[kind]()
     block()
     print("ready", flush=True)
     for _ in sys.stdin:
@@ -165,9 +169,9 @@ def serve(kind, torch_threads):
         print(steps / clock_s, steps / cpu_s, figures, flush=True)
 
 
-def measure(kind, versions, rounds):
+def measure(kind, preset, versions, rounds):
     """Blocks of each version by turns: (rates by the clock, by processor time) of each, and whether bits agree."""
-    command = [str(Path(__file__).resolve()), "--serve", kind]
+    command = [str(Path(__file__).resolve()), "--serve", kind, "--preset", preset]
     processes = [
         subprocess.Popen([python, *command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         for python, *options in versions
@@ -196,12 +200,13 @@ def main():
     parser.add_argument("other", nargs="?", help="interpreter of an environment with the other version")
     parser.add_argument("kinds", nargs="*", help=f"what to measure, of {', '.join(KINDS)}; all by default")
     parser.add_argument("--torch-threads", type=int, help="hold this version against itself with so many of torch's")
+    parser.add_argument("--preset", default="ieee123", help="what make and make_vec step; ieee123 by default")
     parser.add_argument("--rounds", type=int, default=10, help="blocks of each version")
     parser.add_argument("--busy", action="store_true", help="beside a process that keeps one core busy")
     parser.add_argument("--serve", choices=KINDS, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.serve:
-        serve(args.serve, args.torch_threads)
+        serve(args.serve, args.preset, args.torch_threads)
         return
     if args.torch_threads is None:
         other, names = [args.other], ("before", "now")
@@ -218,7 +223,7 @@ def main():
     print("|---|---|---|---|---|---|---|")
     try:
         for kind in args.kinds or KINDS:
-            (before, now), same = measure(kind, [other, [sys.executable]], args.rounds)
+            (before, now), same = measure(kind, args.preset, [other, [sys.executable]], args.rounds)
             best = [rates.max(axis=1) for rates in (before, now)]
             median = statistics.median(now[0]) / statistics.median(before[0])
             ratios = f"{best[1][0] / best[0][0]:.2f} | {median:.2f} | {best[1][1] / best[0][1]:.2f}"

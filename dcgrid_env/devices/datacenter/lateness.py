@@ -109,6 +109,13 @@ class Line(NamedTuple):
     """Last step in which it is in time."""
     place: np.ndarray
     """What it stands in line by: the lower, the earlier it is served."""
+    group: np.ndarray
+    """What comes first of those with the same place, and then the earlier arrival."""
+
+    def in_order(self) -> Line:
+        """Those in line, in the order in which they are served."""
+        order = np.lexsort((self.came, self.group, self.place))
+        return Line(*(of[..., order] for of in self))
 
     def lateness(self, step: int, taken: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Steps late and work, by kind, of what a step takes."""
@@ -127,7 +134,7 @@ def line_up(
     ``parts`` is what was kept and what was moved in each step, (n_step,), the first of which is ``first``.
     """
     steps, shares = first + np.arange(len(parts[0])), (share, 1.0 - share)
-    amounts, places, came, of_kind, due = [], [], [], [], []
+    amounts, places, came, of_kind, due, groups = [], [], [], [], [], []
     for less, part in enumerate(parts):  # what was kept, and what was moved
         last = np.stack([steps + max(its - less, 0) for its in slack])
         mixed = [(part, steps - less, np.array(shares))]
@@ -136,11 +143,10 @@ def line_up(
             amounts.append(amount)
             places.append(place)
             came.append(steps)
+            groups.append(np.full(len(steps), len(groups)))
             of_kind.append(np.tile(kinds[:, None], len(steps)))
             due.append(last)
-    order = np.argsort(np.concatenate(places), kind="stable")
-    flat = (np.concatenate(amounts), np.concatenate(came), np.hstack(of_kind), np.hstack(due), np.concatenate(places))
-    return Line(*(of[..., order] for of in flat))
+    return Line(*map(np.hstack, (amounts, came, of_kind, due, places, groups))).in_order()
 
 
 def _in_time(steps: np.ndarray, weight: np.ndarray) -> float:

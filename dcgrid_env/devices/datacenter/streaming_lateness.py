@@ -57,6 +57,4 @@ def _joined(waiting: Line | None, coming: Line) -> Line:
     """Those in line and those that join it, in the order in which they are served."""
     if waiting is None or not len(waiting.amount):
         return coming
-    both = Line(*(np.concatenate(parts, axis=-1) for parts in zip(waiting, coming, strict=True)))
-    order = np.argsort(both.place, kind="stable")
-    return Line(*(of[..., order] for of in both))
+    return Line(*(np.concatenate(parts, axis=-1) for parts in zip(waiting, coming, strict=True))).in_order()

@@ -153,11 +153,10 @@ class UpsSite:
     def observe(self, params: DataCenterParams, own: UpsState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         ups, rule = own.ups, self.rule
-        recent = connection.younger(ups.event_age_s, rule.lockout_window_s)
-        returns = connection.younger(ups.return_age_s, 60.0)
+        events, returns, timer_share = connection.counters(rule, ups)
         full = self._full_kws(params)
         stored = own.battery.stored_kws / full if rule.battery_s > 0.0 else 0.0 * ups.share
-        return ups.share, ups.locked, recent, returns, connection.timer_share(rule, ups), ups.wait_s, stored
+        return ups.share, ups.locked, events, returns, timer_share, ups.wait_s, stored
 
     def amount(self, name: str, params: DataCenterParams, own: UpsState) -> Array:
         """What the terms of ``cost_terms`` charge."""

@@ -103,9 +103,7 @@ def advance(
     state
         At the end, with ``lost_kw`` 0, which the device fills in.
     """
-    figures = rule.figures(before.share.shape[-1])
-    if before.share.dtype != np.float64:
-        figures = figures._make(as_like(a, before.share) if isinstance(a, np.ndarray) else a for a in figures)
+    figures = _figures(rule, before.share)
     volts = supply.v_lowest_pu, supply.v_highest_pu
     pace = pace + 0.0 * before.share if isinstance(pace, float) else pace
     return ConnectionState(*_advanced(before, *volts, supply.sags, pace, figures, supply.widths, dt_s))
@@ -188,18 +186,35 @@ def by_rule(rule: RideThrough, dt_s: float) -> float:
     return min(1.0, dt_s / rule.walk_in_s) if rule.walk_in_s > 0.0 else 1.0
 
 
-def timer_share(rule: RideThrough, state: ConnectionState) -> Array:
-    """How near the slow trip is, 0 .. 1, (row, slot): the largest share of its time that an element has counted."""
-    xp, like = namespace(state.share), state.share
-    time_s = as_like(rule.elements(like.shape[-1]).time_s, like)
-    shares = xp.where(state.timer_s > 0.0, state.timer_s / (time_s + 1e-9), 0.0 * state.timer_s)
+def counters(rule: RideThrough, state: ConnectionState) -> tuple[Array, Array, Array]:
+    """Return what each device has counted, (row, slot) each.
+
+    Returns
+    -------
+    events, returns, timer_share
+        Events within the window of a lock-out; returns within a minute; the largest share of its time to a slow trip
+        that an element has counted, 0 .. 1.
+    """
+    return _counted(state, _figures(rule, state.share))
+
+
+@compiled_as("dcgrid_env.devices.ride_through.connection_kernel:counted", like="state")
+def _counted(state: ConnectionState, figures: Figures) -> tuple[Array, Array, Array]:
+    """See ``counters``."""
+    xp, timer_s = namespace(state.share), state.timer_s
+    shares = xp.where(timer_s > 0.0, timer_s / (figures.time_s + 1e-9), 0.0 * timer_s)
     largest = shares.max(-1, initial=0.0) if isinstance(shares, np.ndarray) else shares.amax(-1)
-    return xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
+    limits = (state.event_age_s, figures.window_s), (state.return_age_s, _MINUTE_S)
+    events, returns = (sum_last(xp.astype(ages_s < limit_s, ages_s.dtype)) for ages_s, limit_s in limits)
+    return events, returns, xp.where(largest > 1.0, 0.0 * largest + 1.0, largest)
 
 
-def younger(ages_s: Array, than_s: float) -> Array:
-    """How many of the ages of events or returns are below a time, (row, slot), of ages (row, slot, n)."""
-    return sum_last(namespace(ages_s).astype(ages_s < than_s, ages_s.dtype))
+def _figures(rule: RideThrough, like: Array) -> Figures:
+    """The figures of a rule as arrays of the kind, precision and device of ``like``, (row, slot)."""
+    figures = rule.figures(like.shape[-1])
+    if like.dtype == np.float64:
+        return figures
+    return figures._make(as_like(a, like) if isinstance(a, np.ndarray) else a for a in figures)
 
 
 def _measured(xp: Any, v_lowest_pu: Array, v_highest_pu: Array, n_under: int, n_over: int) -> Array:

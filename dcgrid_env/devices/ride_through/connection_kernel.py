@@ -1,4 +1,4 @@
-"""The compiled form of ``connection.advance``: one pass over lanes and slots, to the bit what the array form gives."""
+"""The compiled forms of ``connection.advance`` and ``counters``, with the bits of the array forms."""
 
 from __future__ import annotations
 
@@ -74,3 +74,21 @@ def advance_lanes(before, low, high, sags, pace, figures, widths, dt_s):
             locked[i, j] = 1.0 if is_locked else 0.0
             tripped[i, j] = 1.0 if event and connected else 0.0
     return share, timer, wait, events, returns, locked, tripped, lost
+
+
+@compiled
+def counted(state, figures):
+    """See ``connection.counters``."""
+    rows, slots, n_element = state.timer_s.shape
+    events, returns, largest = np.zeros((rows, slots)), np.zeros((rows, slots)), np.zeros((rows, slots))
+    for i in range(rows):
+        for j in range(slots):
+            for k in range(n_element):
+                if state.timer_s[i, j, k] > 0.0:
+                    largest[i, j] = max(largest[i, j], state.timer_s[i, j, k] / (figures.time_s[j, k] + 1e-9))
+            largest[i, j] = min(largest[i, j], 1.0)
+            for k in range(state.event_age_s.shape[2]):
+                events[i, j] += state.event_age_s[i, j, k] < figures.window_s
+            for k in range(state.return_age_s.shape[2]):
+                returns[i, j] += state.return_age_s[i, j, k] < 60.0
+    return events, returns, largest

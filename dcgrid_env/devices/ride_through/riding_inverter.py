@@ -60,7 +60,8 @@ def step(
 def observe(rule: RideThrough, state: RidingInverterState) -> tuple[Array, ...]:
     """Raw figures of ``fields``."""
     own = state.connection
-    return own.share, connection.timer_share(rule, own), own.wait_s
+    *_, timer_share = connection.counters(rule, own)
+    return own.share, timer_share, own.wait_s
 
 
 def totals(state: RidingInverterState) -> dict[str, Array]:

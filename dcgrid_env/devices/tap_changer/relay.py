@@ -16,6 +16,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.grid import ThreePhaseFeeder
 
 
@@ -97,8 +98,13 @@ def settings_like(settings: Any, like: Array) -> Any:
 
 def relay_volts(settings: RelaySettings, solution: Any) -> Array:
     """Relay volts of each regulator, (..., n_regulator), of a ``ThreePhaseSolution`` of its feeder."""
-    of_nodes = (solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
-    v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in of_nodes)
+    return _relay_volts(settings, solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
+
+
+@compiled_as("dcgrid_env.devices.tap_changer.tap_kernels:relay_volts", like="v_re_pu")
+def _relay_volts(settings: RelaySettings, v_re_pu: Array, v_im_pu: Array, i_re_a: Array, i_im_a: Array) -> Array:
+    """See ``relay_volts``; voltages and currents of all nodes, (..., n_node)."""
+    v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in (v_re_pu, v_im_pu, i_re_a, i_im_a))
     re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
     im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re
     return namespace(re).hypot(re, im)

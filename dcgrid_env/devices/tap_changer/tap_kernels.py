@@ -1,11 +1,26 @@
-"""The controls of regulators compiled, one environment after the other, with the bits of the array form."""
+"""The relays and controls of regulators compiled, one environment after the other, with the bits of the array forms."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S
+
+
+@compiled
+def relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a):
+    """See ``relay.relay_volts``."""
+    out = np.empty((len(v_re_pu), len(settings.node)))
+    for row in range(len(v_re_pu)):
+        for r, node in enumerate(settings.node):
+            gain, i_re, i_im = settings.volts_per_pu[r], i_re_a[row, node], i_im_a[row, node]
+            re = v_re_pu[row, node] * gain - settings.r_ohm[r] * i_re + settings.x_ohm[r] * i_im
+            im = v_im_pu[row, node] * gain - settings.r_ohm[r] * i_im - settings.x_ohm[r] * i_re
+            out[row, r] = math.hypot(re, im)
+    return out
 
 
 @compiled(inner=True)

@@ -70,7 +70,7 @@ def test_voltage_that_recovers_in_time_starts_the_timer_anew():
     volts = dict.fromkeys(range(9), 0.85) | dict.fromkeys(range(10, 19), 0.85)
     states = course(ups(), 20, volts=volts)
     assert shares(states) == [1.0] * 20
-    assert connection.timer_share(ups(), states[8]).item() == pytest.approx(0.9)
+    assert connection.counters(ups(), states[8])[2].item() == pytest.approx(0.9)
 
 
 def test_overvoltage_trips_too():

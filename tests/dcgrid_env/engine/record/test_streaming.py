@@ -12,6 +12,8 @@ from dcgrid_env import (
     course_bytes,
     make_scenario,
 )
+from dcgrid_env.devices.datacenter.lateness import lateness
+from dcgrid_env.devices.datacenter.streaming_lateness import StreamingLateness
 from dcgrid_env.engine.cost import flicker
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.traces import PowerTrace
@@ -49,6 +51,20 @@ def test_figures_are_those_of_whole_episodes(name):
 
 def test_lateness_is_that_of_whole_episodes_but_for_rounding():
     check_alike(*both(make_scenario("routing", **SHORT)), rel=1e-6)
+
+
+@pytest.mark.parametrize("by_deadline", [True, False])
+def test_lateness_does_not_depend_on_the_parts(by_deadline):
+    rng, slack = np.random.default_rng(0), (1, 6)
+    arrived = rng.uniform(0.0, 100.0, (120, 3)) * (rng.random((120, 3)) < 0.7)
+    moved, served = arrived * rng.uniform(0.0, 1.0, (120, 3)), rng.uniform(0.0, 72.0, (120, 3))
+    whole = lateness(arrived, moved, served, slack, 0.4, by_deadline, 2.0)
+    assert 5.0 < whole["deferrable_in_time_pct"] < 95.0
+    for part_steps in (1, 7, 120):
+        parts = StreamingLateness(slack, 0.4, by_deadline, 2.0)
+        for at in range(0, 120, part_steps):
+            parts.add(*(work[at : at + part_steps] for work in (arrived, moved, served)))
+        assert parts.figures() == pytest.approx(whole, rel=2e-6)  # a rounding is added in each step
 
 
 def test_inverters_and_sites_that_leave_and_equipment_that_acts():
