@@ -102,7 +102,7 @@ def test_list_shows_everything(capsys):
 def test_gains_beyond_the_bound_are_told(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     monkeypatch.setitem(CONTROLLERS, "steep", ("too steep", lambda: Droop(k_p_mw_per_pu=20.0)))
-    run(tmp_path, "--episodes", "1", "--controllers", "droop,steep")
+    run(tmp_path, "--scenario", "ieee123", "--episodes", "1", "--controllers", "droop,steep")
     printed = capsys.readouterr().out
     assert "steep: droop's gains are beyond the linear stability bound on ieee123" in printed
     assert "\ndroop: " not in printed
