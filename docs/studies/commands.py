@@ -17,7 +17,7 @@ COMMANDS = Group(
             ),
             "rescore": _entry("Score bundled policies again and write their cards.", "rescore:Rescore"),
             "benchmark-data": _entry("Write the data file of a benchmark's page.", "benchmark_data:PublishBenchmark"),
-            "leaderboard": _entry("Make the leaderboard's tables from verified folders.", "leaderboard:Leaderboard"),
+            "leaderboard": _entry("Check that verified folders can be listed.", "leaderboard:Leaderboard"),
             "entries": _entry(
                 "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
             ),
