@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dcgrid_env.baselines.benchmark.summary import BestKnownCost
+from dcgrid_env.baselines.benchmark.summary import BestKnownCost, Hindsight
 from dcgrid_env.baselines.score import REFERENCE
 from docs.studies.benchmark_data import FOLDER, METRICS_SHOWN, BenchmarkData, Row
 from docs.studies.site_tables import NONE, number, plain, sortable, with_interval
@@ -14,22 +14,27 @@ if TYPE_CHECKING:
 
 HOW_TO_READ = (
     f"J is the mean cost per test episode: lower is better. The score is 0 for `{REFERENCE}`, the droop law with tuned "
-    "gains. It is 1 for hindsight, which optimises each episode with perfect foresight. *J saved* is the cost that a "
-    f"controller saves, in per cent of the cost of `{REFERENCE}`. Read both: if hindsight saves little, a score of 1 "
-    "saves little. Parentheses contain 95 % intervals over test episodes. [Results](results.md) explains the scores."
+    "gains. It is 1 for {}. *J saved* is the cost that a controller saves, in per cent of the cost of "
+    f"`{REFERENCE}`. Read both: if {{}} saves little, a score of 1 saves little. Parentheses contain 95 % intervals "
+    "over test episodes. [Results](results.md) explains the scores."
 )
+FORESIGHT = "hindsight, which optimises each episode with perfect foresight"
 BEST_KNOWN = (
-    "No linear program describes {}. There, a score of 1 is the lowest known cost of each episode, found by a search "
-    "and by controllers. It is not an upper bound: a controller can score more than 1."
+    "No linear program describes {}. The best known cost of an episode is the lowest that a search and controllers "
+    "found. It is not an upper bound: a controller can score more than 1."
+)
+GAP = (
+    " Hindsight solves a linearised program and replays its actions in the environment. The gap is the largest "
+    "difference between the two costs in an episode."
 )
 SORT = "Select a column heading to sort a table. The lists above a table filter its rows."
 
 
 def tables(data: BenchmarkData) -> str:
     """What follows a page's introduction, as MyST Markdown."""
-    parts = [HOW_TO_READ]
-    if names := [name for name, facts in data.scenarios.items() if isinstance(facts.hindsight, BestKnownCost)]:
-        parts.append(BEST_KNOWN.format(", ".join(f"`{name}`" for name in names)))
+    unsolved = [f"`{name}`" for name, facts in data.scenarios.items() if isinstance(facts.hindsight, BestKnownCost)]
+    best = ("the best known cost", "it") if len(unsolved) == len(data.scenarios) else (FORESIGHT, "hindsight")
+    parts = [HOW_TO_READ.format(*best), *[BEST_KNOWN.format(", ".join(unsolved))] * bool(unsolved)]
     parts += [f"    {data.command}", versions(data), "## Presets", presets(data)]
     if len(data.scenarios) > 1:
         parts += ["## Scores", overview(data)]
@@ -45,23 +50,19 @@ def versions(data: BenchmarkData) -> str:
 
 def presets(data: BenchmarkData) -> str:
     """Costs between which the scores of each preset lie."""
+    is_solved = any(isinstance(facts.hindsight, Hindsight) for facts in data.scenarios.values())
+    best = "hindsight" if is_solved else "best known"
+    head = ["preset", "episodes", "J: none", f"J: {REFERENCE}", f"J: {best}", "headroom, %"]
+    head += ["optimum of the program", "largest gap, %"] * is_solved
     rows = []
     for name, (episodes, hindsight, _) in data.scenarios.items():
-        found = data.of(name)
-        optimum = gap_pct = NONE
-        if not isinstance(hindsight, BestKnownCost):
-            optimum, gap_pct = number(hindsight.optimum, 4), number(hindsight.gap_pct, 2)
+        found, shares = data.of(name), [number(data.headroom_pct(name), 1)]
+        if isinstance(hindsight, Hindsight):
+            shares += [number(hindsight.optimum, 4), number(hindsight.gap_pct, 2)]
         costs = (found["none"].means["J"], found[REFERENCE].means["J"], hindsight.J)
-        shares = (number(data.headroom_pct(name), 1), optimum, gap_pct)
-        rows.append((f"[{name}](environments/{name}.myst)", str(episodes), *(number(j, 4) for j in costs), *shares))
-    head = (
-        "preset", "episodes", "J: none", f"J: {REFERENCE}", "J: hindsight", "headroom, %", "optimum of the program",
-        "largest gap, %",
-    )  # fmt: skip
-    about = (
-        "The headroom is the share of J that hindsight saves. Hindsight solves a linearised program and replays its "
-        "actions in the environment. The gap is the largest difference between the two costs in an episode."
-    )
+        cells = [f"[{name}](environments/{name}.myst)", str(episodes), *(number(j, 4) for j in costs), *shares]
+        rows.append([*cells, *[NONE] * (len(head) - len(cells))])
+    about = f"The headroom is J saved at a score of 1.{GAP * is_solved}"
     return f"{sortable(head, rows)}\n\n{about}"
 
 
