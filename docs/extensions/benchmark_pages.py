@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost, Hindsight
 from dcgrid_env.baselines.score import REFERENCE
 from docs.studies.benchmark_data import FOLDER, METRICS_SHOWN, BenchmarkData, Row
-from docs.studies.site_tables import NONE, number, plain, sortable, with_interval
+from docs.studies.site_tables import NONE, number, plain, sortable, unbroken, with_interval
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 HOW_TO_READ = (
     f"J is the mean cost per test episode: lower is better. The score is 0 for `{REFERENCE}`, the droop law with tuned "
     "gains. It is 1 for {}. *J saved* is the cost that a controller saves, in per cent of the cost of "
-    f"`{REFERENCE}`. Read both: if {{}} saves little, a score of 1 saves little. Parentheses contain 95 % intervals "
+    f"`{REFERENCE}`. Read both: if the headroom is small, a score of 1 saves little. Parentheses contain 95 % intervals "
     "over test episodes. [Results](results.md) explains the scores."
 )
 FORESIGHT = "hindsight, which optimises each episode with perfect foresight"
@@ -33,8 +33,8 @@ SORT = "Select a column heading to sort a table. The lists above a table filter 
 def tables(data: BenchmarkData) -> str:
     """What follows a page's introduction, as MyST Markdown."""
     unsolved = [f"`{name}`" for name, facts in data.scenarios.items() if isinstance(facts.hindsight, BestKnownCost)]
-    best = ("the best known cost", "it") if len(unsolved) == len(data.scenarios) else (FORESIGHT, "hindsight")
-    parts = [HOW_TO_READ.format(*best), *[BEST_KNOWN.format(", ".join(unsolved))] * bool(unsolved)]
+    best = "the best known cost" if len(unsolved) == len(data.scenarios) else FORESIGHT
+    parts = [HOW_TO_READ.format(best), *[BEST_KNOWN.format(", ".join(unsolved))] * bool(unsolved)]
     parts += [f"    {data.command}", versions(data), "## Presets", presets(data)]
     if len(data.scenarios) > 1:
         parts += ["## Scores", overview(data)]
@@ -94,7 +94,7 @@ def _cells(row: Row, many: bool) -> list[str]:
     return [
         f"`{row.controller}`", *[row.scenario] * many, with_interval(row.score, 3), with_interval(row.saved_pct, 1),
         number(means["J"], 4), number(means["interquartile_mean"], 4),
-        *(metric.text(means[metric.name]) for metric in METRICS_SHOWN), row.observes,
+        *(metric.text(means[metric.name]) for metric in METRICS_SHOWN), unbroken(row.observes),
     ]  # fmt: skip
 
 

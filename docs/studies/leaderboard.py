@@ -33,7 +33,7 @@ from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.terminal import plain_console, say
-from docs.studies.site_tables import NBSP, number, plain, sortable, with_interval
+from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, with_interval
 
 FOLDER = Path(__file__).parents[1] / "leaderboard"
 """Our entries."""
@@ -139,7 +139,7 @@ def _row(entry: Listed) -> tuple[str, ...]:
     return (
         name + code, submission.scenario, _gain(record.fresh.gain) + f"{NBSP}below" * record.gains_less,
         _gain(found.gain), with_interval(Estimate(*record.score), 2), number(found.J, 4),
-        number(found.delay_mean_s, 2), f"{submission.episodes}{NBSP}+{NBSP}{record.fresh_episodes}", record.scope,
+        number(found.delay_mean_s, 2), unbroken(f"{submission.episodes} + {record.fresh_episodes}"), unbroken(record.scope),
         submission.learned_on,
     )  # fmt: skip
 

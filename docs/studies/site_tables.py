@@ -28,7 +28,12 @@ def _line(cells: Iterable[str]) -> str:
 def with_interval(estimate: Estimate, decimals: int) -> str:
     """A figure and its interval, which stays on one line."""
     value, low, high = (number(figure, decimals) for figure in estimate)
-    return f"{value} ({low}{NBSP}to{NBSP}{high})"
+    return f"{value} {unbroken(f'({low} to {high})')}"
+
+
+def unbroken(text: str) -> str:
+    """A text that stays on one line."""
+    return text.replace(" ", NBSP)
 
 
 def number(value: float, decimals: int) -> str:

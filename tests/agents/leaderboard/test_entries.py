@@ -370,13 +370,13 @@ def test_groups_and_texts_of_the_tables(whole):
             of(learned_on="test"),
             Listed(entry.submission, replace(entry.verified, fresh=worse)),
         ]
-    )
+    ).replace("\u00a0", " ")
     main_table, title, of_test = text.partition("### Learned or tuned on the test split\n")
     assert (main_table.count("| toy6 |"), of_test.count("| toy6 |"), bool(title)) == (4, 1, True)
     assert "| [a\\|b](https://example.org/x) | toy6 |" in text
     assert "| analytic (code) | toy6 |" in text
     assert "| local + model | train |" in text
-    assert "1.0 (0.0 to 1.1) below |" in text.replace("\u00a0", " ")
+    assert "1.0 (0.0 to 1.1) below |" in text
 
 
 def test_our_folders_can_be_listed(monkeypatch):
