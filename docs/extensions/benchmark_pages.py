@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 HOW_TO_READ = (
     f"J is the mean cost per test episode: lower is better. The score is 0 for `{REFERENCE}`, the droop law with tuned "
     "gains. It is 1 for {}. *J saved* is the cost that a controller saves, in per cent of the cost of "
-    f"`{REFERENCE}`. Read both: if the headroom is small, a score of 1 saves little. Parentheses contain 95 % intervals "
-    "over test episodes. [Results](results.md) explains the scores."
+    f"`{REFERENCE}`. Read both: if the headroom is small, a score of 1 saves little. Parentheses contain 95 % "
+    "intervals over test episodes. [Results](results.md) explains the scores."
 )
 FORESIGHT = "hindsight, which optimises each episode with perfect foresight"
 BEST_KNOWN = (

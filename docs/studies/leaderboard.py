@@ -139,8 +139,8 @@ def _row(entry: Listed) -> tuple[str, ...]:
     return (
         name + code, submission.scenario, _gain(record.fresh.gain) + f"{NBSP}below" * record.gains_less,
         _gain(found.gain), with_interval(Estimate(*record.score), 2), number(found.J, 4),
-        number(found.delay_mean_s, 2), unbroken(f"{submission.episodes} + {record.fresh_episodes}"), unbroken(record.scope),
-        submission.learned_on,
+        number(found.delay_mean_s, 2), unbroken(f"{submission.episodes} + {record.fresh_episodes}"),
+        unbroken(record.scope), submission.learned_on,
     )  # fmt: skip
 
 
