@@ -7,6 +7,7 @@ from typing import Any
 from dcgrid_env import __version__
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+sys.path.append(str(Path(__file__).parents[1]))  # docs.studies is not installed
 
 project = "dcgrid"
 author = "The dcgrid authors"
@@ -22,6 +23,8 @@ extensions = [
     "equations",
     "public_names",
     "environment_pages",
+    "benchmark_pages",
+    "leaderboard_page",
     "api_pages",
     "command_line_page",
 ]
@@ -37,6 +40,7 @@ html_theme = "furo"
 html_title = f"dcgrid {release}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = [("tables.js", {"defer": "defer"})]
 html_math_renderer = "svg"
 html_theme_options = {"navigation_with_keys": True}
 html_copy_source = False

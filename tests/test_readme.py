@@ -15,6 +15,7 @@ from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.score import score
 from dcgrid_env.cli.main import main
 from docs.studies import agents
+from docs.studies.benchmark_data import all_data
 from helpers.places import ROOT
 
 ENVIRONMENTS, SCENARIOS, RESULTS, CONTROLLERS, TRAINING = (
@@ -64,20 +65,16 @@ def _score(cell):
     return float("nan") if cell in ("–", "does not apply") else float(cell.split()[0].rstrip(";"))
 
 
-def test_scores_are_those_of_the_document():
-    documents = [page.read_text() for page in sorted((ROOT / "docs").glob("benchmark*.md"))]
-    parts = [part for document in documents for part in document.split("\n## ")[2:]]
-    by_scenario = {part.partition(":")[0]: part for part in parts if not part.startswith("J saved")}
+def test_scores_are_those_of_the_data_files():
+    by_scenario = {scenario: data for data in all_data().values() for scenario in data.scenarios}
     assert set(scores()) == set(by_scenario) == set(dcgrid_env.PRESETS)
     for scenario, row in scores().items():
-        part = by_scenario[scenario]
-        figures = {line.split("|")[1].strip(): line.split("|") for line in part.splitlines() if line.startswith("| ")}
-        assert row[:2] == [float(figures[name][4]) for name in ("none", "droop-tuned")]
-        hindsight = re.search(r"(?:Hindsight|Best known): J (\d+\.\d+)", part)
-        assert hindsight is not None
-        assert row[2] == float(hindsight.group(1))
-        given = [_score(figures[name][2].strip()) for name in SCORED]
-        assert row[4:] == pytest.approx(given, abs=0.00501, nan_ok=True)
+        data = by_scenario[scenario]
+        found = data.of(scenario)
+        costs = [found["none"].means["J"], found["droop-tuned"].means["J"], data.scenarios[scenario].hindsight.J]
+        assert row[:3] == pytest.approx(costs, abs=0.51e-4)
+        values = [found[name].score.value if name in found else float("nan") for name in SCORED]
+        assert row[4:] == pytest.approx(values, abs=0.00501, nan_ok=True)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env.baselines import rollout
 from dcgrid_env.baselines.benchmark.jobs import V_EDGES_PU, Case
-from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary
+from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary, by_use
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.user_code import described
@@ -113,7 +113,7 @@ def score_figure(summaries: Sequence[ScenarioSummary]) -> Figure | None:
     scored = [s for s in summaries if s.no_score is None]
     if not scored:
         return None
-    names = [row.controller for row in summaries[0].rows]
+    names, _ = by_use(summaries)
     columns = min(4, len(scored))
     rows = -(-len(scored) // columns)
     figure = _figure(2.4 + 2.7 * columns, rows * (0.9 + 0.24 * len(names)))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from dcgrid_env import METRICS, metrics_in
 from dcgrid_env.baselines import Published
 from dcgrid_env.baselines.benchmark.columns import fit, folded
-from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary
+from dcgrid_env.baselines.benchmark.summary import BestKnownCost, ScenarioSummary, Summary, by_use
 from dcgrid_env.baselines.score import REFERENCE, Estimate, saved_pct
 
 if TYPE_CHECKING:
@@ -96,20 +96,23 @@ class Table:
 
 def score_table(summaries: Sequence[ScenarioSummary], interval: bool = True) -> Table:
     """Scores of all controllers (rows) on all scenarios (columns)."""
-    names = [row.controller for row in summaries[0].rows]
+    names, left_out = by_use(summaries)
     by_name = {(s.scenario, row.controller): row for s in summaries for row in s.rows}
     rows = [(name, *(_score_cell(by_name[s.scenario, name], interval) for s in summaries)) for name in names]
     reasons: dict[str, list[str]] = {}
     for s in summaries:
         if s.no_score:
             reasons.setdefault(s.no_score, []).append(s.scenario)
-    notes = [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    notes = [f"{', '.join(scenarios)}: {reason}" for reason, scenarios in reasons.items()]
+    if left_out:
+        which = "this scenario" if len(summaries) == 1 else "any of these scenarios"
+        notes.append(f"Not in the table, because they do not apply to {which}: {', '.join(left_out)}.")
     return Table("Score", ("controller", *(s.scenario for s in summaries)), tuple(rows), tuple(notes))
 
 
 def saved_table(summaries: Sequence[ScenarioSummary]) -> Table:
     """How much of the reference's J all controllers, and hindsight, save on all scenarios, %."""
-    names = [row.controller for row in summaries[0].rows]
+    names, _ = by_use(summaries)
     by_name = {(s.scenario, row.controller): row.saved_pct for s in summaries for row in s.rows}
     rows = [(name, *(_estimate(by_name[s.scenario, name], ".1f") for s in summaries)) for name in names]
     rows.append(("hindsight (headroom)", *(_number(s.headroom_pct) for s in summaries)))
@@ -120,7 +123,11 @@ def saved_table(summaries: Sequence[ScenarioSummary]) -> Table:
 def scenario_table(summary: ScenarioSummary) -> Table:
     """Everything about one scenario."""
     header = ("controller", "score", SAVED, "J", "IQM of J", *(metric.column for metric in COLUMNS), "observes")
-    notes = [f"{row.controller}: {row.failure}" for row in summary.rows if row.failure]
+    rows = [row for row in summary.rows if row.applies]
+    notes = [f"{row.controller}: {row.failure}" for row in rows if row.failure]
+    if left_out := by_use([summary])[1]:
+        which = f"Not in the table, because they do not apply to this scenario: {', '.join(left_out)}."
+        notes.append(f"{which} Their reasons are in results.json.")
     saves = "" if summary.headroom_pct is None else f", {summary.headroom_pct:.1f} % of J saved"
     if isinstance(summary.hindsight, BestKnownCost):
         notes.insert(0, f"Best known: J {summary.hindsight.J:.4f}{saves}. {IS_NO_BOUND}")
@@ -134,7 +141,7 @@ def scenario_table(summary: ScenarioSummary) -> Table:
     if summary.no_score:
         notes.insert(0, summary.no_score[0].upper() + summary.no_score[1:] + ".")
     title = f"{summary.scenario}: {summary.episodes} test episodes, means over episodes"
-    return Table(title, header, tuple(_figures(row) for row in summary.rows), tuple(notes))
+    return Table(title, header, tuple(map(_figures, rows)), tuple(notes))
 
 
 def headroom_lines(costs: Published, j_reference: ArrayLike) -> list[str]:
@@ -163,7 +170,7 @@ def _figures(row: Summary) -> tuple[str, ...]:
 
 def _score_cell(row: Summary, interval: bool) -> str:
     if row.failure is not None:
-        return "does not apply" if row.failure.startswith("does not apply") else "failed"
+        return "failed" if row.applies else "does not apply"
     if row.score is not None and not interval:
         return f"{row.score.value:.3f}"
     return _estimate(row.score, ".3f")

@@ -31,6 +31,11 @@ class Summary:
     """Mean of J - J_reference."""
     score: Estimate | None = None
 
+    @property
+    def applies(self) -> bool:
+        """Whether the controller is made for such a scenario; one that failed there is."""
+        return not (self.failure or "").startswith("does not apply")
+
     def record(self) -> dict[str, Any]:
         """The row as results.json holds it."""
         if self.failure is not None:
@@ -88,6 +93,21 @@ class ScenarioSummary:
         return saved_pct(self.hindsight.J, reference["J"]) if reference and self.hindsight else None
 
 
+def by_use(summaries: Sequence[ScenarioSummary]) -> tuple[list[str], list[str]]:
+    """Controllers that apply to at least one of the scenarios, and the others, in the order of the rows."""
+    applied = {row.controller for summary in summaries for row in summary.rows if row.applies}
+    names = [row.controller for row in summaries[0].rows]
+    return [name for name in names if name in applied], [name for name in names if name not in applied]
+
+
+def hindsight_costs(costs: Published) -> Hindsight | BestKnownCost:
+    """Mean costs of solved episodes."""
+    if costs.is_best_known:
+        return BestKnownCost(float(costs.J.mean()))
+    gap_pct = 100.0 * float(np.abs((costs.J - costs.bound) / costs.J).max())
+    return Hindsight(float(costs.J.mean()), float(costs.bound.mean()), gap_pct)
+
+
 def summarise(
     scenario: str,
     episodes: int,
@@ -143,12 +163,7 @@ def summarise(
                 score=None if reason else scored.score,
             )
         rows.append(row)
-    hindsight = None
-    if best is not None and published is not None and published.is_best_known:
-        hindsight = BestKnownCost(float(best.mean()))
-    elif best is not None and published is not None:
-        gap_pct = 100.0 * float(np.abs((best - published.bound) / best).max())
-        hindsight = Hindsight(float(best.mean()), float(published.bound.mean()), gap_pct)
+    hindsight = None if published is None or best is None else hindsight_costs(published)
     return ScenarioSummary(scenario, episodes, tuple(rows), reason, hindsight)
 
 

@@ -1,22 +1,18 @@
-"""What each controller costs on a preset, read from what ships: the benchmark's tables and the policies' cards."""
+"""What each controller costs on a preset, read from the benchmark's data files and the cards of bundled policies."""
 
 from __future__ import annotations
 
-import re
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.baselines.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines.score import REFERENCE, STATIC, saved_pct
-
-DOCS = Path(__file__).parents[1]
-SECTION = re.compile(r"^## ([\w-]+): (\d+) test episodes", re.MULTILINE)
-BEST = re.compile(r"^(Hindsight|Best known): J (\d+\.\d+)", re.MULTILINE)
+from docs.studies.benchmark_data import BenchmarkData, Row, all_data
 
 
-class Row(NamedTuple):
+class Line(NamedTuple):
     """A line of the table of headroom."""
 
     what: str
@@ -35,20 +31,13 @@ class Headroom(NamedTuple):
     page: str
     """Page of the benchmark that has every controller, without its suffix."""
     episodes: int
-    rows: tuple[Row, ...]
+    rows: tuple[Line, ...]
 
 
 @cache
-def sections() -> dict[str, tuple[str, int, str]]:
-    """Of each preset the benchmark's page, the number of episodes and the text of its section."""
-    found = {}
-    for path in sorted(DOCS.glob("benchmark*.md")):
-        text = path.read_text(encoding="utf-8")
-        heads = list(SECTION.finditer(text))
-        ends = [*(head.start() for head in heads[1:]), len(text)]
-        for head, end in zip(heads, ends, strict=True):
-            found[head.group(1)] = (path.stem, int(head.group(2)), text[head.start() : end])
-    return found
+def pages() -> dict[str, tuple[str, BenchmarkData]]:
+    """Page and data of the benchmark of each preset."""
+    return {preset: (page, data) for page, data in all_data().items() for preset in data.scenarios}
 
 
 def headroom(preset: str) -> Headroom:
@@ -57,55 +46,59 @@ def headroom(preset: str) -> Headroom:
     Raises
     ------
     ValueError
-        Where the benchmark's pages have no section of the preset, or no cost of hindsight in it.
+        If no data file contains the preset.
     """
-    page, episodes, _ = section(preset)
-    figures = controllers(preset)
-    droop = figures[REFERENCE][0]
-    static = max((name for name in STATIC if name in figures), key=lambda name: _leading(figures[name][1]))
+    page, data = page_of(preset)
+    figures = data.of(preset)
+    droop = figures[REFERENCE].means["J"]
+    static = max((name for name in STATIC if name in figures), key=lambda name: figures[name].score.value)
     about = {
         "none": "no control: top clock, no reactive power",
         REFERENCE: "the paper's law, gains tuned on validation",
         static: "the best constant: it measures nothing",
     }
     rows = [
-        Row(f"`{name}`", meaning, f"{figures[name][0]:.4f}", saved(figures[name][0], droop), figures[name][1])
+        line(f"`{name}`", meaning, figures[name].means["J"], droop, shown(figures[name].score))
         for name, meaning in about.items()
     ]
     if card := best_card(preset):
         scored = card.scored
         assert scored is not None
-        score, low, high = scored.score
-        name, shown = f"`{preset}-{card.algorithm}`", f"{score:.3f} ({low:.3f} to {high:.3f})"
-        rows.append(Row(name, "the best policy that ships, trained", f"{scored.J:.4f}", saved(scored.J, droop), shown))
+        name = f"`{preset}-{card.algorithm}`"
+        rows.append(line(name, "the best policy that ships, trained", scored.J, droop, shown(scored.score)))
     known, j = hindsight(preset)
     meaning = "the best that is known of each episode, no bound" if known else "perfect foresight of the episode"
-    rows.append(Row("best known" if known else "hindsight", meaning, f"{j:.4f}", saved(j, droop), "1"))
-    return Headroom(page, episodes, tuple(rows))
+    rows.append(line("best known" if known else "hindsight", meaning, j, droop, "1"))
+    return Headroom(page, data.scenarios[preset].episodes, tuple(rows))
 
 
-def section(preset: str) -> tuple[str, int, str]:
-    """Page of the benchmark with a preset, its number of episodes, and the preset's section."""
-    if preset not in sections():
-        raise ValueError(f"no section '## {preset}: N test episodes' in docs/benchmark*.md; run dcgrid benchmark on it")
-    return sections()[preset]
+def line(what: str, meaning: str, j: float, j_droop: float, score: str) -> Line:
+    """A line of the table."""
+    return Line(what, meaning, f"{j:.4f}", saved(j, j_droop), score)
 
 
-def controllers(preset: str) -> dict[str, tuple[float, str]]:
-    """Mean J, and the score with its interval, of each controller that drives a preset."""
-    lines = [line.split(" | ") for line in section(preset)[2].splitlines() if line.startswith("| ")]
-    lines = [[cell.strip("| ") for cell in line] for line in lines]
-    j, score = (lines[0].index(name) for name in ("J", "score"))
-    return {line[0]: (float(line[j]), line[score]) for line in lines[1:] if line[j] != "–"}
+def shown(score: tuple[float, float, float]) -> str:
+    """A score with its interval."""
+    value, low, high = score
+    return f"{value:.3f} ({low:.3f} to {high:.3f})"
+
+
+def page_of(preset: str) -> tuple[str, BenchmarkData]:
+    """Page of the benchmark with a preset, and its data."""
+    if preset not in pages():
+        raise ValueError(f"no file of docs/benchmarks contains preset {preset!r}; run dcgrid benchmark on it")
+    return pages()[preset]
+
+
+def controllers(preset: str) -> dict[str, Row]:
+    """Result of each controller that applies to a preset."""
+    return page_of(preset)[1].of(preset)
 
 
 def hindsight(preset: str) -> tuple[bool, float]:
     """Whether the best known cost replaces hindsight on a preset, and its mean J."""
-    page, _, text = section(preset)
-    found = BEST.search(text)
-    if found is None:
-        raise ValueError(f"docs/{page}.md has no cost of hindsight and no best known one for {preset}")
-    return found.group(1) == "Best known", float(found.group(2))
+    costs = page_of(preset)[1].scenarios[preset].hindsight
+    return isinstance(costs, BestKnownCost), costs.J
 
 
 def saved(j: float, j_droop: float) -> str:
@@ -118,7 +111,3 @@ def best_card(preset: str) -> Card | None:
     cards = [Card.load(path) for path in sorted(FOLDER.glob("*.json"))]
     own = [card for card in cards if card.scored is not None and card.scored.scenario == preset]
     return max(own, key=lambda card: card.scored.score[0] if card.scored else -1e9, default=None)
-
-
-def _leading(cell: str) -> float:
-    return float(cell.split()[0]) if re.match(r"-?\d", cell) else float("-inf")

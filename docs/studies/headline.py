@@ -1,7 +1,7 @@
-"""Print the README's table of results from the benchmark's pages and the policies' cards.
+"""Print the README's table of results from the benchmark's data files and the policies' cards.
 
 `python -m docs.studies.headline` prints that; with the word `results` it prints the table of docs/results.md, from the
-benchmark's pages alone.
+data files alone.
 """
 
 import sys
@@ -28,9 +28,8 @@ def by_model(preset: str, name: str) -> str:
     figures = controllers(preset)
     if name not in figures:
         return "–"
-    j, score = figures[name]
-    value, low, high = (float(figure) for figure in score.strip("()").replace("(", "").split() if figure != "to")
-    return cell((value, low, high), saved(j, figures[REFERENCE][0]))
+    row = figures[name]
+    return cell(row.score, saved(row.means["J"], figures[REFERENCE].means["J"]))
 
 
 def learned(preset: str, algorithm: str) -> str:
@@ -58,12 +57,12 @@ def results() -> str:
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for preset in PRESETS:
         figures, (is_best_known, best) = controllers(preset), hindsight(preset)
-        droop = figures[REFERENCE][0]
-        cells = [f"`{preset}`", f"{figures['none'][0]:.4f}", f"{droop:.4f}"]
+        droop = figures[REFERENCE].means["J"]
+        cells = [f"`{preset}`", f"{figures['none'].means['J']:.4f}", f"{droop:.4f}"]
         cells += [f"{best:.4f}" + " (best known)" * is_best_known, saved(best, droop)]
         for name in BY_HAND:
-            j, score = figures.get(name, (0.0, ""))
-            cells.append(f"{float(score.split()[0]):.2f}; {saved(j, droop)} %" if score else "–")
+            row = figures.get(name)
+            cells.append(f"{row.score.value:.2f}; {saved(row.means['J'], droop)} %" if row else "–")
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -73,7 +72,7 @@ def table() -> str:
     heads = ["scenario", "tuned droop: J", "headroom", *BY_MODEL.values(), *LEARNED.values()]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for preset in SHOWN:
-        droop = controllers(preset)[REFERENCE][0]
+        droop = controllers(preset)[REFERENCE].means["J"]
         is_best_known, best = hindsight(preset)
         cells = [f"`{preset}`", f"{droop:.4f}", f"{saved(best, droop)} %" + " (best known)" * is_best_known]
         cells += [by_model(preset, name) for name in BY_MODEL] + [learned(preset, name) for name in LEARNED]

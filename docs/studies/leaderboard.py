@@ -1,4 +1,4 @@
-"""The leaderboard: our own entries, and the page with the tables of verified folders."""
+"""The leaderboard: our own entries, and the table of verified folders that docs/extensions puts on its page."""
 
 from __future__ import annotations
 
@@ -24,31 +24,28 @@ from dcgrid_env.agents.leaderboard.entry_files import (
     read,
 )
 from dcgrid_env.agents.leaderboard.running import episodes_hash, reference, scenario_of
-from dcgrid_env.agents.leaderboard.scopes import LOCAL, SENSITIVITIES, Scope
 from dcgrid_env.agents.leaderboard.signing import NEW_KEY, make_keys, private_key, private_key_file
 from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import draw_seed, require_report, verify
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
-from dcgrid_env.baselines.score import PUBLISHED_EPISODES
+from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.terminal import plain_console, say
-from dcgrid_env.core.files import write_text
+from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, with_interval
 
-FOLDER, PAGE = Path("docs/leaderboard"), Path("docs/leaderboard.md")
+FOLDER = Path(__file__).parents[1] / "leaderboard"
+"""Our entries."""
 ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
 LAWS: dict[str, Learned] = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
 """Further controllers, and the split that their parameters were found on."""
 LEFT_OUT = {("ieee123-3ph-day", "mpc")}
 """Takes more than two minutes of CPU for 32 episodes, of which an entry needs 96."""
-_NBSP = "\u00a0"
-BEGIN, END = "<!-- leaderboard: begin -->", "<!-- leaderboard: end -->"
-"""Comments before and after the tables in the page."""
 HEADER = (
-    "| scenario | entry | saved of the droop's J, fresh episodes | saved, published | score (95 %) | J | delay, s | "
-    "episodes | sent | learned on |"
-)
+    "entry", "preset", "J saved, fresh, %", "J saved, published, %", "score", "J", "mean delay, s", "episodes", "sent",
+    "learned on",
+)  # fmt: skip
 
 
 class Listed(NamedTuple):
@@ -92,121 +89,85 @@ def listed(folder: Path) -> Listed:
     return Listed(submission, record)
 
 
-def write_page(folders: Sequence[Path], page: Path) -> int:
-    """Put the tables of these folders between the marks of a page; the number of entries.
+def all_listed(folders: Sequence[Path]) -> list[Listed]:
+    """Entries of verified folders, or of folders of such.
 
-    SubmissionError, before anything is written, for a folder that cannot be listed, two entries of one name on a
-    scenario, or a page without the marks.
+    SubmissionError for a folder that cannot be listed, and for two entries of one name on a preset.
     """
-    text = page.read_text(encoding="utf-8")
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise SubmissionError(f"{page}: has not one line {BEGIN} and one {END} behind it; put them in")
-    entries = [listed(folder) for folder in folders]
     seen: dict[tuple[str, str], Path] = {}
-    for folder, (submission, _) in zip(folders, entries, strict=True):
-        other = seen.setdefault((submission.scenario, submission.name), folder)
-        if other is not folder:
+    entries = []
+    for folder in _entry_folders(folders):
+        entry = listed(folder)
+        name, preset = entry.submission.name, entry.submission.scenario
+        if (other := seen.setdefault((preset, name), folder)) is not folder:
             raise SubmissionError(
-                f"{folder / SUBMISSION}: name {submission.name!r} stands in {other} too, for {submission.scenario}; "
-                "give it another name"
+                f"{folder / SUBMISSION}: {other} also has the name {name!r} on {preset}; give it another name"
             )
-    before, behind = text.split(BEGIN)[0], text.split(END)[1]
-    write_text(page, f"{before}{BEGIN}\n{tables(entries)}\n{END}{behind}")
-    return len(entries)
+        entries.append(entry)
+    return entries
+
+
+def _entry_folders(folders: Sequence[Path]) -> Iterator[Path]:
+    for folder in folders:
+        below = sorted(path.parent for path in folder.glob(f"*/{SUBMISSION}"))
+        yield from [folder] if (folder / SUBMISSION).exists() or not below else below
 
 
 def tables(entries: Sequence[Listed]) -> str:
-    """The tables, as Markdown: by what entries are sent, what was learned on the test split apart."""
-    groups = {
-        "Local measurements": [e for e in entries if _group(e) == str(Scope.of(LOCAL))],
-        "Local measurements and own sensitivities": [
-            e for e in entries if _group(e) == str(Scope.of(LOCAL, SENSITIVITIES))
-        ],
-        "More than that": [e for e in entries if _group(e) == "more"],
-        "Learned or tuned on the test split, as declared": [e for e in entries if _group(e) == "test"],
-    }
-    parts = [
-        "\n".join([f"### {title}\n", HEADER, "|---" * 2 + "|---:" * 6 + "|---" * 2 + "|", *_rows(members)])
-        for title, members in groups.items()
-        if members
-    ]
-    return "\n" + "\n\n".join(parts) + "\n"
+    """The table as Markdown, and another one of entries that were learned on the test split."""
+    others = [entry for entry in entries if entry.submission.learned_on != "test"]
+    on_test = [entry for entry in entries if entry.submission.learned_on == "test"]
+    parts = [_table(others)] if others else []
+    parts += ["### Learned or tuned on the test split", _table(on_test)] if on_test else []
+    return "\n\n".join(parts) + "\n"
 
 
-def _group(entry: Listed) -> str:
-    if entry.submission.learned_on == "test":
-        return "test"
-    scope = entry.verified.scope
-    return scope if scope in map(str, (Scope.of(LOCAL), Scope.of(LOCAL, SENSITIVITIES))) else "more"
-
-
-def _rows(entries: Sequence[Listed]) -> list[str]:
-    """A row for each entry, by scenario in the presets' order, the largest saving on fresh episodes first."""
+def _table(entries: Sequence[Listed]) -> str:
+    """A row for each entry, by preset, the largest saving on fresh episodes first."""
     order = list(PRESETS)
     placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.verified.fresh.gain[0]))
-    return [_row(entry) for entry in placed]
+    return sortable(HEADER, [_row(entry) for entry in placed])
 
 
-def _row(entry: Listed) -> str:
+def _row(entry: Listed) -> tuple[str, ...]:
     submission, record = entry
-    score, found = record.score, record.found
-    name = _cell(submission.name)
+    found, name = record.found, plain(submission.name)
     if submission.paper:
         link = submission.paper.startswith(("https://", "http://")) and not set(submission.paper) & set(" ()<>|")
-        name = f"[{name}]({submission.paper})" if link else f"{name} ({_cell(submission.paper)})"
+        name = f"[{name}]({submission.paper})" if link else f"{name} ({plain(submission.paper)})"
     code = " (code)" if submission.kind == CODE else ""
-    cells = (
-        f"`{submission.scenario}`", name + code, _gain(record.fresh.gain) + " below" * record.gains_less,
-        _gain(found.gain), f"{score.value:.2f} {_interval(score.low, score.high, 2)}", f"{found.J:.4f}",
-        f"{found.delay_mean_s:.2f}", f"{submission.episodes}, {record.fresh_episodes}", record.scope,
-        submission.learned_on,
+    return (
+        name + code, submission.scenario, _gain(record.fresh.gain) + f"{NBSP}below" * record.gains_less,
+        _gain(found.gain), with_interval(Estimate(*record.score), 2), number(found.J, 4),
+        number(found.delay_mean_s, 2), unbroken(f"{submission.episodes} + {record.fresh_episodes}"),
+        unbroken(record.scope), submission.learned_on,
     )  # fmt: skip
-    return f"| {' | '.join(cells)} |"
 
 
 def _gain(gain: tuple[float, float, float]) -> str:
-    value, low, high = (100.0 * share for share in gain)
-    return f"{value:.1f}{_NBSP}% {_interval(low, high, 1)}"
-
-
-def _interval(low: float, high: float, decimals: int) -> str:
-    """An interval in brackets, which no cell of a table breaks apart."""
-    return f"({low:.{decimals}f} .. {high:.{decimals}f})".replace(" ", _NBSP)
-
-
-def _cell(text: str) -> str:
-    """A submitter's text, which cannot break the table or add markup."""
-    for sign in "\\|`*_[]<>":
-        text = text.replace(sign, f"\\{sign}" if sign not in "<>" else {"<": "&lt;", ">": "&gt;"}[sign])
-    return text
+    return with_interval(Estimate(*(100.0 * share for share in gain)), 1)
 
 
 @dataclass(frozen=True)
 class Leaderboard(Command):
-    """Make the leaderboard's tables from verified folders.
+    """Check that verified folders can be listed on the leaderboard.
 
-    Runs nothing.
+    Checks the signatures of their reports, and runs nothing. The page of the site is made from docs/leaderboard.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
     """Folders that dcgrid verify has been through, or folders of such."""
-    page: Path = PAGE
-    """Markdown file that has the two marks between which the tables are put."""
 
     def run(self) -> None:
-        """Check, write, print. ValueError for a folder that is not verified, before anything is written."""
-        entries: list[Path] = []
-        for folder in self.folders:
-            below = sorted(path.parent for path in folder.glob(f"*/{SUBMISSION}"))
-            entries += [folder] if (folder / SUBMISSION).exists() or not below else below
-        say(plain_console(), f"wrote {self.page}: {write_page(entries, self.page)} entries")
+        """Check, print. ValueError for a folder that cannot be listed."""
+        say(plain_console(), f"{len(all_listed(self.folders))} entries can be listed")
 
 
 @dataclass(frozen=True)
 class LeaderboardEntries(Command):
     """Make, verify and sign our own entries of the leaderboard.
 
-    Makes the page of all entries, too. The fresh episodes of a run begin at one seed, which is drawn after the last
+    The fresh episodes of a run begin at one seed, which is drawn after the last
     entry was submitted. Reports are signed with the key in $DCGRID_VERIFIER_KEY, by default
     ~/.config/dcgrid/verifier.key.
     """

@@ -12,6 +12,8 @@ import pytest
 
 from dcgrid_env import PRESETS
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES
+from docs.studies.benchmark_data import METRICS_SHOWN, all_data
+from docs.studies.site_tables import NONE, sortable
 from helpers.places import ROOT
 
 EXTENSIONS = ROOT / "docs" / "extensions"
@@ -49,8 +51,52 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
         assert rows[f"{preset}-{card.algorithm}"].j == f"{card.scored.J:.4f}"
     weak = headroom["headroom"]("ieee33-weak")
     assert (weak.page, weak.episodes, weak.rows[2].what) == ("benchmark", 100, "`constant-q-tuned`")
-    with pytest.raises(ValueError, match=r"no section '## new: N test episodes'"):
+    with pytest.raises(ValueError, match=r"no file of docs/benchmarks contains preset 'new'"):
         headroom["headroom"]("new")
+
+
+@pytest.mark.parametrize("page", sorted(all_data()))
+def test_every_figure_of_a_data_file_is_on_its_page(page):
+    data = all_data()[page]
+    assert f"(benchmarks/{page}.json)" in (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    text = runpy.run_path(str(EXTENSIONS / "benchmark_pages.py"))["tables"](data).replace("\u00a0", " ")
+    results = text.partition("## All results")[2].partition(":::\n")[0]
+    lines = {
+        tuple(cell.strip("|` ") for cell in line.split(" | ")) for line in results.splitlines() if line[:2] == "| "
+    }
+    for row in data.rows:
+        saved, means = row.saved_pct, row.means
+        cells = (
+            row.controller,
+            *[row.scenario] * (len(data.scenarios) > 1),
+            "{:.3f} ({:.3f} to {:.3f})".format(*(round(figure, 3) + 0.0 for figure in row.score)),
+            "{:.1f} ({:.1f} to {:.1f})".format(*(round(figure, 1) + 0.0 for figure in saved)),
+            f"{means['J']:.4f}",
+            f"{means['interquartile_mean']:.4f}",
+            *(metric.text(means[metric.name]) for metric in METRICS_SHOWN),
+            row.observes,
+        )
+        assert cells in lines
+    assert len(lines) == len(data.rows) + len(data.scenarios) + 1  # best costs, headings
+    for preset, facts in data.scenarios.items():
+        assert f"| [{preset}](environments/{preset}.myst) | {facts.episodes} |" in text
+    for name in data.apply_to_none:
+        assert f"`{name}`" in text
+        assert not [row for row in data.rows if row.controller == name]
+    assert f"\n\n    {data.command}\n" in text
+
+
+def test_tables_are_sorted_by_a_script_that_needs_no_network():
+    conf = runpy.run_path(str(ROOT / "docs" / "conf.py"))
+    ((name, _),) = conf["html_js_files"]
+    script = (ROOT / "docs" / "static" / name).read_text(encoding="utf-8")
+    assert "table.sortable" in script
+    assert "http" not in script
+    rows = [("a", "-0.5 (-0.6 to 0.4)", "local"), ("b", NONE, "all")]
+    assert sortable(("name", "score", "observes"), rows).splitlines() == [
+        ":::{table}", ":class: sortable", "", "| name | score | observes |", "|---|---:|---|",
+        "| a | -0.5 (-0.6 to 0.4) | local |", "| b | – | all |", ":::",
+    ]  # fmt: skip
 
 
 def test_the_readme_has_the_table_that_its_command_prints():

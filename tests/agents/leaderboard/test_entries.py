@@ -22,9 +22,9 @@ from dcgrid_env.baselines import published
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.files import sha256_of
 from docs.studies.commands import main as studies
-from docs.studies.leaderboard import BEGIN, END, Listed, listed, tables, write_page
+from docs.studies.leaderboard import FOLDER as ENTRIES
+from docs.studies.leaderboard import Listed, all_listed, listed, tables
 from helpers.fuzzing import mutated_bytes
-from helpers.places import ROOT
 
 PRESET, POLICY = "toy6", FOLDER / "toy6-analytic.safetensors"
 OWN = """
@@ -279,21 +279,13 @@ def test_a_policy_under_guard_is_entered_too(tmp_path):
     assert pytest.approx(entry.claimed.J, rel=1e-6) == found.found.J
 
 
-def test_a_page_is_made_of_what_was_verified(whole, tmp_path, capsys):
-    page = tmp_path / "page.md"
-    page.write_text(f"# Page\n{BEGIN}\nold\n{END}\nbehind\n")
-    studies(["leaderboard", str(whole), "--page", str(page)])
-    text = page.read_text()
-    assert text.startswith(f"# Page\n{BEGIN}\n\n### Local measurements and own sensitivities\n")
-    assert text.endswith(f"{END}\nbehind\n")
-    assert "| `toy6` | analytic | " in text
-    assert "old" not in text
-    studies(["leaderboard", str(whole.parent), "--page", str(page)])  # a folder of folders
-    assert page.read_text() == text
+def test_verified_folders_are_checked_and_listed(whole, tmp_path, capsys):
+    for folder in (whole, whole.parent):  # a folder, and a folder of folders
+        studies(["leaderboard", str(folder)])
+        assert capsys.readouterr().out == "1 entries can be listed\n"
+        assert all_listed([folder]) == [listed(whole)]
     twice = shutil.copytree(whole, tmp_path / "twice")
-    assert "name 'analytic' stands in " in stopped(capsys, "leaderboard", whole, twice, "--page", page, run=studies)
-    page.write_text("none")
-    assert "has not one line" in stopped(capsys, "leaderboard", whole, "--page", page, run=studies)
+    assert "also has the name 'analytic' on toy6" in stopped(capsys, "leaderboard", whole, twice, run=studies)
 
 
 @pytest.mark.parametrize(
@@ -378,20 +370,23 @@ def test_groups_and_texts_of_the_tables(whole):
             of(learned_on="test"),
             Listed(entry.submission, replace(entry.verified, fresh=worse)),
         ]
-    )
-    titles = [line for line in text.splitlines() if line.startswith("### ")]
-    assert [title.split()[-1] for title in titles] == ["measurements", "sensitivities", "that", "declared"]
-    assert "[a\\|b](https://example.org/x)" in text
-    assert "| analytic (code) | " in text
+    ).replace("\u00a0", " ")
+    main_table, title, of_test = text.partition("### Learned or tuned on the test split\n")
+    assert (main_table.count("| toy6 |"), of_test.count("| toy6 |"), bool(title)) == (4, 1, True)
+    assert "| [a\\|b](https://example.org/x) | toy6 |" in text
+    assert "| analytic (code) | toy6 |" in text
     assert "| local + model | train |" in text
-    assert "1.0 % (0.0 .. 1.1) below |" in text.replace("\u00a0", " ")
+    assert "1.0 (0.0 to 1.1) below |" in text
 
 
-def test_our_page_is_made_of_our_folders(tmp_path, monkeypatch):
+def test_our_folders_can_be_listed(monkeypatch):
     monkeypatch.setattr("dcgrid_env.agents.leaderboard.signing.PUBLIC", PUBLIC)
-    folders = sorted(path.parent for path in (ROOT / "docs" / "leaderboard").glob("*/submission.json"))
-    page = ROOT / "docs" / "leaderboard.md"
-    made = Path(shutil.copy(page, tmp_path))
-    assert write_page(folders, made) == len(folders) >= 3, "run python -m docs.studies entries"
-    assert made.read_text() == page.read_text(), "run python -m docs.studies entries"
-    assert {read(folder / "submission.json", Submission).scenario for folder in folders} <= set(PRESETS)
+    folders = sorted(path.parent for path in ENTRIES.glob("*/submission.json"))
+    entries = all_listed([ENTRIES])
+    assert len(entries) == len(folders) >= 3, "run python -m docs.studies entries"
+    assert {entry.submission.scenario for entry in entries} <= set(PRESETS)
+    text = tables(entries)
+    for submission, record in entries:
+        score = f"{record.score.value + 0.0:.2f} "
+        name = f"| {submission.name} | {submission.scenario} |"
+        assert [line for line in text.splitlines() if line.startswith(name) and f"| {score}" in line]

@@ -1,6 +1,7 @@
 """Scores and what stands beside them, on costs made up by hand; tables and figures of them."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -126,12 +127,28 @@ def test_a_failure_is_a_row_and_a_note():
     records = {"droop-tuned": episodes(DROOP), "mine": episodes(OWN)}
     summary = made(published(), failures={"mad": "failed: RuntimeError: no", "old": "does not apply: p_ref"}, **records)
     table = scenario_table(summary)
-    assert [row[:2] for row in table.rows[:2]] == [("mad", "failed"), ("old", "does not apply")]
+    assert [row[0] for row in table.rows] == ["mad", "droop-tuned", "mine"]
+    assert table.rows[0][1] == "failed"
     assert {len(row) for row in table.rows} == {len(table.header)}
     assert "mad: failed: RuntimeError: no" in table.notes
+    assert [note for note in table.notes if "do not apply to this scenario: old." in note]
     assert next(row.record() for row in summary.rows) == {
         "scenario": "toy6", "controller": "mad", "failure": "failed: RuntimeError: no",
     }  # fmt: skip
+
+
+def test_only_controllers_that_apply_to_no_scenario_are_left_out_of_the_scores():
+    both = {"old": "does not apply: p_ref", "new": "does not apply: storage", "mad": "failed: no"}
+    records = {"droop-tuned": episodes(DROOP), "mine": episodes(OWN)}
+    summaries = [made(published(), failures=both, **records)]
+    del both["old"]
+    summaries.append(replace(made(published(), failures=both, old=episodes(OWN), **records), scenario="ieee33"))
+    scores, saved = score_table(summaries), saved_table(summaries)
+    assert {row[0] for row in scores.rows} == {"old", "mad", "droop-tuned", "mine"}
+    assert next(row for row in scores.rows if row[0] == "old")[1] == "does not apply"
+    assert next(row for row in scores.rows if row[0] == "mad")[1:] == ("failed", "failed")
+    assert [row[0] for row in saved.rows] == [*(row[0] for row in scores.rows), "hindsight (headroom)"]
+    assert scores.notes[-1] == "Not in the table, because they do not apply to any of these scenarios: new."
 
 
 def test_text_of_users_breaks_no_table():
