@@ -204,7 +204,7 @@ def cost(scenario: Scenario) -> str:
     ]
     return (
         "The sum of these terms, each a weight times an amount, is the cost of a step; J is its mean over the episode. "
-        "[The model](../model.md#cost) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
+        "[The model](../model.md#cost-reward-score) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
     )
 
 

@@ -78,8 +78,6 @@ def animate(path: str, preset: str = "ieee33-weak", seed: int = 0) -> None:
 
     frames = [*range(scenario.horizon // EVERY_S + 1), *[scenario.horizon // EVERY_S] * REST]
     FuncAnimation(figure, show, frames=frames, cache_frame_data=False).save(path, PillowWriter(fps=PER_S))
-    show(frames[-1])
-    figure.savefig(path.replace(".gif", ".png"))
 
 
 def chart(path: str) -> None:
