@@ -26,12 +26,12 @@ SUFFIX = ".myst"
 """Made pages have a suffix of their own, so that what is checked in every ``.md`` is what people write."""
 OBSERVED = {
     "v_deviation": "(V - 1) / band: 1 is the band's edge",
-    "v_change": "change of V over the last step / band",
+    "v_change": "change of V in the last step / band",
     "p": "draw, share of the rating; an injection is negative",
     "q": "dispatched reactive power, share of the limit at zero active power",
     "q_limit": "reactive limit now, the same share",
-    "r": "fall of the own voltage per MW drawn / band",
-    "x": "fall of the own voltage per Mvar drawn / band",
+    "r": "drop of this voltage per MW drawn / band",
+    "x": "drop of this voltage per Mvar drawn / band",
     "v_lowest": "lowest of its phases, as v_deviation",
     "v_highest": "highest of its phases, as v_deviation",
 }
@@ -67,27 +67,30 @@ def page(preset: str) -> str:
     parts = [
         f"# {preset}",
         f"{sentence(PRESETS[preset])}.",
-        f"![{preset} under the tuned droop: the feeder's voltages, and the course of the episode]({picture})",
+        f"![{preset} under the tuned droop: the voltages of the feeder and the episode's time series]({picture})",
         f"*`python -m docs.studies.picture {preset}.png {preset} droop-tuned`: "
         f"test split, seed 0, after {steps} steps.*",
         f"```python\nimport gymnasium, dcgrid_env\n\n"
-        f'env = gymnasium.make("{gym_id}")  # one agent holds all actuators\n'
-        f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # a native batch\n'
+        f'env = gymnasium.make("{gym_id}")  # one agent controls all devices\n'
+        f'envs = gymnasium.make_vec("{gym_id}", num_envs=64)  # one vectorised environment\n'
         f'many = dcgrid_env.parallel_env("{preset}")  # PettingZoo: {scenario.n_agents} agents\n```',
+        "## Problem",
+        family.presets[preset],
         facts(scenario),
         "## Headroom",
         headroom_table(preset),
         "## Agents",
         agents(scenario),
         "## Actions",
-        "An agent's action is its channels in this order, each scaled to -1 .. 1.",
+        "An action has one number from -1 to 1 for each channel, in this order.",
         channels(scenario),
         "## Observations",
-        "Each agent sees its own fields alone, in this order; `observe=` shows more ([spaces](../environments.md)).",
+        "Each agent observes these fields of its bus, in this order. "
+        "`observe=` adds fields of others ([spaces](../environments.md)).",
         fields(scenario),
         "## Cost",
         cost(scenario),
-        "## More on it",
+        "## See also",
         read_on(family, preset),
     ]
     return "\n\n".join(parts) + "\n"
@@ -142,10 +145,10 @@ def headroom_table(preset: str) -> str:
     rows = [(row.what, row.meaning, row.j, row.saved, row.score) for row in found.rows]
     return (
         table(("controller", "what it is", "J", "J saved, %", "score (95 % interval)"), rows)
-        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better; J saved is "
-        "relative to the tuned droop, and the score is 0 for it and 1 for hindsight "
-        f"([how a score is made](../results.md)). [The benchmark](../{found.page}.md) has "
-        "every controller.\n\n"
+        + f"\n\nMeans over {found.episodes} test episodes. J is a cost, lower is better. J saved is "
+        "relative to the tuned droop; the score is 0 for the tuned droop and 1 for hindsight "
+        f"([definition](../results.md)). [The benchmark](../{found.page}.md) contains "
+        "all controllers.\n\n"
         f"    dcgrid benchmark --scenarios {preset} --controllers all --out results/benchmark"
     )
 
@@ -173,7 +176,7 @@ def channels(scenario: Scenario) -> str:
         for device in scenario.devices
         for channel in device.channels
     ]
-    return table(("kind", "channel", "unit", "at -1", "at 1", "at rest"), rows)
+    return table(("kind", "channel", "unit", "at -1", "at 1", "inactive"), rows)
 
 
 def span(values: np.ndarray) -> str:
@@ -203,7 +206,7 @@ def cost(scenario: Scenario) -> str:
         (f"`cost_{name}`", f"{weight:g}", CHARGED.get(name, name.replace("_", " "))) for name, weight in weights.items()
     ]
     return (
-        "The sum of these terms, each a weight times an amount, is the cost of a step; J is its mean over the episode. "
+        "The cost of a step is the sum of these terms, each multiplied by its weight. J is the mean cost per step. "
         "[The model](../model.md#cost-reward-score) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
     )
 
@@ -225,9 +228,10 @@ def gallery() -> str:
     """The page that lists all presets by family, with the headroom of each."""
     parts = [
         "# All environments",
-        "Every preset is a Gymnasium id, a PettingZoo environment, a native batch and a tensor environment. J is the "
-        "mean cost of a test episode, lower is better. The headroom is what hindsight saves of the tuned droop's J; "
-        "the score is 0 for the tuned droop and 1 for hindsight.",
+        "Each preset is available as a Gymnasium id, a PettingZoo environment, a vectorised environment and a tensor "
+        "environment. J is the mean cost per step on the test episodes, lower is better. The headroom is the share "
+        "of the tuned droop's J that perfect foresight (hindsight) saves. The score is 0 for the tuned droop and 1 "
+        "for hindsight.",
     ]
     for family in FAMILIES:
         rows = []

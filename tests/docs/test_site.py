@@ -33,7 +33,7 @@ def test_every_preset_stands_in_one_family():
     presets = [preset for family in families["FAMILIES"] for preset in family.presets]
     assert sorted(presets) == sorted(PRESETS)
     assert families["family_of"]("routing").title == "Sites with more than a clock"
-    with pytest.raises(ValueError, match=r"preset 'new' stands in no family; add it to FAMILIES"):
+    with pytest.raises(ValueError, match=r"preset 'new' belongs to no family; add it to FAMILIES"):
         families["family_of"]("new")
     pages = {page for family in families["FAMILIES"] for page in family.read_on}
     assert [page for page in pages if not (ROOT / "docs" / f"{page}.md").is_file()] == []
