@@ -45,7 +45,7 @@ class ReportsFigures(Protocol):
     """A controller that reports figures of its episodes, which results contain next to the metrics."""
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """Figures since ``reset``, one mapping a lane, of the same names for all."""
+        """Figures since ``reset``, one mapping an environment, of the same names for all."""
         ...
 
 
@@ -53,7 +53,7 @@ def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> lis
     """Metrics of episodes, one mapping each, with the figures that the controller reports."""
     if not isinstance(controller, ReportsFigures):
         return metrics
-    return [of_lane | own for of_lane, own in zip(metrics, controller.episode_figures(), strict=True)]
+    return [measured | own for measured, own in zip(metrics, controller.episode_figures(), strict=True)]
 
 
 class Local(NamedTuple):

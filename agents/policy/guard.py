@@ -173,9 +173,9 @@ class GuardedPolicy:
         return {name: 100.0 * share for name, share in zip(FIGURES, self._last, strict=True)}
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """``FIGURES`` as means over the steps since ``reset``, one mapping a lane."""
+        """``FIGURES`` as means over the steps since ``reset``, one mapping an environment."""
         means = np.atleast_1d(100.0 * np.array(self._sums).reshape(len(FIGURES), -1) / max(self._steps, 1))
-        return [dict(zip(FIGURES, map(float, lane), strict=True)) for lane in means.T]
+        return [dict(zip(FIGURES, map(float, means_of_env), strict=True)) for means_of_env in means.T]
 
 
 def guarded(policy: Policy | str | Path, law: Controller | None = None) -> GuardedPolicy | TriedPolicy:

@@ -80,7 +80,7 @@ class Step(NamedTuple):
 
 
 class LawStep:
-    """The law's second in a scenario, for what its agents know of a placement, or of one a lane.
+    """The law's second in a scenario, for what its agents know of a placement, or of one a row.
 
     ``array`` makes the arrays to compute with out of NumPy ones.
     """
@@ -173,10 +173,10 @@ class LawStep:
         e_own = own_error(known, v_pu, then_kw, then_kvar)
         key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
         low, weight = between(np.where(self.site.scheduled, then_kw, e_own), key)
-        lane = np.arange(len(low))[:, None] if len(known.key) > 1 else np.zeros((1, 1), int)
+        row = np.arange(len(low))[:, None] if len(known.key) > 1 else np.zeros((1, 1), int)
         agent, out = np.arange(low.shape[1]), []
         for name in _LEVELLED:
-            a, b = (getattr(known, name)[lane, agent, low + more] for more in (0, 1))
+            a, b = (getattr(known, name)[row, agent, low + more] for more in (0, 1))
             part = weight if a.ndim == 2 else weight[..., None]
             out.append(self._like(a + part * (b - a)))
         return out

@@ -43,6 +43,6 @@ def require_same_episodes(source: str, before: tuple[int, ...] | None, now: tupl
     if before not in (None, now):
         raise PolicyError(
             f"{source}: remembers episodes of shape {before} and is given observations of shape {now}; call "
-            "reset(scenario) where other episodes begin, and give all lanes at each step"
+            "reset(scenario) where other episodes begin, and give all environments at each step"
         )
     return now

@@ -100,7 +100,7 @@ class ModelAidedPolicy(Policy, features="law"):
         if self._corrected is None:
             raise PolicyError(
                 f"{self.source}: the data centres' buses are drawn in each episode; call place(buses) after reset with "
-                "the agents' positions in bus_ids, (lane, n_agent)"
+                "the agents' positions in bus_ids, (row, n_agent)"
             )
         rows = np.asarray(joint, dtype=np.float64).reshape(-1, joint.shape[-1])
         step, seen = self._corrected.figures(rows, self._past)

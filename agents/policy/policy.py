@@ -170,7 +170,7 @@ class Policy:
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
         self._memory: dict[str, tuple[np.ndarray, ...]] = {}
-        self._lanes: tuple[int, ...] | None = None
+        self._batch_shape: tuple[int, ...] | None = None
         warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
@@ -203,13 +203,13 @@ class Policy:
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         if self.remembers:
-            self._lanes = require_same_episodes(self.source, self._lanes, joint.shape[:-1])
+            self._batch_shape = require_same_episodes(self.source, self._batch_shape, joint.shape[:-1])
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
     @property
     def remembers(self) -> bool:
-        """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
+        """Whether actions depend on earlier observations: if so, ``reset`` begins the episodes of all environments."""
         return any(isinstance(network, Remembers) for network in self.networks.values())
 
     def probe(self, joint: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def require_one_step(who: str, scenario: Scenario) -> None:
 
 
 class Counterfactual:
-    """Advantages of the actions in a batch of lanes.
+    """Advantages of the actions in a batch of rows.
 
     Parameters
     ----------

@@ -156,8 +156,8 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
     """What a size breaks worst, and where."""
-    lane, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
-    at, feeder = int(beyond.at[lane, kind]), scenario.feeder
+    row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
+    at, feeder = int(beyond.at[row, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
     if kind == OVERLOAD:

@@ -144,7 +144,7 @@ class PhaseCurves(Curves):
         """Node of each agent in the picture at each phase, -1 where it is not connected to it, (n_agent,) each."""
         s = self.scenario
         feeder: Any = s.feeder
-        buses = history.episode.buses[history.lane]
+        buses = history.episode.buses[history.env_index]
         if self.placed is None or not np.array_equal(buses, self.placed[0]):
             connected = agent_nodes(s, buses[None])[0][sites_first(s)]
             by_phase = {}

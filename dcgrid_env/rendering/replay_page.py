@@ -58,7 +58,7 @@ def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str
     Parameters
     ----------
     history
-        What :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout`` gives of a lane, one or several; by the
+        What :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout`` gives of episodes, one or several; by
         controllers' names in a mapping.
     title
         What stands above; the scenario and its split by default.

@@ -1,4 +1,4 @@
-"""The other loads of a feeder and the noise on them, drawn for many lanes at once."""
+"""The other loads of a feeder and the noise on them, drawn for many rows at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
@@ -81,5 +81,5 @@ def drawn_loads(
         if len(step) == 1:
             random.load_step(key, step, noise, share, *load, z, p, q)
         else:
-            over_lanes(part, len(step))
+            over_rows(part, len(step))
     return z, p, q

@@ -240,18 +240,18 @@ def distance_in_bands(scenario: Scenario) -> np.ndarray:
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     """What the agents' buses (positions, (row, n_agent)) mean for the observation."""
     feeder, own = scenario.feeder, distance_in_bands(scenario)
-    lanes, n_agent = buses.shape
-    lane = np.arange(lanes)[:, None, None]
+    n_row, n_agent = buses.shape
+    row = np.arange(n_row)[:, None, None]
     own = own[np.arange(n_agent), buses]
     local = agent_nodes(scenario, buses)
-    nodes = legs = local + lane * feeder.n_node
+    nodes = legs = local + row * feeder.n_node
     if feeder.n_leg != feeder.n_node:
-        legs = local + feeder.first_device_leg + lane * feeder.n_leg
+        legs = local + feeder.first_device_leg + row * feeder.n_leg
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.sensing.observe == "neighbours" else 0
-    nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
+    nearest = np.zeros((n_row, n_agent, 0), dtype=np.int64)
     if count:
         apart = between_agents(scenario, buses)
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
-        nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
+        nearest = nearest + np.arange(n_row)[:, None, None] * n_agent
     return Placement(own[..., 0].copy(), own[..., 1].copy(), nodes, legs, nearest)

@@ -63,12 +63,12 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
 
 
 def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
-    """Advance every lane by one interval.
+    """Advance every environment by one interval.
 
     Parameters
     ----------
     scenario
-        The scenario, one for all lanes.
+        The scenario, one for all environments.
     state
         State at the beginning of the interval.
     action

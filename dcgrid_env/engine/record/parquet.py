@@ -37,7 +37,7 @@ class ParquetCourse:
     scenario
         What is run.
     seeds
-        Those of the lanes.
+        Those of the environments.
 
     Raises
     ------
@@ -70,7 +70,7 @@ class ParquetCourse:
             self._write()
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
-        """Take the next steps of every lane, see ``streaming_recorder.PartSink``."""
+        """Take the next steps of every environment, see ``streaming_recorder.PartSink``."""
         for waiting, part in zip(self._waiting, parts, strict=True):
             if part is not None:
                 waiting.append(course_table(part, first_step))

@@ -29,12 +29,12 @@ class PartSink(Protocol):
     """Takes the course of episodes part by part, to write it or to draw it."""
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
-        """Take the next steps of every lane.
+        """Take the next steps of every environment.
 
         Parameters
         ----------
         parts
-            One for each lane, from the end of the part before on; None where an episode has ended before.
+            One for each environment, from the end of the part before on; None where an episode has ended before.
         first_step
             Steps that the parts before had: the first of these is the one behind.
         """
@@ -42,7 +42,7 @@ class PartSink(Protocol):
 
 
 class StreamingRecorder:
-    """Collects the figures of one episode in every lane of a batch, in memory that does not grow with its length.
+    """Collects the figures of one episode in every environment of a batch, in memory independent of its length.
 
     The figures are those of ``Recorder`` to rounding, some 1e-12 of their size. The course itself is gone; ``sinks``
     are given it part by part.
@@ -68,14 +68,14 @@ class StreamingRecorder:
         self.part_steps = part_steps or int(np.clip(fitting, *_PART_STEPS))
         self._waiting = [begun]
         self._steps = 0
-        lanes = len(begun.terminated)
-        self._part_length = np.zeros(lanes, dtype=np.int64)
-        self._over = np.zeros(lanes, dtype=bool)
-        self._costs = np.zeros(lanes)
-        self._figures = [_StreamingMetrics(scenario) for _ in range(lanes)]
+        n_env = len(begun.terminated)
+        self._part_length = np.zeros(n_env, dtype=np.int64)
+        self._over = np.zeros(n_env, dtype=bool)
+        self._costs = np.zeros(n_env)
+        self._figures = [_StreamingMetrics(scenario) for _ in range(n_env)]
 
     def add(self, transition: Transition) -> None:
-        """Take a step's transition; a lane whose episode has ended before is not counted further."""
+        """Take a step's transition; an environment whose episode has ended before is not counted further."""
         self._part_length += ~self._over
         self._costs += np.where(self._over, 0.0, transition.cost_j)
         self._over |= transition.terminated | transition.truncated
@@ -85,23 +85,23 @@ class StreamingRecorder:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended in every lane."""
+        """Whether the episode has ended in every environment."""
         return bool(self._over.all())
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,); ValueError before all have ended."""
         if not self.over:
-            raise ValueError("costs of an episode that has not ended; step until every lane is over")
+            raise ValueError("costs of an episode that has not ended; step until every environment is over")
         return self._costs / self.scenario.horizon
 
     def metrics(self) -> list[dict[str, float]]:
-        """The figures of each lane's episode; ValueError before all have ended."""
+        """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
-            raise ValueError("metrics of an episode that has not ended; step until every lane is over")
+            raise ValueError("metrics of an episode that has not ended; step until every environment is over")
         return [own.figures() for own in self._figures]
 
     def _end_part(self) -> None:
-        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length.tolist())
+        parts = Series.of_batch(self.scenario, self._waiting, self._part_length.tolist())
         for own, part in zip(self._figures, parts, strict=True):
             if part is not None:
                 own.add(part)

@@ -1,6 +1,6 @@
-"""Stable-Baselines3 lanes of single agents, for one policy that drives agents of every kind.
+"""A Stable-Baselines3 vector environment of single agents, for one policy that drives agents of every kind.
 
-``AgentVecEnv`` has a lane for each agent of each environment, environment by environment, for one policy that drives
+``AgentVecEnv`` has a row for each agent of each environment, environment by environment, for one policy that drives
 them all; its observation holds, in this order,
 
     the fields of every kind of agent, each once by name, 0 where an agent has no such field
@@ -8,7 +8,7 @@ them all; its observation holds, in this order,
     kind: 1 for a data centre, 0 for another; then a figure for each kind but inverters, 1 for an agent of it
 
 and its action is (clock, q) and then the other channels of its agents, each once by name; entries that an agent does
-not have, as an inverter's clock, go nowhere. The reward is the team's, for each lane alike.
+not have, as an inverter's clock, go nowhere. The reward is the team's, for each row alike.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dcgrid_env.baselines.equipment_agents import at_rest
 
 
 class AgentVecEnv(JointVecEnv):
-    """One lane for each agent of each environment, (environment, agent) in turn; see the module's head.
+    """One row for each agent of each environment, (environment, agent) in turn; see the module's head.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ class AgentVecEnv(JointVecEnv):
         super().__init__(scenario, n_envs, act, outputs, gains, render_mode)
 
     @property
-    def lanes_per_env(self) -> int:
-        """Lanes of an environment."""
+    def rows_per_env(self) -> int:
+        """Rows of an environment."""
         return self.scenario.n_agents
 
     @property
@@ -94,11 +94,11 @@ class AgentVecEnv(JointVecEnv):
         return np.array([values.mean() if len(values) else 0.0 for values in own], np.float32)
 
     def entries(self, kind: str) -> list[int]:
-        """Where a lane's action holds the channels of agents of a kind, in their order."""
+        """Where a row's action holds the channels of agents of a kind, in their order."""
         return [self.channels.index(name) for name in self._agent_interface.channels[kind]]
 
     def columns(self, agent: str) -> np.ndarray:
-        """Where a lane's observation holds the agent's own observation, and its nameplate figures if there are any."""
+        """Where a row's observation holds the agent's own observation, and its nameplate figures if there are any."""
         own = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
         return np.array(own + [len(self.fields) + i for i in range(self._figures)])
 
@@ -114,12 +114,12 @@ class AgentVecEnv(JointVecEnv):
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
         n_agent, n_kind = self._kind.shape
-        lanes = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
-        lanes[..., -n_kind:] = self._kind
+        rows = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
+        rows[..., -n_kind:] = self._kind
         for kind, own in self._agent_interface.inputs(joint).items():
             members = self.members[kind]
-            lanes[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = own
-        return lanes.reshape(-1, lanes.shape[-1])
+            rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = own
+        return rows.reshape(-1, rows.shape[-1])
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         each = (actions * self.reach).reshape(-1, self.scenario.n_agents, self._n_action)
