@@ -22,14 +22,14 @@ def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later
     for row in range(n_row):
         for i in range(slots):
             moved = moved_kw[row, i] * dt_s if moved_kw is not None else 0.0
-            own, left_kws = arrived_kw[row, i] * dt_s - moved, served_kw[row, i] * dt_s
+            local_kws, left_kws = arrived_kw[row, i] * dt_s - moved, served_kw[row, i] * dt_s
             carried, young_old = 0.0, 0.0
             for j in range(later + 2):
                 x = queue_kws[row, i, j] if j <= later else 0.0
                 if j == at_soon:
-                    x += own * share
+                    x += local_kws * share
                 if j == later + 1:
-                    x += own * (1.0 - share)
+                    x += local_kws * (1.0 - share)
                 if j == max(at_soon - 1, 1):
                     x += moved * share
                 if j == later:
