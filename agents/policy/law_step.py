@@ -218,7 +218,9 @@ class Columns:
         starts = np.cumsum([0, *map(len, names)])[:-1]
         self._at = {
             name: array(
-                np.array([a + own.index(name) for a, own in zip(starts, names, strict=True) if name in own], int)
+                np.array(
+                    [a + fields.index(name) for a, fields in zip(starts, names, strict=True) if name in fields], int
+                )
             )
             for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
         }
@@ -231,7 +233,7 @@ class Columns:
 
     def of(self, joint: Any) -> Mapping[str, Any]:
         """Fields by name, as observed, of the agents that have them."""
-        return {name: joint[:, at] for name, at in self._at.items()}
+        return {name: joint[:, columns] for name, columns in self._at.items()}
 
     def own(self, fields: Mapping[str, Any]) -> Own:
         """Fields in physical units."""

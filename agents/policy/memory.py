@@ -29,12 +29,12 @@ def outputs_of(
     date.
     """
     outputs = {}
-    for name, own in inputs.items():
+    for name, network_input in inputs.items():
         network = networks[name]
         if isinstance(network, Remembers):
-            outputs[name], memory[name] = network.advance(own, memory.get(name))
+            outputs[name], memory[name] = network.advance(network_input, memory.get(name))
         else:
-            outputs[name] = network(own)
+            outputs[name] = network(network_input)
     return outputs
 
 

@@ -67,12 +67,12 @@ class TriedPolicy:
             raise PolicyError(f"guard: buses has shape {places.shape}; give (row, {len(is_other)}), a place an agent")
         self._try(places[:, is_other])
 
-    def _try(self, own: np.ndarray) -> None:
-        places, place_index = np.unique(own, axis=0, return_inverse=True)
+    def _try(self, agent_buses: np.ndarray) -> None:
+        places, place_index = np.unique(agent_buses, axis=0, return_inverse=True)
         if self._pays is None or not np.array_equal(places, self._tried):
             self._tried, self._verdicts = places, pays(self.policy, self.scenario, places)
         self._pays = self._verdicts[place_index.ravel()]
-        self.policy.place(own)
+        self.policy.place(agent_buses)
         self.policy.corrects = self._pays
 
     def act(self, observations: Any) -> Any:
@@ -112,5 +112,5 @@ def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np
         next(course)
         cost_j = sum(step.cost_j for step in islice(course, trial.horizon))
         course.close()
-    own, of_law = np.asarray(cost_j).reshape(2, len(places), EPISODES).mean(-1)
-    return own < of_law
+    of_policy, of_law = np.asarray(cost_j).reshape(2, len(places), EPISODES).mean(-1)
+    return of_policy < of_law

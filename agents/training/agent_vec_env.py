@@ -55,11 +55,11 @@ class AgentVecEnv(JointVecEnv):
                 "no policy with the others: choose 'joint', or give under_own_control(scenario)"
             )
         view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
-        self.fields = tuple(dict.fromkeys(name for own in view.groups.values() for name in own.fields))
+        self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
         self._figures = 3 * nameplate
         self.kinds = ("inverter", "datacenter", *(kind for kind in view.groups if kind not in PLAIN_CHANNELS))
         """Kinds of agents, in the order of the rows of ``used``; each but the first has a figure of its own."""
-        self.members = {kind: np.arange(own.agents.start, own.agents.stop) for kind, own in view.groups.items()}
+        self.members = {kind: np.arange(group.agents.start, group.agents.stop) for kind, group in view.groups.items()}
         """Positions of the agents of each kind among all."""
         self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
         for i, kind in enumerate(self.kinds[1:]):
@@ -74,9 +74,9 @@ class AgentVecEnv(JointVecEnv):
     @property
     def used(self) -> np.ndarray:
         """1 for each entry of an action that reaches the grid, else 0, float32, (kind, n_action), see ``kinds``."""
-        own = PLAIN_CHANNELS | self._agent_interface.channels
+        channels_of = PLAIN_CHANNELS | self._agent_interface.channels
         return np.array(
-            [[name in own[kind] and in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
+            [[name in channels_of[kind] and in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
             np.float32,
         )
 
@@ -84,14 +84,14 @@ class AgentVecEnv(JointVecEnv):
     def channels(self) -> tuple[str, ...]:
         """Names of the entries of an action."""
         of_kinds = self._agent_interface.channels.values()
-        return tuple(dict.fromkeys(("clock", "q", *(name for own in of_kinds for name in own))))
+        return tuple(dict.fromkeys(("clock", "q", *(name for names in of_kinds for name in names))))
 
     @property
     def rest(self) -> np.ndarray:
         """What an action is at rest as a setpoint, the mean over the agents that have it, float32, (n_action,)."""
         resting, layout = at_rest(self.scenario), action_layout(self.scenario)
-        own = [resting[layout.is_channel(name)] for name in self.channels]
-        return np.array([values.mean() if len(values) else 0.0 for values in own], np.float32)
+        at_rest_values = [resting[layout.is_channel(name)] for name in self.channels]
+        return np.array([values.mean() if len(values) else 0.0 for values in at_rest_values], np.float32)
 
     def entries(self, kind: str) -> list[int]:
         """Where a row's action holds the channels of agents of a kind, in their order."""
@@ -99,8 +99,8 @@ class AgentVecEnv(JointVecEnv):
 
     def columns(self, agent: str) -> np.ndarray:
         """Where a row's observation holds the agent's own observation, and its nameplate figures if there are any."""
-        own = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
-        return np.array(own + [len(self.fields) + i for i in range(self._figures)])
+        field_columns = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
+        return np.array(field_columns + [len(self.fields) + i for i in range(self._figures)])
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         joint, _ = super()._spaces()
@@ -116,11 +116,11 @@ class AgentVecEnv(JointVecEnv):
         n_agent, n_kind = self._kind.shape
         rows = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
         rows[..., -n_kind:] = self._kind
-        for kind, own in self._agent_interface.inputs(joint).items():
+        for kind, inputs in self._agent_interface.inputs(joint).items():
             members = self.members[kind]
-            rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = own
+            rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = inputs
         return rows.reshape(-1, rows.shape[-1])
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         each = (actions * self.reach).reshape(-1, self.scenario.n_agents, self._n_action)
-        return {kind: each[:, own[:, None], self.entries(kind)] for kind, own in self.members.items()}
+        return {kind: each[:, members[:, None], self.entries(kind)] for kind, members in self.members.items()}

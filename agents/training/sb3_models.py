@@ -145,17 +145,17 @@ def networks_of(
         return {"joint": Network(weights, activation, squash, mean, std, clip)}
     networks = {}
     for name, members in vec_env.members.items():
-        own = vec_env.columns(vec_env.scenario.agents[members[0]])
+        columns = vec_env.columns(vec_env.scenario.agents[members[0]])
         constant = np.zeros(len(weights[0][0]))
         constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
         constant = constant if mean is None or std is None else (constant - mean) / std
         constant = constant if clip is None else np.clip(constant, -clip, clip)
-        constant[own] = 0.0
+        constant[columns] = 0.0
         (first, bias), *rest = weights
-        layered = [(first[own], bias + constant @ first), *rest]
+        layered = [(first[columns], bias + constant @ first), *rest]
         last, last_bias = layered[-1]
         given = vec_env.entries(name)
         layered[-1] = (last[:, given], last_bias[given])
-        own_mean, own_std = (None if moments is None else moments[own] for moments in (mean, std))
+        own_mean, own_std = (None if moments is None else moments[columns] for moments in (mean, std))
         networks[name] = Network(layered, activation, squash, own_mean, own_std, clip)
     return networks
