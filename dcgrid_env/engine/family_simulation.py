@@ -54,7 +54,10 @@ class FamilySimulation(Simulation):
                 "them, scenario.member(seed)"
             )
         groups = grouped(self.scenario, seed, number)
-        parts = [(at, Simulation(member, len(at))._drawn(seed[at], number[at])) for member, at in groups]
+        parts = [
+            (env_indices, Simulation(member, len(env_indices))._drawn(seed[env_indices], number[env_indices]))
+            for member, env_indices in groups
+        ]
         return joined(self.scenario, parts)
 
     def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:

@@ -138,11 +138,11 @@ class Simulation:
         outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
-        none = np.zeros(len(seed))
-        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
+        zeros = np.zeros(len(seed))
+        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, zeros)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
         paid = np.zeros_like(transition.reward)
-        transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
+        transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
@@ -173,8 +173,8 @@ class Simulation:
         if s.cost.reward == "shared":
             paid = -cost_j
         else:
-            own = reward.local_costs(s, state, solution, last)
-            paid = -reward.total(reward.charged(s, own, step, solution.converged))
+            local_costs = reward.local_costs(s, state, solution, last)
+            paid = -reward.total(reward.charged(s, local_costs, step, solution.converged))
         return Transition(
             observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),
             reward=paid,

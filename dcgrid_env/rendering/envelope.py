@@ -157,5 +157,5 @@ class Envelope:
                 quartiles = np.percentile(flat, _SHARES, axis=1).T
                 self._spreads.setdefault(name, []).append(Spread(flat.min(axis=1), quartiles, flat.max(axis=1)))
             else:
-                own = Curves(piece.min(axis=1), piece.mean(axis=1), piece.max(axis=1))
-                self._curves.setdefault(name, []).append(own)
+                curves = Curves(piece.min(axis=1), piece.mean(axis=1), piece.max(axis=1))
+                self._curves.setdefault(name, []).append(curves)

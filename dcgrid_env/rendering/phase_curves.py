@@ -133,10 +133,10 @@ class PhaseCurves(Curves):
         v = history.v_pu[history.first : history.last + 1]
         nodes_of_agents = self._agents_nodes(history)
         for spread, (name, nodes) in zip(self.voltages, self.nodes.items(), strict=True):
-            own = v[:, nodes]
-            spread.show(t, own.min(axis=1), own.max(axis=1), own.mean(axis=1))
-            at = nodes_of_agents[name]
-            self.by_phase[name].show(t, np.where(at < 0, np.nan, v[:, at]))
+            bus_v = v[:, nodes]
+            spread.show(t, bus_v.min(axis=1), bus_v.max(axis=1), bus_v.mean(axis=1))
+            columns = nodes_of_agents[name]
+            self.by_phase[name].show(t, np.where(columns < 0, np.nan, v[:, columns]))
         judged = v[:, self.scenario.feeder.load_slice]
         return float(np.fmin.reduce(judged, axis=None)), float(np.fmax.reduce(judged, axis=None))
 

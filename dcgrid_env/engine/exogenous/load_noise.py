@@ -67,11 +67,20 @@ def drawn_loads(
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     if isinstance(scenario.feeder, FeederBatch):
-        for member, at in scenario.feeder.members:
-            own = np.empty((3, len(at), noise.shape[1]))
+        for member, env_indices in scenario.feeder.members:
+            noise_and_loads = np.empty((3, len(env_indices), noise.shape[1]))
             load = _load_of(member, scenario)
-            random.load_step(key[at], step[at], noise[at], share[at], *load, own[0], own[1], own[2])
-            process_and_loads[:, at] = own
+            random.load_step(
+                key[env_indices],
+                step[env_indices],
+                noise[env_indices],
+                share[env_indices],
+                *load,
+                noise_and_loads[0],
+                noise_and_loads[1],
+                noise_and_loads[2],
+            )
+            process_and_loads[:, env_indices] = noise_and_loads
     else:
         load = load_noise(scenario)
 

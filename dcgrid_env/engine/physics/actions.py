@@ -100,11 +100,11 @@ def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -
         raise ActionError(f"the action has shape {array.shape}; it must be {want}: {listing}")
     array = array.reshape(-1, n)
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():  # the sum alone is cheap, but may overflow
-        env_index, at = np.argwhere(~np.isfinite(array))[0]
+        env_index, column = np.argwhere(~np.isfinite(array))[0]
         where = "" if num_envs is None else f" in environment {env_index}"
-        agent, name = layout.names[at]
+        agent, name = layout.names[column]
         raise ActionError(
-            f"action of {agent}: {name} is {array[env_index, at]}{where}; give a finite number in [-1, 1]"
+            f"action of {agent}: {name} is {array[env_index, column]}{where}; give a finite number in [-1, 1]"
         )
     return array
 

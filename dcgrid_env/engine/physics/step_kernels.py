@@ -40,9 +40,9 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     for row in range(n_row):
         for agent in range(agents):
             for part in range(parts):
-                at = legs[row, agent, part]
-                p_at[at] += p_kw[row, agent] / parts
-                q_at[at] += -q_kvar[row, agent] / parts
+                leg = legs[row, agent, part]
+                p_at[leg] += p_kw[row, agent] / parts
+                q_at[leg] += -q_kvar[row, agent] / parts
     return p_net, q_net
 
 

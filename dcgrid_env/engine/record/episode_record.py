@@ -22,7 +22,9 @@ class Series:
 
     def __init__(self, scenario: Scenario, transitions: list[Transition], env_index: int):
         self._take(
-            scenario, _course(transitions, lambda values: np.array([own[env_index] for own in values])), env_index
+            scenario,
+            _course(transitions, lambda values: np.array([values_of_step[env_index] for values_of_step in values])),
+            env_index,
         )
 
     @classmethod
@@ -47,7 +49,7 @@ class Series:
         self.p_kw = self.p_kw_from_reset[1:]
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
-        self.trace_start, self.buses, self.fault = (own[env_index] for own in course.drawn)
+        self.trace_start, self.buses, self.fault = (drawn[env_index] for drawn in course.drawn)
         """Where each site's trace window begins, (n_site,); position in ``bus_ids`` of each agent's bus, (n_agent,);
         what each fault strikes and when, ``Episode.fault``, (n_fault, 3)."""
         self.converged = bool(converged[-1])
@@ -201,8 +203,8 @@ class JoinedRecorder(Recorder):
 
     def lane(self, env_index: int) -> Series:
         """The trajectory of one environment's episode, on its feeder."""
-        part, own = self._place[env_index]
-        return self._parts[part][1].lane(own)
+        part, part_index = self._place[env_index]
+        return self._parts[part][1].lane(part_index)
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,)."""

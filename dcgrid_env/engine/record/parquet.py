@@ -133,9 +133,9 @@ def course_table(part: Series, first_step: int) -> dict[str, np.ndarray]:
     columns |= _of_each("p_kw", s.agents, part.p_kw)
     columns |= _of_each("q_kvar", s.agents, part.q_kvar)
     for cut, state in zip(device_slices(s), part.devices, strict=True):
-        own: dict[str, np.ndarray] = {}
-        _collect(state, len(s.agents[cut]), own)
-        for field, values in own.items():
+        by_field: dict[str, np.ndarray] = {}
+        _collect(state, len(s.agents[cut]), by_field)
+        for field, values in by_field.items():
             columns |= _of_each(field, s.agents[cut], values[1:])
     if part.three_phase is not None:
         regulators, banks = part.three_phase.equipment

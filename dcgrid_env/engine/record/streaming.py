@@ -98,13 +98,13 @@ class StreamingRecorder:
         """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
             raise ValueError("metrics of an episode that has not ended; step until every environment is over")
-        return [own.figures() for own in self._figures]
+        return [metrics.figures() for metrics in self._figures]
 
     def _end_part(self) -> None:
         parts = Series.of_batch(self.scenario, self._waiting, self._part_length.tolist())
-        for own, part in zip(self._figures, parts, strict=True):
+        for metrics, part in zip(self._figures, parts, strict=True):
             if part is not None:
-                own.add(part)
+                metrics.add(part)
         for sink in self.sinks:
             sink.add(parts, self._steps)
         self._steps += len(self._waiting) - 1
@@ -149,8 +149,8 @@ class _StreamingMetrics:
         if not self._devices:
             self._devices = [_of_device(device, part, i) for i, device in enumerate(self.scenario.devices)]
         self._grid.add(part)
-        for own, history in zip(self._devices, part.devices, strict=True):
-            own.add(history, steps)
+        for metrics, history in zip(self._devices, part.devices, strict=True):
+            metrics.add(history, steps)
         self._after_loss.add(part.after_loss(), steps)
 
     def figures(self) -> dict[str, float]:
@@ -158,8 +158,8 @@ class _StreamingMetrics:
         if not self._devices:
             raise ValueError("no step has been recorded yet")
         figures = self._grid.figures()
-        for own in self._devices:
-            figures |= own.figures()
+        for metrics in self._devices:
+            figures |= metrics.figures()
         return {name: float(value) for name, value in (figures | self._after_loss.figures()).items()}
 
 
@@ -195,8 +195,8 @@ class _Whole:
         self._parts: list[Any] = []
 
     def add(self, history: Any, steps: int) -> None:
-        own = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
-        self._parts.append(own)
+        course = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
+        self._parts.append(course)
 
     def figures(self) -> dict[str, float]:
         return self._metrics(over_arrays(lambda *parts: np.concatenate(parts), *self._parts))
