@@ -67,20 +67,11 @@ def drawn_loads(
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     if isinstance(scenario.feeder, FeederBatch):
-        for member, env_indices in scenario.feeder.members:
-            noise_and_loads = np.empty((3, len(env_indices), noise.shape[1]))
+        for member, rows in scenario.feeder.members:
+            process = np.empty((3, len(rows), noise.shape[1]))
             load = _load_of(member, scenario)
-            random.load_step(
-                key[env_indices],
-                step[env_indices],
-                noise[env_indices],
-                share[env_indices],
-                *load,
-                noise_and_loads[0],
-                noise_and_loads[1],
-                noise_and_loads[2],
-            )
-            process_and_loads[:, env_indices] = noise_and_loads
+            random.load_step(key[rows], step[rows], noise[rows], share[rows], *load, process[0], process[1], process[2])
+            process_and_loads[:, rows] = process
     else:
         load = load_noise(scenario)
 
