@@ -89,8 +89,13 @@ def rollout(
 
     parts = []
     for member, env_indices in groups:
-        own = [seeds[i] for i in env_indices.tolist()]
-        parts.append((env_indices, _driven(member, controller, own, partial(Recorder, seeds=own), on_any_step, name)))
+        member_seeds = [seeds[i] for i in env_indices.tolist()]
+        parts.append(
+            (
+                env_indices,
+                _driven(member, controller, member_seeds, partial(Recorder, seeds=member_seeds), on_any_step, name),
+            )
+        )
     return JoinedRecorder(scenario, parts)
 
 

@@ -84,8 +84,8 @@ def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: b
     index = scenario.feeder.index
     acting = np.flatnonzero(action_layout(scenario).reactive >= 0)  # equipment of the feeder gives no reactive power
     acting = acting[0 if datacenters else scenario.datacenters.count :]
-    at = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
-    r, x = sensitivity_between_agents(scenario, at)
+    positions = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
+    r, x = sensitivity_between_agents(scenario, positions)
     return r[:, acting[:, None], acting], x[:, acting[:, None], acting]
 
 

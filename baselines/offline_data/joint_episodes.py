@@ -86,9 +86,9 @@ def joint_episodes(
         )
     episodes: dict[int, JointEpisode] = {}
     for member, env_indices in scenario.members(seeds):
-        own = [seeds[env_index] for env_index in env_indices.tolist()]
-        driver = Behaviour(controller, own, noise, behaviour_seed)
-        for episode in _driven(member, driver, own, on_step, name):
+        member_seeds = [seeds[env_index] for env_index in env_indices.tolist()]
+        driver = Behaviour(controller, member_seeds, noise, behaviour_seed)
+        for episode in _driven(member, driver, member_seeds, on_step, name):
             episodes[episode.seed] = episode
     return [episodes[seed] for seed in seeds]
 
